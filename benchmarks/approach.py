@@ -13,8 +13,8 @@ import numpy as np
 import ruckig
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach

@@ -38,7 +38,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import Chain
+from cnc_interp.run.chain import Chain, Kept
 from cnc_interp.run.path_chain import BATCH, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings
@@ -103,14 +103,12 @@ def programmed_time(blocks: Blocks) -> float:
 def run(machine: Machine, blocks: Blocks, curves: bool, directory: Path) -> dict[str, Any]:
     """Plan blocks into plan files; return the summary."""
     settings = Settings(compress=curves)
-    chain = Chain(machine, settings, time.process_time)
     with PlanWriter(directory, machine, settings) as writer:
+        chain = Chain(machine, settings, writer, time.process_time)
         writer.blocks(blocks)
         for batch in batches(blocks):
             chain.push(batch)
-            chain.drain(writer)
         chain.finish()
-        chain.drain(writer)
         return writer.finish('dense', chain.seconds)
 
 
@@ -143,16 +141,17 @@ def growth(counts: list[int]) -> Iterator[str]:
     yield '|---|---|---|---|'
     machine = Machine.load('xyzac')
     for count in counts:
-        chain, motion = Chain(machine, Settings(), time.process_time), 0.0
+        kept, motion = Kept(), 0.0
+        chain = Chain(machine, Settings(), kept, time.process_time)
         for blocks in spirals(count):
             chain.push(blocks)
-            motion = chain.pieces[-1].law.end_time if chain.pieces else motion
-            for held in (chain.segments, chain.pieces, chain.setpoints):
+            motion = kept.pieces[-1].law.end_time if kept.pieces else motion
+            for held in (kept.parts, kept.pieces, kept.samples):
                 held.clear()
         chain.finish()
         spent = sum(chain.seconds.values()) / count / UM
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        motion = chain.pieces[-1].law.end_time
+        motion = kept.pieces[-1].law.end_time
         yield f'| {count:,} | {motion:.1f} | {spent:.0f} | {peak:.0f} |'
 
 

@@ -13,7 +13,7 @@ from rivals import topp3
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import Chain
+from cnc_interp.run.chain import Chain, Kept
 from cnc_interp.run.path_chain import BATCH
 from cnc_interp.settings.choices import Settings
 
@@ -40,15 +40,16 @@ def chain_cost(count: int) -> Figures:
 
     Returns motion and CPU seconds by room, and the most memory that this process ever held [MB].
     """
-    chain = Chain(Machine.load('xyzac'), Settings(), time.process_time)
+    kept = Kept()
+    chain = Chain(Machine.load('xyzac'), Settings(), kept, time.process_time)
     motion = 0.0
     for first in range(0, count, BATCH):
         chain.push(raster(min(BATCH, count - first), first))
-        motion = chain.pieces[-1].law.end_time if chain.pieces else motion
-        for held in (chain.segments, chain.pieces, chain.setpoints):
+        motion = kept.pieces[-1].law.end_time if kept.pieces else motion
+        for held in (kept.parts, kept.pieces, kept.samples):
             held.clear()
     chain.finish()
-    motion = chain.pieces[-1].law.end_time if chain.pieces else motion
+    motion = kept.pieces[-1].law.end_time if kept.pieces else motion
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return {**chain.seconds, 'motion': motion, 'memory': memory}
 

@@ -18,8 +18,8 @@ import numpy as np
 from paths import cases
 
 from cnc_interp.core.limit_table import place_table
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import AxisLimits
-from cnc_interp.feedrate.window import plan_path
 
 COULOMB, VISCOUS = 0.1, 0.3
 

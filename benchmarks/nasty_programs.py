@@ -24,7 +24,7 @@ from rotary_words import files_of
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_text

@@ -32,8 +32,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import PLACE
+from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     evaluate_cells,

@@ -24,7 +24,7 @@ from ratios import programs
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program

@@ -16,13 +16,16 @@ from scipy.interpolate import BSpline
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.feedrate.window import plan_path
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.lookahead import LookAhead
+from cnc_interp.smoothing.path_smoother import PathSmoother
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / 'shared'
@@ -246,3 +249,13 @@ def stretches(path: AxisPath) -> list[AxisPath]:
     """Cut a path at its stops."""
     stops = np.unique(np.concatenate([[0], np.flatnonzero(path.stop), [len(path.s) - 1]]))
     return [cut(path, int(a), int(b)) for a, b in pairwise(stops)]
+
+
+def time_along(
+    smoother: LookAhead | PathSmoother, blocks: Blocks, transform: Transform, settings: Settings
+) -> float:
+    """Return the time of the motion along blocks that a smoother rounds in its own way [s]."""
+    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
+    parts = [builder.push(found) for found in (smoother.push(blocks), smoother.finish())]
+    path = AxisPath.join([part for part in parts if part is not None])
+    return plan_path(path, transform.machine).law.end_time

@@ -11,16 +11,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from paths import ROOT, SHARED, blocks_of, dome, random_blocks
+from paths import ROOT, SHARED, blocks_of, dome, random_blocks, time_along
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
-from cnc_interp.run.chain import Chain
+from cnc_interp.run.path_chain import is_faster, path_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.lookahead import LookAhead
@@ -47,14 +50,12 @@ def cycle_time(
     blocks: Blocks, ratio: float | None = None, table: dict[bytes, float] | None = None
 ) -> float:
     """Plan blocks and return the time they take [s]."""
-    chain = Chain(MACHINE, Settings(corner_ratio=ratio, compress=False))
-    if table is not None:
-        told = Told(chain.lookahead.settings, chain.lookahead.machine)
-        told.table = table
-        chain.lookahead = told
-    chain.push(blocks)
-    chain.finish()
-    return chain.pieces[-1].law.end_time
+    settings, transform = Settings(corner_ratio=ratio, compress=False), Transform.of(MACHINE)
+    if table is None:
+        return plan_path(path_of(blocks, transform, settings), MACHINE).law.end_time
+    told = Told(settings, traits_of(transform), partial(is_faster, transform, settings))
+    told.table = table
+    return time_along(told, blocks, transform, settings)
 
 
 def search(blocks: Blocks) -> float:

@@ -16,9 +16,9 @@ from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import PLACE, constant_table
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 
 PERIOD = 1e-3

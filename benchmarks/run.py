@@ -27,7 +27,7 @@ from strokes import line_path, stroke_time
 from tables import write_tables
 
 from cnc_interp.core.units import MM
-from cnc_interp.feedrate.window import plan_path
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 
 

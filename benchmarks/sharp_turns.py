@@ -13,12 +13,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from paths import blocks_of
+from paths import blocks_of, time_along
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
-from cnc_interp.feedrate.window import plan_path
-from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
@@ -59,10 +56,7 @@ def cycle_time(blocks: Blocks, sharpest: float) -> float:
     settings, transform = Settings(compress=False), Transform.of(MACHINE)
     traits = replace(traits_of(transform), sharpest_turn=sharpest, sharpest_swing=sharpest)
     smoother = PathSmoother(settings, traits, partial(is_faster, transform, settings))
-    builder = AxisPathBuilder(transform, settings.flank_height, settings.interpolation_period)
-    parts = [builder.push(found) for found in (smoother.push(blocks), smoother.finish())]
-    path = AxisPath.join([part for part in parts if part is not None])
-    return plan_path(path, MACHINE).law.end_time
+    return time_along(smoother, blocks, transform, settings)
 
 
 def main() -> None:

@@ -30,9 +30,9 @@ from programs import CASES, ROOT, commit, program_file
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.branch import positions_of_pose
 from cnc_interp.machine_model.machine import Machine

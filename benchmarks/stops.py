@@ -20,10 +20,10 @@ import numpy as np
 import ruckig
 from paths import Case, cases
 
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -21,17 +21,17 @@ from compensation import MACHINE, PROGRAMS, wrong
 
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.tool_error import tool_error
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import ToolLimit
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
-from cnc_interp.run.chain import Chain
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.chain import Chain, Kept
 from cnc_interp.run.path_chain import batches
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.choices import Settings
 
 PERIOD, HEIGHT = 1e-3, 30 * MM
@@ -65,7 +65,8 @@ def planned(
     largest: float | None = None,
 ) -> tuple[float, float, float]:
     """Plan a program; return cycle time [s], largest error [m] and processor time [s]."""
-    chain: Any = Chain(machine, Settings())
+    kept = Kept()
+    chain: Any = Chain(machine, Settings(), kept)
     tool = None if largest is None else ToolLimit.of(machine, PERIOD, largest, HEIGHT, model)
     chain._planner = SlowPlanner(machine, override, tool)
     begun = time.process_time()
@@ -74,9 +75,9 @@ def planned(
             chain.push(batch)
     chain.finish()
     spent = time.process_time() - begun
-    found = Setpoints.concatenate(list(chain.setpoints()))
+    found = Setpoints.concatenate(kept.samples)
     error = tool_error(machine, PERIOD, found.position, found.velocity, model)
-    return chain.pieces[-1].law.end_time, max(error.tip.max(), error.axis.max() * HEIGHT), spent
+    return kept.pieces[-1].law.end_time, max(error.tip.max(), error.axis.max() * HEIGHT), spent
 
 
 def slowest_override(

@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.units import MM, MM_PER_MIN
-from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of

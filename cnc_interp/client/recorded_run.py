@@ -20,9 +20,9 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from

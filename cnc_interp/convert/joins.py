@@ -16,10 +16,9 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_splines import portions
-from cnc_interp.smoothing.native.joining import Jets, line_between
+from cnc_interp.smoothing.native.cubic_curves import Portion
+from cnc_interp.smoothing.native.joining import Jets, joins_gently, line_between, same_jets
 from cnc_interp.smoothing.native.linking import Linked, linked
-from cnc_interp.smoothing.native.portion import Portion
-from cnc_interp.smoothing.native.spline_piece import joins_gently, same_jets
 from cnc_interp.smoothing.orientation import norm
 
 #: Points at which the slide of the tool axis is measured.

@@ -16,44 +16,14 @@ from cnc_interp.core.jet import Jet
 
 
 def bezier_values(values: FloatArray, t: FloatArray | float) -> FloatArray:
-    """
-    Evaluate Bezier curves by de Casteljau's scheme.
-
-    Parameters
-    ----------
-    values : ndarray, shape (..., k)
-        Bezier values of degree k - 1 along the last axis, in any unit.
-    t : float or ndarray, shape (...)
-        Parameters in [0, 1]; the shape must broadcast against that of the curves.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Values of the curves at t, in the unit of ``values``.
-
-    """
+    """Evaluate Bezier curves (..., k) of degree k - 1 at t in [0, 1], by de Casteljau."""
     while values.shape[-1] > 1:
         values = values[..., :-1] + np.asarray(t)[..., None] * np.diff(values, axis=-1)
     return values[..., 0]
 
 
 def elevated(points: FloatArray, degree: int) -> FloatArray:
-    """
-    Return the same Bezier curves with a higher degree.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, k, d)
-        Bezier points of degree k - 1 [m].
-    degree : int
-        New degree, at least k - 1.
-
-    Returns
-    -------
-    ndarray, shape (n, degree + 1, d)
-        Bezier points of the same curves [m].
-
-    """
+    """Return the Bezier points of the same curves, (n, k, d), with a higher degree."""
     while points.shape[1] <= degree:
         k = points.shape[1]
         share = (np.arange(1, k) / k)[:, None]
@@ -63,22 +33,7 @@ def elevated(points: FloatArray, degree: int) -> FloatArray:
 
 
 def divided(points: FloatArray, u: float = 0.5) -> tuple[FloatArray, FloatArray]:
-    """
-    Divide Bezier curves at one parameter by de Casteljau's scheme.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, k, d)
-        Bezier points [m].
-    u : float
-        Parameter of the division in [0, 1].
-
-    Returns
-    -------
-    left, right : ndarray, shape (n, k, d)
-        Bezier points of the parts before and after u [m].
-
-    """
+    """Divide Bezier curves, (n, k, d), at one parameter: the parts before and after u."""
     left, right = [points[:, 0]], [points[:, -1]]
     while points.shape[1] > 1:
         points = (1.0 - u) * points[:, :-1] + u * points[:, 1:]
@@ -88,20 +43,7 @@ def divided(points: FloatArray, u: float = 0.5) -> tuple[FloatArray, FloatArray]
 
 
 def start_derivatives(points: FloatArray) -> FloatArray:
-    """
-    Return C', C'' and C''' of Bezier curves at u = 0.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, k, d)
-        Bezier points, k at least 4 [m].
-
-    Returns
-    -------
-    ndarray, shape (3, n, d)
-        The three derivatives by u [m].
-
-    """
+    """Return the first three derivatives of Bezier curves, (n, k, d), at u = 0, (3, n, d)."""
     degree = points.shape[1] - 1
     found, factor, rest = [], 1.0, points
     for order in range(3):
@@ -113,24 +55,7 @@ def start_derivatives(points: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True, inline='always')
 def bezier_jet(points: FloatArray, i: int, u: float) -> Jet:
-    """
-    Return the jet in u of one coordinate of a Bezier curve, by de Casteljau's scheme.
-
-    Parameters
-    ----------
-    points : ndarray, shape (k, d)
-        Bezier points of any degree k - 1 [m].
-    i : int
-        Index of the coordinate.
-    u : float
-        Parameter in [0, 1].
-
-    Returns
-    -------
-    Jet
-        Taylor coefficients of the coordinate at u [m].
-
-    """
+    """Return the jet in u of coordinate i of a Bezier curve, (k, d), by de Casteljau."""
     n = points.shape[0]
     work = np.empty(n)
     for k in range(n):
@@ -147,35 +72,15 @@ def bezier_jet(points: FloatArray, i: int, u: float) -> Jet:
         for k in range(level):
             work[k] = v * work[k] + u * work[k + 1]
     p = n - 1.0
-    return (
-        work[0],
-        p * d1,
-        p * (p - 1.0) * d2 / 2.0,
-        p * (p - 1.0) * (p - 2.0) * d3 / 6.0,
-    )
+    return (work[0], p * d1, p * (p - 1.0) * d2 / 2.0, p * (p - 1.0) * (p - 2.0) * d3 / 6.0)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
     """
-    Return the jet in u of one coordinate of a quintic Bezier curve, in powers of u.
+    Return the jet in u of coordinate i of a quintic Bezier curve, in powers of u.
 
     This special case of ``bezier_jet`` needs no work array, so it is several times faster.
-
-    Parameters
-    ----------
-    points : ndarray, shape (6, d)
-        Bezier points [m].
-    i : int
-        Index of the coordinate.
-    u : float
-        Parameter in [0, 1].
-
-    Returns
-    -------
-    Jet
-        Taylor coefficients of the coordinate at u [m].
-
     """
     p0, p1, p2, p3, p4, p5 = (
         points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
@@ -199,19 +104,9 @@ def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
 @njit(cache=True, nogil=True)
 def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> None:
     """
-    Compute the Bezier points of the part of a quintic between two parameters.
+    Write the Bezier points of the part of a quintic, (6, d), between two parameters.
 
     Point k is the blossom with k arguments b and 5 - k arguments a.
-
-    Parameters
-    ----------
-    points : ndarray, shape (6, d)
-        Bezier points over [0, 1] [m].
-    a, b : float
-        Parameters of the ends of the part.
-    out : ndarray, shape (6, d)
-        Output: Bezier points of the part [m].
-
     """
     columns = points.shape[1]
     work = np.empty(6)
@@ -228,22 +123,7 @@ def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> Non
 
 @njit(cache=True, nogil=True)
 def quintic_end_jet(points: FloatArray, length: float) -> FloatArray:
-    """
-    Return the first five Taylor coefficients at the end of a quintic piece.
-
-    Parameters
-    ----------
-    points : ndarray, shape (6, d)
-        Bezier points [m].
-    length : float
-        Length of the parameter interval of the piece.
-
-    Returns
-    -------
-    ndarray, shape (5, d)
-        Value and four derivatives by the parameter, each divided by the factorial of its order.
-
-    """
+    """Return value and four derivatives, over factorials, at the end of a quintic piece."""
     columns = points.shape[1]
     jet = np.zeros((5, columns))
     choose = (1.0, 5.0, 10.0, 10.0, 5.0)

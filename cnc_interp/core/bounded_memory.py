@@ -17,13 +17,7 @@ class BoundedMemory:
     Lengths that a hostile file tells, and what it unpacks to, then end in ``MemoryError`` or
     ``OSError``.
 
-    Parameters
-    ----------
-    files : Path
-        The files that are read.
-    room : int
-        What it may take beside [bytes].
-
+    ``room``: what it may take beside [bytes].
     """
 
     def __init__(self, *files: Path, room: int = ROOM):

@@ -15,22 +15,10 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 
 def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
     """
-    Convert spans of cubic B-splines to Bezier pieces.
+    Return the Bezier points of spans of cubic B-splines, (n, 4, d).
 
-    Bezier point b_i is the blossom of the span with i arguments at its right end.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 4, d)
-        The four control points that act on each span [m].
-    knots : ndarray, shape (n, 6)
-        The six knots around each span; the span lies between the third and the fourth.
-
-    Returns
-    -------
-    ndarray, shape (n, 4, d)
-        Bezier points of the spans [m].
-
+    Bezier point b_i is the blossom of the span with i arguments at its right end. ``knots`` (n, 6)
+    are the six around each span, which lies between the third and the fourth.
     """
     left, right = knots[:, 2], knots[:, 3]
     found = []
@@ -56,20 +44,7 @@ def _between(
 
 @njit(cache=True, nogil=True)
 def clamped_knots(knots: FloatArray) -> FloatArray:
-    """
-    Return the full knot vector of a clamped quintic B-spline.
-
-    Parameters
-    ----------
-    knots : ndarray, shape (n,)
-        Knots with single ends.
-
-    Returns
-    -------
-    ndarray, shape (n + 10,)
-        The same knots, with the first and the last one repeated six times.
-
-    """
+    """Return the knot vector of a clamped quintic B-spline: both ends six times."""
     n = len(knots)
     full = np.empty(n + 10)
     full[:5] = knots[0]
@@ -81,20 +56,9 @@ def clamped_knots(knots: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def quintic_bezier_matrices(full: FloatArray, spans: int) -> FloatArray:
     """
-    Return the matrices that convert control points of a quintic B-spline to Bezier points.
+    Return the matrices from control points of a quintic B-spline to Bezier points.
 
-    Parameters
-    ----------
-    full : ndarray, shape (spans + 11 or more,)
-        Full knot vector.
-    spans : int
-        Number of spans, counted from the first one.
-
-    Returns
-    -------
-    ndarray, shape (spans, 6, 6)
-        Row k of a matrix has the weights of six control points in Bezier point k.
-
+    Row k of a matrix (6, 6) has the weights of six control points in Bezier point k.
     """
     matrices = np.zeros((spans, 6, 6))
     d = np.empty((6, 6))
@@ -119,24 +83,7 @@ def quintic_bezier_matrices(full: FloatArray, spans: int) -> FloatArray:
 def quintic_bezier_points(
     coefficients: FloatArray, matrices: FloatArray, spans: int
 ) -> FloatArray:
-    """
-    Convert the first spans of a quintic B-spline to Bezier pieces.
-
-    Parameters
-    ----------
-    coefficients : ndarray, shape (n + 5, d)
-        Control points of n spans [m].
-    matrices : ndarray, shape (n, 6, 6)
-        Output of ``quintic_bezier_matrices``.
-    spans : int
-        Number of spans to convert, at most n.
-
-    Returns
-    -------
-    ndarray, shape (spans, 6, d)
-        Bezier points [m].
-
-    """
+    """Return the Bezier points of the first spans of a quintic B-spline, (spans, 6, d)."""
     points = np.zeros((spans, 6, coefficients.shape[1]))
     for s in range(spans):
         for k in range(6):
@@ -150,26 +97,7 @@ def quintic_bezier_points(
 def quintic_basis(
     matrices: FloatArray, knots: FloatArray, x: FloatArray, span: IntArray
 ) -> FloatArray:
-    """
-    Evaluate the six basis functions of a quintic B-spline that are not zero.
-
-    Parameters
-    ----------
-    matrices : ndarray, shape (n, 6, 6)
-        Output of ``quintic_bezier_matrices``.
-    knots : ndarray, shape (n + 1,)
-        Knots with single ends.
-    x : ndarray, shape (m,)
-        Parameters.
-    span : ndarray of int, shape (m,)
-        Span that contains each parameter.
-
-    Returns
-    -------
-    ndarray, shape (m, 6)
-        Values of the basis functions of control points span ... span + 5 [-].
-
-    """
+    """Return the six basis functions of a quintic B-spline that are not zero at each x."""
     basis = np.zeros((len(x), 6))
     for m in range(len(x)):
         s = span[m]
@@ -188,24 +116,10 @@ def quintic_end_coefficients(
     jet: FloatArray, full: FloatArray, known: int, at_end: bool
 ) -> FloatArray:
     """
-    Return the first or last control points of a clamped quintic B-spline from its derivatives.
+    Return the first or last ``known`` control points of a clamped quintic B-spline.
 
-    Parameters
-    ----------
-    jet : ndarray, shape (known, d)
-        Value and derivatives at the end, each divided by the factorial of its order.
-    full : ndarray, shape (n,)
-        Full knot vector.
-    known : int
-        Number of control points to compute, at most 6.
-    at_end : bool
-        Whether the last control points are computed. They are then counted from the end.
-
-    Returns
-    -------
-    ndarray, shape (known, d)
-        Control points, in the unit of the value.
-
+    ``jet`` (known, d) has value and derivatives there, each divided by the factorial of its order.
+    ``at_end`` counts from the end.
     """
     choose = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
     found = np.zeros((known, jet.shape[1]))

@@ -47,17 +47,7 @@ class Column:
 
 
 def column(*tail: int | str, default: Any = None) -> Any:
-    """
-    Declare a column of a table at its field.
-
-    Parameters
-    ----------
-    *tail : int or str
-        Shape of a row; a name stands for any number.
-    default : number, optional
-        Value of all rows if the column is left out. Without a default it is needed.
-
-    """
+    """Declare a column at its field: the shape of a row, with a name for any number."""
     optional: dict[str, Any] = {} if default is None else {'default': None}
     return field(**optional, metadata={'tail': tail, 'default': default})
 
@@ -69,11 +59,7 @@ class Table:
 
     A field without ``column`` is a table itself.
 
-    Raises
-    ------
-    ValueError
-        If the shape of a column is not the declared one.
-
+    Raises ValueError if the shape of a column is not the declared one.
     """
 
     declared: ClassVar[Mapping[str, Column]]  #: The columns by name, in order.

@@ -18,22 +18,7 @@ from cnc_interp.core.jet import Jet
 
 
 def corner_spline_points(points: FloatArray, u: FloatArray | float) -> FloatArray:
-    """
-    Return points of corner splines [B2013, Eq. 1 and A.2].
-
-    Parameters
-    ----------
-    points : ndarray, shape (..., 5, 3)
-        Control points [m].
-    u : float or ndarray, shape (...)
-        Parameters in [0, 1].
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Points of the curves at u [m].
-
-    """
+    """Return points at u of corner splines, (..., 5, 3) [B2013, Eq. 1 and A.2]."""
     if np.ndim(u) == 0:
         places = range(4) if u <= 0.5 else range(4, 0, -1)
         weights = _corner_basis(min(float(u), 1.0 - float(u)))
@@ -57,20 +42,7 @@ def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def sum_of(terms: Iterable[FloatArray]) -> FloatArray:
-    """
-    Add arrays in the given order, so that the result is the same bit for bit.
-
-    Parameters
-    ----------
-    terms : iterable of ndarray, shape (...)
-        At least one array; all have the same shape.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        The sum.
-
-    """
+    """Add arrays in the given order, so that the result is the same bit for bit."""
     first, *rest = terms
     for term in rest:
         first = first + term
@@ -82,26 +54,14 @@ def corner_pieces(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     p0, p1, p2, p3, p4 = (points[:, i] for i in range(5))
     before, after = 0.5 * (p1 + p2), 0.5 * (p2 + p3)
     middle = 0.5 * (before + after)
-    return (
-        np.stack([p0, p1, before, middle], axis=1),
-        np.stack([middle, after, p3, p4], axis=1),
-    )
+    return (np.stack([p0, p1, before, middle], axis=1), np.stack([middle, after, p3, p4], axis=1))
 
 
 def corner_end_derivatives(points: FloatArray) -> FloatArray:
     """
-    Return C', C'' and C''' of corner splines at u = 0 [B2013, Eq. A.2].
+    Return the first three derivatives of corner splines at u = 0, (3, n, 3) [B2013, Eq. A.2].
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 5, 3)
-        Control points [m]. Reversed control points give the other end, seen from there.
-
-    Returns
-    -------
-    ndarray, shape (3, n, 3)
-        The three derivatives by u [m].
-
+    Reversed control points give the other end, seen from there.
     """
     p0, p1, p2, p3 = (points[:, i] for i in range(4))
     return np.stack(
@@ -116,24 +76,9 @@ def corner_end_derivatives(points: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True, inline='always')
 def corner_spline_jet(points: FloatArray, i: int, u: float, second_half: bool) -> Jet:
     """
-    Return the jet in u of one coordinate of a corner spline [B2013, Eq. 1 and A.2].
+    Return the jet in u of coordinate i of a corner spline [B2013, Eq. 1 and A.2].
 
-    Parameters
-    ----------
-    points : ndarray, shape (5 or more, d)
-        Control points; the first five are used [m].
-    i : int
-        Index of the coordinate.
-    u : float
-        Parameter in [0, 1].
-    second_half : bool
-        Whether the polynomial piece over [0.5, 1] is used. At u = 0.5 both pieces are possible.
-
-    Returns
-    -------
-    Jet
-        Taylor coefficients of the coordinate at u [m].
-
+    At u = 0.5 both polynomial pieces are possible; ``second_half`` selects one.
     """
     if second_half:  # the reversed control points give the same curve backwards
         p0, p1, p2, p3 = points[4, i], points[3, i], points[2, i], points[1, i]

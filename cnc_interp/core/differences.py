@@ -25,21 +25,11 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
     A difference over T^k is a mean of the k-th derivative between its setpoints. So the largest
     limit between them counts, where a limit depends on the position.
 
-    Parameters
-    ----------
-    positions : ndarray, shape (3 + K, n_axes)
-        The three setpoints before, then K setpoints [m, rad].
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position; see ``limit_table.py``.
-    period : float
-        Interpolation period T [s].
-
-    Returns
-    -------
-    ndarray, shape (3, K, n_axes)
-        Signed shares of the velocity, acceleration and jerk limits [-]. Row k belongs to the
-        differences that end at setpoint k.
-
+    ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
+    ``table`` (7, n_axes, m): limits over position; see ``limit_table.py``.
+    ``period``: interpolation period T [s].
+    Returns (3, K, n_axes): signed shares of the velocity, acceleration and jerk limits [-]. Row k
+    belongs to the differences that end at setpoint k.
     """
     constant = table.shape[2] == 1
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
@@ -61,21 +51,11 @@ def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> Fl
     The velocity is that between the first and the third. Where an axis turns between them,
     Coulomb friction has both signs, so the smaller torque counts.
 
-    Parameters
-    ----------
-    positions : ndarray, shape (3 + K, n_axes)
-        The three setpoints before, then K setpoints [m, rad].
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position; see ``limit_table.py``.
-    period : float
-        Interpolation period T [s].
-
-    Returns
-    -------
-    ndarray, shape (K, n_axes)
-        Shares, not negative [-]; row k belongs to the differences that end at setpoint k. Zero
-        for axes without a largest torque.
-
+    ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
+    ``table`` (7, n_axes, m): limits over position; see ``limit_table.py``.
+    ``period``: interpolation period T [s].
+    Returns (K, n_axes): shares, not negative [-]; row k belongs to the differences that end at
+    setpoint k. Zero for axes without a largest torque.
     """
     steps = np.diff(positions[BEFORE - 2 :], axis=0)
     sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))
@@ -93,17 +73,7 @@ def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> Fl
 def excesses(
     uses: Mapping[str, Mapping[str, float]], tolerances: Mapping[str, float]
 ) -> list[str]:
-    """
-    Name limits and tolerances that are exceeded by more than rounding.
-
-    Parameters
-    ----------
-    uses : mapping
-        Largest share of velocity, acceleration and jerk limit of each axis [-].
-    tolerances : mapping
-        Largest share of contour and orientation tolerance [-].
-
-    """
+    """Name limits and tolerances whose largest shares exceed 1 by more than rounding."""
     shares = [(f'{kind} of {axis}', use) for kind, of in uses.items() for axis, use in of.items()]
     shares += [(f'{kind} tolerance', use) for kind, use in tolerances.items()]
     return [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]

@@ -13,17 +13,7 @@ class ProgramError(InterpError):
     """
     A part program cannot be read.
 
-    Parameters
-    ----------
-    message : str
-        What is wrong and what would be right.
-    source : str
-        File name, or ``<text>``.
-    line_number : int
-        Line in the file, counted from 1; 0 if the fault concerns the whole file.
-    word : str
-        The wrong word as it is written, or empty.
-
+    ``line_number``: line in the file, counted from 1; 0 if the fault concerns the whole file.
     """
 
     def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
@@ -35,17 +25,7 @@ class ProgramError(InterpError):
 
 
 class RefusedLinesError(ProgramError):
-    """
-    A part program cannot be read, for several reasons; the attributes are those of the first.
-
-    Parameters
-    ----------
-    errors : list of ProgramError
-        The refusals, at least one.
-    text : str
-        All of them, one in a line.
-
-    """
+    """A part program cannot be read for several reasons; the attributes are of the first."""
 
     def __init__(self, errors: list[ProgramError], text: str):
         first = errors[0]
@@ -66,17 +46,7 @@ class MachineError(InterpError):
 
 
 class SettingsError(InterpError):
-    """
-    The user chose a value that is not possible.
-
-    Parameters
-    ----------
-    name : str
-        Name of the setting.
-    reason : str
-        What is wrong with the value and what would be right.
-
-    """
+    """The user chose a value that is not possible."""
 
     def __init__(self, name: str, reason: str):
         self.name, self.reason = name, reason
@@ -90,17 +60,8 @@ class BlockError(InterpError):
     The planning packages know only the line of a block. A caller that knows the file sets the
     attribute ``source``.
 
-    Parameters
-    ----------
-    message : str
-        What is wrong and what to do.
-    line_number : int
-        Line of the part program, 0 if unknown.
-    axis : str
-        Name of the machine axis, or empty.
-    value : float
-        The value that is refused, in SI units; NaN if there is none.
-
+    ``line_number``: line of the part program, 0 if unknown.
+    ``value``: the value that is refused, in SI units; NaN if there is none.
     """
 
     def __init__(
@@ -151,17 +112,7 @@ class Refusal(IntEnum):
 
 
 class StreamError(InterpError):
-    """
-    A message breaks the rules of its stream: gap, repeat, wrong program or wrong shape.
-
-    Parameters
-    ----------
-    message : str
-        What is wrong and what to do.
-    kind : Refusal
-        Kind of the refusal.
-
-    """
+    """A message breaks the rules of its stream: gap, repeat, wrong program or wrong shape."""
 
     def __init__(self, message: str, kind: Refusal = Refusal.BAD_MESSAGE):
         self.kind = kind

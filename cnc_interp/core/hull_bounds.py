@@ -37,22 +37,7 @@ def weighted_largest(points: FloatArray) -> FloatArray:
 
 
 def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
-    """
-    Bound the first three derivatives of Bezier curves.
-
-    Parameters
-    ----------
-    points : ndarray, shape (..., k, 3)
-        Bezier points of degree k - 1.
-    length : float
-        Length of the parameter interval of each curve.
-
-    Returns
-    -------
-    ndarray, shape (3, ...)
-        Upper bounds of the lengths of C', C'' and C'''.
-
-    """
+    """Bound the first three derivatives of Bezier curves over intervals of a length, (3, ...)."""
     degree, found = points.shape[-2] - 1, []
     for order in range(3):
         points = np.diff(points, axis=-2) * ((degree - order) / length)

@@ -25,25 +25,12 @@ from cnc_interp.core.arrays import FloatArray
 
 VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 
+#: Beyond every position; infinite positions would give no difference [m or rad].
 FAR = 1e300
-"""Beyond every position; infinite positions would give no difference [m or rad]."""
 
 
 def constant_table(limits: FloatArray) -> FloatArray:
-    """
-    Return the table of constant limits.
-
-    Parameters
-    ----------
-    limits : ndarray, shape (3, n_axes)
-        Velocity, acceleration and jerk limits [m or rad, per s, s2, s3].
-
-    Returns
-    -------
-    ndarray, shape (7, n_axes, 1)
-        The same limits everywhere, and no largest torque.
-
-    """
+    """Return the table of limits (3, n_axes) that hold everywhere; no largest torque."""
     table = np.zeros((7, limits.shape[1], 1))
     table[:PLACE, :, 0], table[PLACE], table[DRIVE] = limits, -FAR, np.inf
     return table
@@ -53,22 +40,11 @@ def place_table(
     limits: FloatArray, places: dict[int, FloatArray], loads: dict[int, FloatArray] | None = None
 ) -> FloatArray:
     """
-    Return the table of limits of which some depend on the position.
+    Return the table (7, n_axes, m) of limits of which some depend on the position.
 
-    Parameters
-    ----------
-    limits : ndarray, shape (3, n_axes)
-        Limits of the axes that are not in ``places`` [m or rad, per s, s2, s3].
-    places : dict of int to ndarray, shape (4, k)
-        For some axes: limits, and in the last row the increasing positions at which they hold.
-    loads : dict of int to ndarray, shape (3,), optional
-        For some axes: T/J, C/J and B/J [m or rad per s2, the same, 1/s].
-
-    Returns
-    -------
-    ndarray, shape (7, n_axes, m)
-        The table; m is the largest k, at least 1.
-
+    ``limits`` (3, n_axes) hold for axes that are not in ``places``: there (4, k) limits, and in
+    the last row the increasing positions at which they hold. ``loads`` (3,) has T/J, C/J and B/J
+    of some axes [m or rad per s2, the same, 1/s].
     """
     m = max((of.shape[1] for of in places.values()), default=1)
     table = np.repeat(constant_table(limits), m, axis=2)
@@ -92,19 +68,9 @@ def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float)
     """
     Return the use of the torque that friction leaves to an axis; negative against the motion.
 
-    Friction takes a part of the torque that accelerates, and helps to brake:
-    with sigma = sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both
-    directions count as accelerating.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position.
-    axis : int
-        The axis.
-    velocity, acceleration : float
-        Its state [m or rad, per s, per s2].
-
+    Friction takes a part of the torque that accelerates, and helps to brake: with sigma =
+    sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both directions
+    count as accelerating.
     """
     drive, friction = table[DRIVE, axis, 0], table[COULOMB, axis, 0]
     if drive == np.inf:
@@ -120,19 +86,7 @@ def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float)
 def acceleration_room(
     table: FloatArray, axis: int, q: float, velocity: float
 ) -> tuple[float, float]:
-    """
-    Return the largest acceleration of an axis along its motion and against it.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position.
-    axis : int
-        The axis.
-    q, velocity : float
-        Its state [m or rad, per s].
-
-    """
+    """Return the largest acceleration of an axis along its motion and against it."""
     most = limit_at(table, ACCELERATION, axis, q)
     drive = table[DRIVE, axis, 0]
     if drive == np.inf:
@@ -143,19 +97,7 @@ def acceleration_room(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def limit_at(table: FloatArray, row: int, axis: int, q: float) -> float:
-    """
-    Return one limit of an axis at a position.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position.
-    row, axis : int
-        ``VELOCITY``, ``ACCELERATION`` or ``JERK``, and the axis.
-    q : float
-        Position of the axis [m or rad].
-
-    """
+    """Return one limit of an axis at a position [m or rad]."""
     last = table.shape[2] - 1
     if last == 0:
         return float(table[row, axis, 0])
@@ -170,22 +112,7 @@ def limit_at(table: FloatArray, row: int, axis: int, q: float) -> float:
 
 
 def limits_along(table: FloatArray, q: FloatArray) -> FloatArray:
-    """
-    Return all limits at many positions.
-
-    Parameters
-    ----------
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position.
-    q : ndarray, shape (K, n_axes)
-        Positions [m or rad].
-
-    Returns
-    -------
-    ndarray, shape (3, K, n_axes)
-        Limits [m or rad, per s, s2, s3]; (3, 1, n_axes) where they are constant.
-
-    """
+    """Return all limits at positions (K, n_axes): (3, K, n_axes), or (3, 1, n_axes)."""
     if table.shape[2] == 1:
         return np.ascontiguousarray(table[:PLACE].transpose(0, 2, 1))
     along: FloatArray = _along(table, np.ascontiguousarray(q))

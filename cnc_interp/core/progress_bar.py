@@ -36,17 +36,7 @@ class TimeLeft:
         self._later: deque[tuple[float, float]] = deque()  # time and share in the later half
 
     def after(self, now: float, share: float) -> float:
-        """
-        Return the remaining time; NaN as long as it is not known.
-
-        Parameters
-        ----------
-        now : float
-            Time on any clock [s].
-        share : float
-            Part of the work that is done, 0 to 1 [-].
-
-        """
+        """Return the remaining time [s] at a time and a share of the work; NaN if unknown."""
         if share <= 0.0:
             return math.nan
         later = self._later
@@ -61,15 +51,7 @@ class TimeLeft:
 
 
 class ProgressBar:
-    """
-    Shows which part of the work is done.
-
-    Parameters
-    ----------
-    stream : file, optional
-        Stream for the output. Without it, nothing is shown.
-
-    """
+    """Shows which part of the work is done; without a stream nothing."""
 
     def __init__(self, stream: TextIO | None):
         self._stream = stream
@@ -86,21 +68,7 @@ class ProgressBar:
         return lambda share: self.show(work, share)
 
     def show(self, work: str, share: float, note: str = '', left: float = math.nan) -> None:
-        """
-        Show progress: every percent on a terminal, every ten percent in a log.
-
-        Parameters
-        ----------
-        work : str
-            Name of the work.
-        share : float
-            Part of the work that is done, 0 to 1 [-].
-        note : str
-            Text after the percentage.
-        left : float
-            Remaining time [s]. If it is NaN, it is estimated; see ``TimeLeft``.
-
-        """
+        """Show progress: every percent on a terminal, every ten percent in a log."""
         now = time.monotonic()
         if work != self._work:
             self.end(complete=False)

@@ -14,11 +14,7 @@ def share_directory(package: str) -> Path:
     Without ``AMENT_PREFIX_PATH`` it is searched beside Python. So a command of a virtual
     environment works without sourcing a script.
 
-    Raises
-    ------
-    LookupError
-        If the package is not installed.
-
+    Raises LookupError if the package is not installed.
     """
     beside_python = Path(sys.prefix, 'share', package)  # installed by pip, also without ROS
     if 'AMENT_PREFIX_PATH' not in os.environ and beside_python.is_dir():

@@ -22,17 +22,7 @@ class UnreadableError(ValueError):
 
 
 def small_text(path: Path, longest: int) -> str:
-    """
-    Return the text of a small file; never more of it is read.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened.
-    UnreadableError
-        If it is no file, too long, or no text.
-
-    """
+    """Return the text of a small file, no more; raises OSError or UnreadableError."""
     path.stat()
     if not path.is_file():
         raise UnreadableError('it is not a file')
@@ -62,17 +52,9 @@ def _checked(content: Any) -> Any:
 
 def read_yaml(path: Path) -> Any:
     """
-    Return the content of a small YAML file.
+    Return the content of a small YAML file; raises OSError or UnreadableError.
 
     References to other values (``*name``) are refused, because they can stand for any length.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened.
-    UnreadableError
-        If it is too long, too deep, or not YAML.
-
     """
     return parse_yaml(small_text(path, LONGEST_YAML))
 
@@ -94,17 +76,7 @@ def parse_yaml(text: str) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """
-    Return the content of a small JSON file; raises as ``read_yaml``.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened.
-    UnreadableError
-        If it is too long, too deep, or not JSON.
-
-    """
+    """Return the content of a small JSON file; raises as ``read_yaml``."""
     text = small_text(path, LONGEST_JSON)
     try:
         return _checked(json.loads(text))
@@ -120,11 +92,7 @@ def write_whole(path: Path, text: str) -> None:
 
     The new content is written beside it, brought to the disk and renamed.
 
-    Raises
-    ------
-    OSError
-        If it cannot be written; the old file is untouched.
-
+    Raises OSError if it cannot be written; the old file is untouched.
     """
     path = path.resolve()  # a link stays one
     beside = path.with_name(f'.{path.name}.new')

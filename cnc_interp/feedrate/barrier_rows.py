@@ -40,11 +40,10 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.distinct_arrays import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
+#: Smallest slack, and slack times dual over the time, at the beginning of a warm start.
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
-"""Smallest slack, and slack times dual over the time, at the beginning of a warm start."""
-
+#: Number of cells that are summed over all axes at a time.
 CHUNK = 256
-"""Number of cells that are summed over all axes at a time."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -63,32 +62,12 @@ def constant_of(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_rows(
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
-    constant: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    s00: FloatArray,
-    s01: FloatArray,
-    s02: FloatArray,
-    s11: FloatArray,
-    s12: FloatArray,
-    s22: FloatArray,
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    u0: FloatArray,
-    u1: FloatArray,
-    u2: FloatArray,
-    gap: FloatArray,
-    use: FloatArray,
-) -> None:
+    c0: FloatArray, c1: FloatArray, c2: FloatArray, constant: FloatArray, x0: FloatArray,
+    x1: FloatArray, x2: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
+    s00: FloatArray, s01: FloatArray, s02: FloatArray, s11: FloatArray, s12: FloatArray,
+    s22: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, u0: FloatArray,
+    u1: FloatArray, u2: FloatArray, gap: FloatArray, use: FloatArray,
+) -> None:  # fmt: skip
     """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
@@ -115,28 +94,12 @@ def _sum_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sums_by_coefficients(
-    s00: FloatArray,
-    s01: FloatArray,
-    s02: FloatArray,
-    s11: FloatArray,
-    s12: FloatArray,
-    s22: FloatArray,
-    e00: FloatArray,
-    e01: FloatArray,
-    e02: FloatArray,
-    e10: FloatArray,
-    e11: FloatArray,
-    e12: FloatArray,
-    e20: FloatArray,
-    e21: FloatArray,
-    e22: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h02: FloatArray,
-    h11: FloatArray,
-    h12: FloatArray,
+    s00: FloatArray, s01: FloatArray, s02: FloatArray, s11: FloatArray, s12: FloatArray,
+    s22: FloatArray, e00: FloatArray, e01: FloatArray, e02: FloatArray, e10: FloatArray,
+    e11: FloatArray, e12: FloatArray, e20: FloatArray, e21: FloatArray, e22: FloatArray,
+    h00: FloatArray, h01: FloatArray, h02: FloatArray, h11: FloatArray, h12: FloatArray,
     h22: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Add sums of squares in the terms to the matrix of the cell: h += e s e^T."""
     for j in range(len(e00)):
         a, b, c = e00[j], e01[j], e02[j]
@@ -161,22 +124,10 @@ def _sums_by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def by_coefficients(
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    e00: FloatArray,
-    e01: FloatArray,
-    e02: FloatArray,
-    e10: FloatArray,
-    e11: FloatArray,
-    e12: FloatArray,
-    e20: FloatArray,
-    e21: FloatArray,
-    e22: FloatArray,
-    out0: FloatArray,
-    out1: FloatArray,
-    out2: FloatArray,
-) -> None:
+    p0: FloatArray, p1: FloatArray, p2: FloatArray, e00: FloatArray, e01: FloatArray,
+    e02: FloatArray, e10: FloatArray, e11: FloatArray, e12: FloatArray, e20: FloatArray,
+    e21: FloatArray, e22: FloatArray, out0: FloatArray, out1: FloatArray, out2: FloatArray,
+) -> None:  # fmt: skip
     """Add forces on the terms to the forces on m_{i-1}, m_i, m_{i+1} of each cell."""
     for j in range(len(e00)):
         out0[j] += p0[j] * e00[j] + p1[j] * e01[j] + p2[j] * e02[j]
@@ -186,27 +137,11 @@ def by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _time_of_cells(
-    width: FloatArray,
-    v0: FloatArray,
-    v1: FloatArray,
-    l0: FloatArray,
-    r0: FloatArray,
-    l1: FloatArray,
-    r1: FloatArray,
-    bl0: FloatArray,
-    br0: FloatArray,
-    bl1: FloatArray,
-    br1: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h02: FloatArray,
-    h11: FloatArray,
-    h12: FloatArray,
-    h22: FloatArray,
-    g0: FloatArray,
-    g1: FloatArray,
-    g2: FloatArray,
-) -> None:
+    width: FloatArray, v0: FloatArray, v1: FloatArray, l0: FloatArray, r0: FloatArray,
+    l1: FloatArray, r1: FloatArray, bl0: FloatArray, br0: FloatArray, bl1: FloatArray,
+    br1: FloatArray, h00: FloatArray, h01: FloatArray, h02: FloatArray, h11: FloatArray,
+    h12: FloatArray, h22: FloatArray, g0: FloatArray, g1: FloatArray, g2: FloatArray,
+) -> None:  # fmt: skip
     """
     Write gradient g and Hessian h of the time of each cell by m_{i-1}, m_i, m_{i+1}.
 
@@ -234,26 +169,11 @@ def _time_of_cells(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_caps(
-    cap0: FloatArray,
-    cap1: FloatArray,
-    m: FloatArray,
-    b: FloatArray,
-    bl: FloatArray,
-    br: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h11: FloatArray,
-    push0: FloatArray,
-    push1: FloatArray,
-    pull0: FloatArray,
-    pull1: FloatArray,
-    gap: FloatArray,
-    use: FloatArray,
-) -> None:
+    cap0: FloatArray, cap1: FloatArray, m: FloatArray, b: FloatArray, bl: FloatArray,
+    br: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
+    h00: FloatArray, h01: FloatArray, h11: FloatArray, push0: FloatArray, push1: FloatArray,
+    pull0: FloatArray, pull1: FloatArray, gap: FloatArray, use: FloatArray,
+) -> None:  # fmt: skip
     """Add the rows m_i <= cap and b_i <= cap of each cell."""
     for j in range(len(m)):
         g0, g1 = m[j] * cap0[j], b[j] * cap1[j]
@@ -280,42 +200,16 @@ def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def add_rows(
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    v: FloatArray,
-    terms: FloatArray,
-    slopes: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    d0: FloatArray,
-    d1: FloatArray,
-    d2: FloatArray,
-    residual: FloatArray,
-    rhs: FloatArray,
-) -> tuple[float, float, float]:
+    rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, width: FloatArray, v: FloatArray,
+    terms: FloatArray, slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
+    d0: FloatArray, d1: FloatArray, d2: FloatArray, residual: FloatArray, rhs: FloatArray,
+) -> tuple[float, float, float]:  # fmt: skip
     """
     Compute the Newton matrix and the right-hand side of the predictor step.
 
-    Parameters
-    ----------
-    rows, inverse_caps, m, terms, slopes, weight, slack, dual : ndarray
-        Input, with the shapes of the module docstring.
-    width : ndarray, shape (n,)
-        Effective widths [m].
-    v : ndarray, shape (n + 1,)
-        s_dot at the nodes [m/s].
-    d0, d1, d2, residual, rhs : ndarray, shape (n + 2,)
-        Output: diagonals of the Newton matrix, dual residual and right-hand side.
-
-    Returns
-    -------
-    gap, weighted, violation : float
-        Sum of dual times slack, the same sum divided by the cell weights, largest violation of a
-        row.
-
+    ``width`` (n,) has the effective widths [m], ``v`` (n + 1,) s_dot at the nodes [m/s]. ``d0`` to
+    ``rhs`` are output. Returns the sum of dual times slack, the same divided by the cell weights,
+    and the largest violation of a row.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     total_gap, weighted, most = 0.0, 0.0, 0.0
@@ -377,43 +271,15 @@ def add_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
-    total: float,
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m: FloatArray,
-    terms: FloatArray,
-    width: FloatArray,
-    v: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
+    total: float, rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, terms: FloatArray,
+    width: FloatArray, v: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
     warm: bool,
-) -> int:
+) -> int:  # fmt: skip
     """
-    Set the cell weights by time, and start slacks and duals.
+    Set the cell weights by time, and start slacks and duals; return the number of live rows.
 
-    Parameters
-    ----------
-    total : float
-        Time of the starting point [s].
-    rows, inverse_caps, m, terms : ndarray
-        Input, with the shapes of the module docstring.
-    width : ndarray, shape (n,)
-        Effective widths [m].
-    v : ndarray, shape (n + 1,)
-        s_dot at the nodes [m/s].
-    weight, slack : ndarray
-        Output: cell weights and slacks.
-    dual : ndarray, shape (r, n)
-        Output: duals. A warm start keeps larger values of the last solution.
-    warm : bool
-        Whether ``dual`` holds the last solution of nearly the same problem.
-
-    Returns
-    -------
-    int
-        Number of one-sided rows that take part.
-
+    ``total`` is the time of the starting point [s], ``width`` and ``v`` are as for ``add_rows``. A
+    warm start, from nearly the same problem, keeps larger duals.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)

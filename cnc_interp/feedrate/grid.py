@@ -20,14 +20,12 @@ from cnc_interp.core.limit_table import ACCELERATION, DRIVE, JERK, PLACE, has_lo
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
 
+#: Number of intervals in which a cell is sampled before it is subdivided.
 SAMPLES = 96
-"""Number of intervals in which a cell is sampled before it is subdivided."""
-
+#: Growth of the cell time per unit of time at constant speed, and its largest factor [-].
 GROWTH, LONGEST = 0.3, 16.0
-"""Growth of the cell time per unit of time at constant speed, and its largest factor [-]."""
-
+#: Cells in a ramp between rest and constant speed, and the shortest time of such a cell [s].
 RAMP_CELLS, SHORTEST = 8, 2e-5
-"""Cells in a ramp between rest and constant speed, and the shortest time of such a cell [s]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -55,15 +53,9 @@ def cell_times(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_nodes(
-    h: float,
-    v0: float,
-    v1: float,
-    bound: FloatArray,
-    start: float,
-    end: float,
-    least: float,
+    h: float, v0: float, v1: float, bound: FloatArray, start: float, end: float, least: float,
     out: FloatArray,
-) -> int:
+) -> int:  # fmt: skip
     """Write the inner nodes of one cell, evenly spaced in time; return their number."""
     x, count = np.empty(SAMPLES + 1), np.zeros(SAMPLES + 1)
     time, cruise = np.zeros(SAMPLES + 1), np.zeros(SAMPLES + 1, dtype=np.bool_)
@@ -109,27 +101,10 @@ def cell_nodes(
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
     """
-    Estimate by how much a limit may be exceeded inside a cell whose two ends keep it.
+    Estimate by how much a limit may be exceeded inside a cell whose two ends keep it [-].
 
     The constraint rows are linear in q_ss and q_sss. The measure is the largest deviation of q_ss
     and q_sss from the straight line between both ends, at the speed v.
-
-    Parameters
-    ----------
-    left, right : ndarray, shape (4, n_axes)
-        q and its derivatives by s at both ends of the cell [m or rad, per m, per m2, per m3].
-    h : float
-        Width of the cell [m].
-    v : float
-        Speed in the cell [m/s].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-
-    Returns
-    -------
-    float
-        Largest deviation, as a part of the limit [-].
-
     """
     worst = 0.0
     c, jet = np.empty(8), np.empty(4)
@@ -150,17 +125,14 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
     return worst
 
 
+#: Largest number of rounds of speed guess and refinement.
 MOST_ROUNDS = 3
-"""Largest number of rounds of speed guess and refinement."""
-
+#: Largest number of path cells in one planner cell.
 LARGEST_GROUP = 32
-"""Largest number of path cells in one planner cell."""
-
+#: Largest number of nodes in a window. A coarser grid plans a slower motion, but in time.
 MOST_NODES = 30_000
-"""Largest number of nodes in a window. A coarser grid plans a slower motion, but in time."""
-
+#: Cells that take less time than this are always grouped [s].
 ALWAYS_GROUPED = 1e-5
-"""Cells that take less time than this are always grouped [s]."""
 
 
 @dataclass(frozen=True)
@@ -177,16 +149,9 @@ class PlanGrid:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _grid_nodes(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    table: FloatArray,
-    bounds: FloatArray,
-    v: FloatArray,
-    wanted: FloatArray,
-    most_bend: float,
-    whole: int,
-) -> FloatArray:
+    s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray, bounds: FloatArray,
+    v: FloatArray, wanted: FloatArray, most_bend: float, whole: int,
+) -> FloatArray:  # fmt: skip
     """Return the new grid points of all cells from cell ``whole`` on; earlier cells stay."""
     n = len(bounds)
     found = np.empty(4096)
@@ -220,15 +185,9 @@ def _grid_nodes(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _lies_on_line(
-    first: int,
-    last: int,
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    table: FloatArray,
-    v: float,
-    most: float,
-) -> bool:
+    first: int, last: int, s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray,
+    v: float, most: float,
+) -> bool:  # fmt: skip
     """Tell whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
     span = s[last + 1] - s[first]
     for k in range(left.shape[2]):
@@ -247,18 +206,10 @@ def _lies_on_line(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _group_cells(
-    first: int,
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
-    table: FloatArray,
-    bounds: FloatArray,
-    v: FloatArray,
-    wanted: FloatArray,
-    most_bend: float,
+    first: int, s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray,
+    table: FloatArray, bounds: FloatArray, v: FloatArray, wanted: FloatArray, most_bend: float,
     given: BoolArray,
-) -> IntArray:
+) -> IntArray:  # fmt: skip
     """
     Group the path cells from ``first`` on; return the grid points between the groups.
 
@@ -291,14 +242,9 @@ def _group_cells(
 
 
 def planning_grid(
-    path: AxisPath,
-    table: FloatArray,
-    start: tuple[float, float],
-    cell_time: tuple[float, float],
-    share: float,
-    most_bend: float,
-    kept: FloatArray,
-) -> PlanGrid:
+    path: AxisPath, table: FloatArray, start: tuple[float, float], cell_time: tuple[float, float],
+    share: float, most_bend: float, kept: FloatArray,
+) -> PlanGrid:  # fmt: skip
     """Choose the planner cells of a path that ends at rest."""
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     coarse = path.s
@@ -326,8 +272,8 @@ def planning_grid(
     return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])
 
 
+#: A kink nearer to a border of its cell gets no grid point, as a part of the cell [-].
 NEAR = 1e-6
-"""A kink nearer to a border of its cell gets no grid point, as a part of the cell [-]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -32,32 +32,17 @@ from cnc_interp.feedrate.jerk_rows import (
     terms_and_time,
 )
 
+#: Part of the longest step with positive slacks and duals that is taken [-].
 KEPT_STEP = 0.98
-"""Part of the longest step with positive slacks and duals that is taken [-]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_rows(
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
-    constant: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    a0: FloatArray,
-    a1: FloatArray,
-    a2: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    b2: FloatArray,
-    square: FloatArray,
-    worst: FloatArray,
-) -> None:
+    c0: FloatArray, c1: FloatArray, c2: FloatArray, constant: FloatArray, x0: FloatArray,
+    x1: FloatArray, x2: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
+    a0: FloatArray, a1: FloatArray, a2: FloatArray, b0: FloatArray, b1: FloatArray, b2: FloatArray,
+    square: FloatArray, worst: FloatArray,
+) -> None:  # fmt: skip
     """Predict the steps of the rows of one axis and place; x are the linearised terms."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
@@ -79,15 +64,9 @@ def _predict_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_cap(
-    cap: FloatArray,
-    x: FloatArray,
-    w: FloatArray,
-    y: FloatArray,
-    a: FloatArray,
-    b: FloatArray,
-    square: FloatArray,
-    worst: FloatArray,
-) -> None:
+    cap: FloatArray, x: FloatArray, w: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray,
+    square: FloatArray, worst: FloatArray,
+) -> None:  # fmt: skip
     """Predict the steps of one cap row of each cell; write the forces a and b on its term."""
     for j in range(len(cap)):
         inverse = 1.0 / w[j]
@@ -108,17 +87,10 @@ def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> Non
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def predict(
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m_reached: FloatArray,
-    reached: FloatArray,
-    slopes: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    centring: FloatArray,
-    bending: FloatArray,
-) -> tuple[float, float]:
+    rows: FloatArray, inverse_caps: FloatArray, m_reached: FloatArray, reached: FloatArray,
+    slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
+    centring: FloatArray, bending: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
     """
     Compute how far the predictor step may go, and what the corrector needs of it.
 
@@ -126,21 +98,11 @@ def predict(
     dy = -y (1 + t), so the dual stays positive up to 1/(1 + t). The corrector wants
     w dy + y dw = target weight - w y - factor dw dy: two forces on the coefficients.
 
-    Parameters
-    ----------
-    rows, inverse_caps, slopes, weight, slack, dual : ndarray
-        Input, with the shapes of ``barrier_rows``.
-    m_reached, reached : ndarray, shape (n,), (7, n + 1)
-        Coefficients and linearised terms after the whole predictor step.
-    centring, bending : ndarray, shape (n + 2,)
-        Output: forces of ``weight`` and of the products dw dy.
-
-    Returns
-    -------
-    step, square : float
-        Longest step length with positive slacks and duals, at most 1, and the sum of dw dy
-        divided by the cell weights.
-
+    ``m_reached, reached`` (n,), (7, n + 1): coefficients and linearised terms after the whole
+    predictor step.
+    ``centring, bending`` (n + 2,): output: forces of ``weight`` and of the products dw dy.
+    Returns ``step, square``: longest step length with positive slacks and duals, at most 1, and
+    the sum of dw dy divided by the cell weights.
     """
     n, n_axes, places = len(m_reached), rows.shape[0], places_of(rows)
     worst, square = 1.0, 0.0
@@ -192,27 +154,11 @@ def predict(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
-    target: float,
-    second_order: float,
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
-    constant: FloatArray,
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    sign: float,
-    weight: FloatArray,
-    w: FloatArray,
-    y: FloatArray,
-    dw: FloatArray,
-    dy: FloatArray,
-    primal: FloatArray,
-    adjoint: FloatArray,
-) -> None:
+    target: float, second_order: float, c0: FloatArray, c1: FloatArray, c2: FloatArray,
+    constant: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, x0: FloatArray,
+    x1: FloatArray, x2: FloatArray, sign: float, weight: FloatArray, w: FloatArray, y: FloatArray,
+    dw: FloatArray, dy: FloatArray, primal: FloatArray, adjoint: FloatArray,
+) -> None:  # fmt: skip
     """Write the steps of one side of the rows: sign g <= 1; p, x are terms after both steps."""
     for j in range(len(c0)):
         f0, f1, f2 = sign * c0[j], sign * c1[j], sign * c2[j]
@@ -229,44 +175,20 @@ def _step_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def advance(
-    target: float,
-    second_order: float,
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m_predicted: FloatArray,
-    predicted: FloatArray,
-    m_reached: FloatArray,
-    reached: FloatArray,
-    weight: FloatArray,
-    m: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    change: FloatArray,
+    target: float, second_order: float, rows: FloatArray, inverse_caps: FloatArray,
+    m_predicted: FloatArray, predicted: FloatArray, m_reached: FloatArray, reached: FloatArray,
+    weight: FloatArray, m: FloatArray, slack: FloatArray, dual: FloatArray, change: FloatArray,
     next_dual: FloatArray,
-) -> tuple[float, float]:
+) -> tuple[float, float]:  # fmt: skip
     """
     Take the corrected step while slacks, duals and coefficients stay positive.
 
-    Parameters
-    ----------
-    target : float
-        Wanted product of slack and dual, per unit of cell weight.
-    second_order : float
-        Factor of the products dw dy of the predictor.
-    rows, inverse_caps, weight : ndarray
-        Input, with the shapes of ``barrier_rows``.
-    m_predicted, predicted, m_reached, reached : ndarray, shape (n,), (7, n + 1)
-        Coefficients and linearised terms after the whole step of predictor and corrector.
-    m, slack, dual : ndarray
-        Coefficients, slacks and duals, updated in place.
-    change, next_dual : ndarray, shape (r, n)
-        Room for the steps of slacks and duals.
-
-    Returns
-    -------
-    primal, adjoint : float
-        Step lengths of slacks and coefficients, and of duals [-].
-
+    ``target``: wanted product of slack and dual, per unit of cell weight.
+    ``second_order``: factor of the products dw dy of the predictor.
+    ``m_predicted, predicted, m_reached, reached`` (n,), (7, n + 1): coefficients and linearised
+    terms after the whole step of predictor and corrector.
+    ``change, next_dual`` (r, n): room for the steps of slacks and duals.
+    Returns ``primal, adjoint``: step lengths of slacks and coefficients, and of duals [-].
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
@@ -378,51 +300,21 @@ def _inverse_caps(caps: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def solve(
-    h: FloatArray,
-    rows: FloatArray,
-    caps: FloatArray,
-    ends: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    warm: bool,
-    tolerance: float,
+    h: FloatArray, rows: FloatArray, caps: FloatArray, ends: FloatArray, m: FloatArray,
+    width: FloatArray, slack: FloatArray, dual: FloatArray, warm: bool, tolerance: float,
     most_iterations: int,
-) -> tuple[int, int, float]:
+) -> tuple[int, int, float]:  # fmt: skip
     """
-    Minimise the time over one part of the path.
+    Minimise the time over one part of the path; return status, iterations and time [s].
 
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    rows : ndarray, shape (n_axes, 9, n) or (n_axes, 13, n)
-        Per axis: q_s, 3 q_ss, q_sss over the jerk limit at the left ends of the cells; the same at
-        their right ends; then q_s, q_ss, 0 over the acceleration limit at their left nodes. With
-        torques also q_s, q_ss, (B/J) q_s over T/J at these nodes, and sign(q_s) C/T.
-    caps : ndarray, shape (n, 2)
-        Largest coefficient of each cell, and largest s_dot^2 at its left node [m2/s2].
-    ends : ndarray, shape (4,)
-        s_dot^2 and s_ddot at the start, then at the end [m2/s2, m/s2].
-    m : ndarray, shape (n,)
-        Coefficients: a positive starting point on entry, the solution on return [m2/s2].
-    width : ndarray, shape (n,)
-        Effective widths; those of the solution on return [m].
-    slack, dual : ndarray, shape (6 n_axes + 2, n) or (8 n_axes + 2, n)
-        Slacks and duals of the rows. With ``warm`` they start from the last solution.
-    warm : bool
-        Whether ``m``, ``slack`` and ``dual`` solve the same problem with slightly other limits.
-    tolerance : float
-        Accepted gap to the optimum, relative to the time [-].
-    most_iterations : int
-        Largest number of iterations.
-
-    Returns
-    -------
-    status, iterations, time : int, int, float
-        SOLVED, STALLED or BROKEN, the number of iterations and the time reached [s].
-
+    ``h`` has the cell widths, ``width`` the effective ones, in and out [m]. ``rows`` has per axis
+    q_s, 3 q_ss, q_sss over the jerk limit at the left ends of the cells; the same at their right
+    ends; then q_s, q_ss, 0 over the acceleration limit at their left nodes. With torques also q_s,
+    q_ss, (B/J) q_s over T/J at these nodes, and sign(q_s) C/T. ``caps`` (n, 2) has the largest
+    coefficient of each cell, and s_dot^2 at its left node [m2/s2]. ``ends`` (4,) has s_dot^2 and
+    s_ddot at the start, then at the end. ``m`` is a positive starting point on entry, the solution
+    on return. With ``warm``, ``m``, ``slack`` and ``dual`` solve the same problem with slightly
+    other limits. ``tolerance`` is the accepted gap to the optimum, relative to the time.
     """
     n, n_rows = len(h), len(slack)
     b, a, v = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)

@@ -38,12 +38,7 @@ from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VISC
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def node_states(
-    m: FloatArray,
-    width: FloatArray,
-    ends: FloatArray,
-    b: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
+    m: FloatArray, width: FloatArray, ends: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray
 ) -> None:
     """Compute b = s_dot^2, s_ddot and s_dot at the nodes from the coefficients."""
     n = len(m)
@@ -84,22 +79,10 @@ def _nodes_by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _products(
-    a: FloatArray,
-    b: FloatArray,
-    v: FloatArray,
-    va: FloatArray,
-    vb: FloatArray,
-    va_l: FloatArray,
-    va_r: FloatArray,
-    vb_l: FloatArray,
-    vb_r: FloatArray,
-    al: FloatArray,
-    ar: FloatArray,
-    bl: FloatArray,
-    br: FloatArray,
-    vl: FloatArray,
-    vr: FloatArray,
-) -> None:
+    a: FloatArray, b: FloatArray, v: FloatArray, va: FloatArray, vb: FloatArray, va_l: FloatArray,
+    va_r: FloatArray, vb_l: FloatArray, vb_r: FloatArray, al: FloatArray, ar: FloatArray,
+    bl: FloatArray, br: FloatArray, vl: FloatArray, vr: FloatArray,
+) -> None:  # fmt: skip
     """Write v a and v b at the nodes, and the derivatives of v, v a and v b."""
     for i in range(len(v)):
         half = 0.5 / v[i] if v[i] > 0.0 else 0.0
@@ -112,18 +95,10 @@ def _products(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _jerks(
-    width: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
-    al: FloatArray,
-    ar: FloatArray,
-    vl: FloatArray,
-    vr: FloatArray,
-    j: FloatArray,
-    j_l: FloatArray,
-    j_m: FloatArray,
+    width: FloatArray, a: FloatArray, v: FloatArray, al: FloatArray, ar: FloatArray,
+    vl: FloatArray, vr: FloatArray, j: FloatArray, j_l: FloatArray, j_m: FloatArray,
     j_r: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write s_dddot in the cells and its derivatives by m_{i-1}, m_i, m_{i+1}."""
     for i in range(len(width)):
         sum_v = v[i] + v[i + 1]
@@ -137,34 +112,16 @@ def _jerks(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def terms_and_time(
-    width: FloatArray,
-    b: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
-    terms: FloatArray,
+    width: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray, terms: FloatArray,
     slopes: FloatArray,
-) -> float:
+) -> float:  # fmt: skip
     """
-    Compute the terms of the rows with their derivatives, and the time.
+    Return the time, and write the terms of the rows with their derivatives.
 
-    Parameters
-    ----------
-    width : ndarray, shape (n,)
-        Effective widths H [m].
-    b, a, v : ndarray, shape (n + 1,)
-        s_dot^2, s_ddot and s_dot at the nodes [m2/s2, m/s2, m/s].
-    terms : ndarray, shape (7, n + 1)
-        Output: j in cell i; v a, v b, a, b at node i; zero; v at node i.
-    slopes : ndarray, shape (14, n + 1)
-        Output: derivatives of j by m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v at node i by
-        m_{i-1} and m_i, two rows each; zero. Those by the fixed first and last coefficient are
-        zero.
-
-    Returns
-    -------
-    float
-        Time [s].
-
+    ``b, a, v`` (n + 1,) are s_dot^2, s_ddot and s_dot at the nodes. ``terms`` (7, n + 1) are j in
+    cell i; v a, v b, a, b at node i; zero; v at node i. ``slopes`` (14, n + 1) are the derivatives
+    of j by m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v at node i by m_{i-1} and m_i, two rows
+    each; zero. Those by the fixed first and last coefficient are zero.
     """
     n = len(width)
     e = slopes
@@ -195,13 +152,9 @@ def _linearised(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _linearised_jerk(
-    j: FloatArray,
-    left: FloatArray,
-    middle: FloatArray,
-    right: FloatArray,
-    dm: FloatArray,
+    j: FloatArray, left: FloatArray, middle: FloatArray, right: FloatArray, dm: FloatArray,
     out: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """Write s_dddot of the cells after a step of their three coefficients."""
     for i in range(len(dm) - 2):
         out[i] = j[i] + left[i] * dm[i] + middle[i] * dm[i + 1] + right[i] * dm[i + 2]
@@ -229,10 +182,8 @@ def term_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def slope_rows(
-    slopes: FloatArray, q: int, lo: int, hi: int
-) -> tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
-    FloatArray, FloatArray,
+    slopes: FloatArray, q: int, lo: int, hi: int ) -> tuple[ FloatArray, FloatArray, FloatArray,
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
 ]:  # fmt: skip
     """Return the derivatives of the three terms of place q by m_{i-1}, then m_i, then m_{i+1}."""
     e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
@@ -253,27 +204,13 @@ def slope_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def build_rows(
-    left: FloatArray,
-    right: FloatArray,
-    table: FloatArray,
-    scale: FloatArray,
-    rows: FloatArray,
+    left: FloatArray, right: FloatArray, table: FloatArray, scale: FloatArray, rows: FloatArray
 ) -> None:
     """
     Write the rows of the interior point method: derivatives divided by the allowed limits.
 
-    Parameters
-    ----------
-    left, right : ndarray, shape (4, n, n_axes)
-        q and its derivatives by s at both ends of each cell [m or rad, per m^order].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    scale : ndarray, shape (n, 4, n_axes)
-        Parts of the limits that each cell may use [-].
-    rows : ndarray, shape (n_axes, 9, n) or (n_axes, 13, n)
-        Output: factors of the terms; see ``barrier_rows.py``. They are zero where no coefficient
-        is free.
-
+    ``scale`` (n, 4, n_axes) are the parts of the limits that each cell may use. ``rows`` is as in
+    ``barrier_rows.py``; zero where no coefficient is free.
     """
     n, n_axes = left.shape[1], left.shape[2]
     rows[:] = 0.0

@@ -35,11 +35,10 @@ from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath
 
+#: Time without braking that a law may take [s].
 LASTING = 0.25
-"""Time without braking that a law may take [s]."""
-
+#: Smallest mean of the braking left, relative to a straight line [-].
 LEAST = 0.15
-"""Smallest mean of the braking left, relative to a straight line [-]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -95,34 +94,27 @@ def without_braking(
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
+#: Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes.
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
-"""Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes."""
-
+#: Use of a limit after a correction, and the largest accepted use at the checked instants.
 AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
-"""Use of a limit after a correction, and the largest accepted use at the checked instants."""
-
+#: The same two for cells of an older plan, and the part by which their limits are relaxed.
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
-"""The same two for cells of an older plan, and the part by which their limits are relaxed."""
-
+#: Further corrections where the error at the tool is limited.
 TOOL_PASSES = 8
-"""Further corrections where the error at the tool is limited."""
-
+#: Factor on the excess in a correction, because neighbouring cells take over a part of it.
 EXCESS_FACTOR = 1.3
-"""Factor on the excess in a correction, because neighbouring cells take over a part of it."""
-
+#: Smallest part of every limit after a correction that still allows a warm start.
 WARM_START_PART = 0.7
-"""Smallest part of every limit after a correction that still allows a warm start."""
 
 MOST_ITERATIONS = 80
 
+#: Number of cells before and after a corrected cell that are solved again with it.
 MARGIN = 120
-"""Number of cells before and after a corrected cell that are solved again with it."""
-
+#: Largest part of all cells that is solved again instead of all.
 FEW = 0.5
-"""Largest part of all cells that is solved again instead of all."""
-
+#: Number of cells on either side over which the first guess is smoothed.
 SMOOTHING_CELLS = 1
-"""Number of cells on either side over which the first guess is smoothed."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -160,14 +152,9 @@ class StretchProblem:
     """One stretch on its grid, with the limits that the corrections lower; see ``plan``."""
 
     def __init__(
-        self,
-        grid: PlanGrid,
-        table: FloatArray,
-        start: tuple[float, float],
-        options: PlanOptions,
-        kept: KeptCells,
-        tool: ToolLimit | None = None,
-    ):
+        self, grid: PlanGrid, table: FloatArray, start: tuple[float, float], options: PlanOptions,
+        kept: KeptCells, tool: ToolLimit | None = None,
+    ):  # fmt: skip
         self.grid, self.table, self.options = grid, table, options
         path, nodes = grid.path, grid.nodes
         self.h = np.diff(path.s[nodes])
@@ -213,18 +200,10 @@ class StretchProblem:
         """
         Solve with the present limits.
 
-        Parameters
-        ----------
-        m : ndarray, shape (n,)
-            Starting coefficients on entry, the solution on return [m2/s2].
-        warm : bool
-            Whether to start from the slacks and duals of the last solution.
-
-        Returns
-        -------
-        stretch, converged : Stretch or None, bool
-            The law with its use of the limits, None if the solver broke down.
-
+        ``m`` (n,): starting coefficients on entry, the solution on return [m2/s2].
+        ``warm``: whether to start from the slacks and duals of the last solution.
+        Returns ``stretch, converged``: the law with its use of the limits, None if the solver
+        broke down.
         """
         changed, self.changed = self.changed, np.zeros_like(self.changed)
         spans = _spans_around(changed) if warm else []
@@ -266,18 +245,9 @@ class StretchProblem:
         # The velocity limit is linear inside the cell, so these are the Bezier points of b.
         caps = np.column_stack([fast[:, 0] * fast[:, 1], node**2])
         status, _, _ = solve(
-            self.h[cells],
-            rows,
-            caps,
-            ends,
-            m[cells],
-            width[cells],
-            slack,
-            dual,
-            warm,
-            self.options.gap,
-            MOST_ITERATIONS,
-        )
+            self.h[cells], rows, caps, ends, m[cells], width[cells], slack, dual, warm,
+            self.options.gap, MOST_ITERATIONS,
+        )  # fmt: skip
         self.slack[:, cells], self.dual[:, cells] = slack, dual
         return int(status)
 
@@ -294,16 +264,8 @@ class StretchProblem:
         """
         Turn coefficients into an exact law and evaluate its use of the limits.
 
-        Parameters
-        ----------
-        m, width : ndarray, shape (n,)
-            Coefficients [m2/s2] and effective widths [m]; the widths are updated.
-
-        Returns
-        -------
-        Stretch or None
-            The law, None if the coefficients give none.
-
+        ``m, width`` (n,): coefficients [m2/s2] and effective widths [m]; the widths are updated.
+        Returns the law, None if the coefficients give none.
         """
         n = len(self.h)
         v, a, duration = np.empty(n + 1), np.empty(n + 1), np.empty(n)
@@ -321,15 +283,9 @@ class StretchProblem:
         spread_law(path.s, nodes, v, a, duration, *fine)
         use = np.empty((2, cells, 4, n_axes))
         limit_use(
-            np.diff(path.s),
-            path.cell_left,
-            path.cell_right,
-            path.cell_feed,
-            *fine,
-            self.table,
-            self.points,
-            use,
-        )
+            np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, *fine, self.table,
+            self.points, use,
+        )  # fmt: skip
         self.use[0] = np.maximum.reduceat(use[0], nodes[:-1], axis=0)
         self.use[1] = use[1, nodes[:-1]]
         np.maximum(self.use[1], use[1, nodes[1:] - 1], out=self.use[1])
@@ -388,13 +344,10 @@ def _better(one: Stretch, other: Stretch) -> bool:
 
 
 def plan(
-    path: AxisPath,
-    table: FloatArray,
-    start: tuple[float, float] = (0.0, 0.0),
-    options: PlanOptions | None = None,
-    kept: KeptCells | None = None,
+    path: AxisPath, table: FloatArray, start: tuple[float, float] = (0.0, 0.0),
+    options: PlanOptions | None = None, kept: KeptCells | None = None,
     tool: ToolLimit | None = None,
-) -> Stretch | None:
+) -> Stretch | None:  # fmt: skip
     """Plan from a state of motion to rest at the end of the path."""
     options = options or PlanOptions()
     kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])))

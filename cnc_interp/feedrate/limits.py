@@ -19,12 +19,7 @@ from cnc_interp.core.limit_table import (
     load_use,
 )
 from cnc_interp.core.units import MS
-from cnc_interp.kinematics.axis_path import (
-    UNSEEN,
-    AxisPath,
-    septic_coefficients,
-    septic_value,
-)
+from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_value
 from cnc_interp.machine_model.machine import Machine
 
 #: Shortest period at which the slack of the jerk stage covers the steps between path cells [s].
@@ -48,20 +43,7 @@ class AxisLimits(Protocol):
 
 
 def limit_table(limits: AxisLimits) -> FloatArray:
-    """
-    Return the limits over position; see ``core/limit_table.py``.
-
-    Parameters
-    ----------
-    limits : AxisLimits
-        Limits of n_axes axes.
-
-    Returns
-    -------
-    ndarray, shape (7, n_axes, m)
-        The own ``limit_table`` of a machine or of ``PlanningLimits``; constants else.
-
-    """
+    """Return the limits over position (``core/limit_table.py``): a machine has its own table."""
     table: FloatArray | None = getattr(limits, 'limit_table', None)
     if table is not None:
         return table
@@ -87,14 +69,6 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
     Neighbouring cells of an AxisPath may differ by up to ``UNSEEN`` on any axis. A step of this
     size has a third difference of 2 UNSEEN / T^3. From the period ``ROOMY`` on, the slack of the
     jerk stage covers it. At shorter periods, the jerk limits are reduced.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine.
-    period : float
-        Interpolation period T [s].
-
     """
     if period >= ROOMY:
         return machine
@@ -112,18 +86,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     The limit is ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over all axes. At a grid
     point the smaller value of its two neighbouring cells counts.
 
-    Parameters
-    ----------
-    path : AxisPath
-        The path, with N grid points.
-    limits : AxisLimits
-        Limits of the axes of this path.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Upper limit of s_dot [m/s]. It is attained where s_ddot and s_dddot are zero.
-
+    Returns (N,): upper limit of s_dot [m/s]. It is attained where s_ddot and s_dddot are zero.
     """
     table = limit_table(limits)
     out = np.full(len(path.s), np.inf)
@@ -138,18 +101,10 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def limit_use(
-    h: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    jerk: FloatArray,
-    duration: FloatArray,
-    table: FloatArray,
-    points: IntArray,
+    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, v: FloatArray,
+    a: FloatArray, jerk: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
     use: FloatArray,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """
     Compute how much of each limit a motion law uses in every cell of the true path.
 
@@ -158,32 +113,19 @@ def limit_use(
     The torque of a drive counts as acceleration, see ``load_use``. The feed use is s_dot / F. A
     negative s_dot gives a feed use above 1.
 
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    left, right : ndarray, shape (4, n, n_axes)
-        q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
-    feed : ndarray, shape (n,)
-        Programmed feedrate in the cells [m/s].
-    v, a : ndarray, shape (n + 1,)
-        s_dot and s_ddot at the grid points [m/s, m/s2].
-    jerk, duration : ndarray, shape (n,)
-        Constant s_dddot in each cell [m/s3], and the time spent in the cell [s].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    points : ndarray of int, shape (n,)
-        Number of instants to check in each cell, both ends included.
-    use : ndarray, shape (2, n, 4, n_axes)
-        Output: the largest use [-] of velocity, acceleration, jerk and feed in each cell.
-        ``use[0]`` covers all instants, ``use[1]`` only the two ends of the cell. The feed use
-        stands in column 0 of its row.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Largest use of velocity, acceleration, jerk and feed over all cells [-].
-
+    ``h`` (n,): cell widths [m].
+    ``left, right`` (4, n, n_axes): q and its derivatives by s at both ends of each cell [m or rad,
+    per m, per m2, per m3].
+    ``feed`` (n,): programmed feedrate in the cells [m/s].
+    ``v, a`` (n + 1,): s_dot and s_ddot at the grid points [m/s, m/s2].
+    ``jerk, duration`` (n,): constant s_dddot in each cell [m/s3], and the time spent in the cell
+    [s].
+    ``table`` (7, n_axes, m): limits of the axes over position; see ``core/limit_table.py``.
+    ``points`` (n,): number of instants to check in each cell, both ends included.
+    ``use`` (2, n, 4, n_axes): output: the largest use [-] of velocity, acceleration, jerk and feed
+    in each cell. ``use[0]`` covers all instants, ``use[1]`` only the two ends of the cell. The
+    feed use stands in column 0 of its row.
+    Returns (4,): largest use of velocity, acceleration, jerk and feed over all cells [-].
     """
     n, n_axes = len(h), left.shape[2]
     coefficients = np.empty((n_axes, 8))

@@ -32,20 +32,7 @@ class MotionLaw(Table):
         return float(self.time[-1] + self.duration[-1])
 
     def piece_at(self, time: FloatArray) -> IntArray:
-        """
-        Find the piece that contains each time.
-
-        Parameters
-        ----------
-        time : ndarray, shape (M,)
-            Times on the clock of the law [s].
-
-        Returns
-        -------
-        ndarray of int, shape (M,)
-            Piece indices. A time before the law gives the first piece, a time after it the last.
-
-        """
+        """Return the piece of each time [s]; times outside the law have the first or the last."""
         found = np.searchsorted(self.time, time, side='right') - 1
         return np.clip(found, 0, len(self.time) - 1).astype(np.int64)
 
@@ -53,20 +40,9 @@ class MotionLaw(Table):
         self, time: FloatArray, piece: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """
-        Evaluate the motion at many times.
+        Return s, s_dot, s_ddot and s_dddot at times [s]; outside the law, the nearest end state.
 
-        Parameters
-        ----------
-        time : ndarray, shape (M,)
-            Times on the clock of the law [s]. Outside the law, the nearest end state is returned.
-        piece : ndarray of int, shape (M,), optional
-            Piece indices from ``piece_at``, if the caller already knows them.
-
-        Returns
-        -------
-        s, s_dot, s_ddot, s_dddot : ndarray, shape (M,)
-            Path position and its time derivatives [m, m/s, m/s2, m/s3].
-
+        ``piece`` has the indices from ``piece_at``, if the caller already knows them.
         """
         t = np.asarray(time, dtype=np.float64)
         k = self.piece_at(t) if piece is None else piece
@@ -75,17 +51,7 @@ class MotionLaw(Table):
         return self.s[k] + self.moved(t, k), v + dt * (a + dt * (j / 2)), a + dt * j, j
 
     def moved(self, time: FloatArray, piece: IntArray) -> FloatArray:
-        """
-        Return the path length since the start of the piece [m].
-
-        Parameters
-        ----------
-        time : ndarray, shape (M,)
-            Times on the clock of the law [s].
-        piece : ndarray of int, shape (M,)
-            Piece indices from ``piece_at``.
-
-        """
+        """Return the path length since the start of the pieces [m] at times [s]."""
         dt = np.clip(time - self.time[piece], 0.0, self.duration[piece])
         v, a, j = self.s_dot[piece], self.s_ddot[piece], self.jerk[piece]
         return np.asarray(dt * (v + dt * (a / 2 + dt * (j / 6))))

@@ -41,13 +41,9 @@ class PlanOptions:
     def finer(self) -> PlanOptions:
         """Return options with half the cell times and a start below the ceiling."""
         return replace(
-            self,
-            cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
-            share=self.share / 2,
-            bend=self.bend / 2,
-            below_ceiling=True,
-            step=self.step / 2,
-        )
+            self, cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2), share=self.share / 2,
+            bend=self.bend / 2, below_ceiling=True, step=self.step / 2,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,13 +67,8 @@ def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
     """
     Return the limit on the error at the tool that the settings ask for, None for none.
 
-    Raises
-    ------
-    MachineError
-        If the model of the drives does not fit the machine.
-    SettingsError
-        If the law has no such limit.
-
+    Raises MachineError if the model of the drives does not fit the machine.
+    Raises SettingsError if the law has no such limit.
     """
     if settings.tool_error is None:
         return None

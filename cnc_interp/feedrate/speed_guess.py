@@ -15,8 +15,8 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VELOCITY, limit_at
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
+#: Speed limit where no other limit applies [m/s].
 FASTEST = 100.0
-"""Speed limit where no other limit applies [m/s]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -33,26 +33,11 @@ def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
     """
-    Compute bounds of the motion in each cell, from its two ends and its middle.
+    Return six bounds of the motion in each cell, (n, 6), from its two ends and its middle.
 
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    left, right : ndarray, shape (4, n, n_axes)
-        q and its derivatives by s at both ends of each cell [m or rad, per m, per m2, per m3].
-    feed : ndarray, shape (n,)
-        Programmed feedrate in the cells [m/s].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-
-    Returns
-    -------
-    ndarray, shape (n, 6)
-        Speed limit from feed and axis velocities [m/s], speed limit of Eq. 10 [m/s], largest
-        tangential acceleration [m/s2], largest tangential jerk [m/s3]; then the first one with
-        the velocity limits at the left end and at the right end of the cell [m/s].
-
+    These are the speed limit from feed and axis velocities, the speed limit of Eq. 10, the largest
+    tangential acceleration and jerk; then the first one with the velocity limits at the left end
+    and at the right end of the cell.
     """
     n, n_axes = len(h), left.shape[2]
     out = np.empty((n, 6))
@@ -100,24 +85,9 @@ def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
     """
-    Guess the speed at the nodes of a path that ends at rest.
+    Guess s_dot at the nodes of a path that ends at rest, from a state at its start [m/s, m/s2].
 
     The guess stays below 0.9 of Eq. 10 and is reachable from both ends of the path.
-
-    Parameters
-    ----------
-    h : ndarray, shape (n,)
-        Cell widths [m].
-    bounds : ndarray, shape (n, 6)
-        Output of ``speed_bounds``.
-    v_start, a_start : float
-        s_dot and s_ddot at the start [m/s, m/s2].
-
-    Returns
-    -------
-    ndarray, shape (n + 1,)
-        Guessed s_dot at the nodes [m/s].
-
     """
     n = len(h)
     v = np.empty(n + 1)

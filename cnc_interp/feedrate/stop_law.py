@@ -24,8 +24,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit_at
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     cut,
@@ -34,29 +34,22 @@ from cnc_interp.kinematics.axis_path import (
     septic_value,
 )
 
+#: Longest time with one jerk [s]; the limits are kept at both ends.
 STEP = 5e-4
-"""Longest time with one jerk [s]; the limits are kept at both ends."""
-
+#: Longest such time relative to that in which braking would take away all speed [-].
 SHARE = 0.05
-"""Longest such time relative to that in which braking would take away all speed [-]."""
-
+#: Smallest part of every limit that braking leaves free [-].
 LEEWAY = 2e-4
-"""Smallest part of every limit that braking leaves free [-]."""
-
+#: Largest accepted use of a limit [-].
 ACCEPTED = 1.0 - 1e-4
-"""Largest accepted use of a limit [-]."""
-
+#: Jerk of the release, relative to a straight line; tried in this order [-].
 RELEASES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
-"""Jerk of the release, relative to a straight line; tried in this order [-]."""
-
+#: Parts of the braking jerk that the axes leave; tried in this order [-].
 BRAKINGS = (1.0, 0.5)
-"""Parts of the braking jerk that the axes leave; tried in this order [-]."""
-
+#: Longest stop that is looked for [s].
 LONGEST_STOP = 3.0
-"""Longest stop that is looked for [s]."""
-
+#: Places nearer than this are the same place [m].
 SAME = 1e-12
-"""Places nearer than this are the same place [m]."""
 
 FOUND, NO_RELEASE, NO_BRAKING = 0, 1, 2
 
@@ -127,17 +120,9 @@ def _may_release(release: float, straight: float, v: float, a: float) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
-    s_grid: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    stop: BoolArray,
-    table: FloatArray,
-    leeway: float,
-    braking: float,
-    release: float,
-    begin: int,
-    steps: FloatArray,
-) -> tuple[int, int]:
+    s_grid: FloatArray, left: FloatArray, right: FloatArray, stop: BoolArray, table: FloatArray,
+    leeway: float, braking: float, release: float, begin: int, steps: FloatArray,
+) -> tuple[int, int]:  # fmt: skip
     """
     Brake from s, v, a and cell of step ``begin`` to rest; write the columns of ``steps``.
 
@@ -220,17 +205,10 @@ def _brake(
 
 @numba.njit(cache=True, nogil=True)
 def _first_stop(
-    s_grid: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    stop: BoolArray,
-    start: FloatArray,
-    table: FloatArray,
-    leeway: float,
-    brakings: FloatArray,
-    releases: FloatArray,
+    s_grid: FloatArray, left: FloatArray, right: FloatArray, stop: BoolArray, start: FloatArray,
+    table: FloatArray, leeway: float, brakings: FloatArray, releases: FloatArray,
     steps: FloatArray,
-) -> int:
+) -> int:  # fmt: skip
     """
     Try all ways to brake in order; return the number of steps of the first stop, or 0.
 
@@ -258,33 +236,14 @@ def _first_stop(
 
 
 def stop_law(
-    path: AxisPath,
-    state: tuple[float, float, float],
-    table: FloatArray,
-    time: float,
+    path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float,
     leeway: float = LEEWAY,
-) -> PlannedPiece | None:
+) -> PlannedPiece | None:  # fmt: skip
     """
-    Find a stop from a state of motion.
+    Return a stop from s, s_dot and s_ddot, within all limits; None if none was found.
 
-    Parameters
-    ----------
-    path : AxisPath
-        Path that contains the state and continues after it.
-    state : tuple of float
-        State of motion: s, s_dot and s_ddot [m, m/s, m/s2].
-    table : ndarray, shape (7, n_axes, m)
-        Limits of the axes over position; see ``core/limit_table.py``.
-    time : float
-        Time of the state on the clock of the law [s].
-    leeway : float
-        Part of every limit that braking leaves free, at least ``LEEWAY`` [-].
-
-    Returns
-    -------
-    PlannedPiece or None
-        The stop from this state to rest, within all limits. None if none was found.
-
+    ``time`` is that of the state [s], ``leeway`` the part of every limit that braking leaves free,
+    at least ``LEEWAY`` [-].
     """
     if state[1] <= 0.0:
         return None
@@ -316,24 +275,7 @@ def grid_place(path: AxisPath, s: float) -> float:
 
 
 def cut_between(path: AxisPath, first: float, last: float, at: FloatArray) -> AxisPath:
-    """
-    Cut the path at two positions.
-
-    Parameters
-    ----------
-    path : AxisPath
-        The path to cut.
-    first, last : float
-        Path positions of the new ends [m]; both must be in ``at``.
-    at : ndarray, shape (k,)
-        Path positions that become grid points [m].
-
-    Returns
-    -------
-    AxisPath
-        The path between the two positions.
-
-    """
+    """Cut the path at two positions; all positions ``at`` [m], these two too, are grid points."""
     lowest = int(np.searchsorted(path.s, first, side='right')) - 1
     highest = int(np.searchsorted(path.s, last))
     lowest, highest = max(lowest, 0), min(max(highest, lowest + 1), len(path.s) - 1)

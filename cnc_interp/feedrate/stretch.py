@@ -41,43 +41,28 @@ class Stretch:
         """Return the part of the stretch that begins at a planner cell."""
         first = int(self.nodes[cell])
         return Stretch(
-            path=cut(self.path, first, len(self.duration)),
-            v=self.v[first:],
-            a=self.a[first:],
-            jerk=self.jerk[first:],
-            duration=self.duration[first:],
-            nodes=self.nodes[cell:] - first,
-            scale=self.scale[cell:],
-            use=self.use,
-            converged=self.converged,
-            tool=None if self.tool is None else self.tool[:, cell:],
+            path=cut(self.path, first, len(self.duration)), v=self.v[first:], a=self.a[first:],
+            jerk=self.jerk[first:], duration=self.duration[first:],
+            nodes=self.nodes[cell:] - first, scale=self.scale[cell:], use=self.use,
+            converged=self.converged, tool=None if self.tool is None else self.tool[:, cell:],
             tool_use=self.tool_use,
-        )
+        )  # fmt: skip
 
     def law(self, start_time: float, last: int) -> MotionLaw:
         """Build the motion law, from ``start_time`` [s] on and up to the grid point ``last``."""
         time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
         return MotionLaw(
-            time=time[:-1],
-            duration=self.duration[:last].copy(),
-            s=self.path.s[:last].copy(),
-            s_dot=self.v[:last].copy(),
-            s_ddot=self.a[:last].copy(),
-            jerk=self.jerk[:last].copy(),
+            time=time[:-1], duration=self.duration[:last].copy(), s=self.path.s[:last].copy(),
+            s_dot=self.v[:last].copy(), s_ddot=self.a[:last].copy(), jerk=self.jerk[:last].copy(),
             cell=np.arange(last, dtype=np.int64),
-        )
+        )  # fmt: skip
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def settle_widths(
-    h: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    ends: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    duration: FloatArray,
-) -> float:
+    h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
+    a: FloatArray, duration: FloatArray,
+) -> float:  # fmt: skip
     """
     Iterate the effective widths to rounding accuracy while the coefficients stay fixed.
 
@@ -119,34 +104,15 @@ def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def spread_law(
-    s: FloatArray,
-    nodes: IntArray,
-    v_node: FloatArray,
-    a_node: FloatArray,
-    duration_node: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    jerk: FloatArray,
+    s: FloatArray, nodes: IntArray, v_node: FloatArray, a_node: FloatArray,
+    duration_node: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray,
     duration: FloatArray,
-) -> None:
+) -> None:  # fmt: skip
     """
-    Spread the law of the planner cells over the path cells inside them.
+    Spread the law of the n planner cells over the N path cells inside them.
 
-    Parameters
-    ----------
-    s : ndarray, shape (N + 1,)
-        Path positions of the grid points [m].
-    nodes : ndarray of int, shape (n + 1,)
-        Indices of the grid points at which the planner cells begin and end.
-    v_node, a_node : ndarray, shape (n + 1,)
-        s_dot and s_ddot at the nodes [m/s, m/s2].
-    duration_node : ndarray, shape (n,)
-        Time spent in each planner cell [s].
-    v, a : ndarray, shape (N + 1,)
-        Output: s_dot and s_ddot at the grid points [m/s, m/s2].
-    jerk, duration : ndarray, shape (N,)
-        Output: constant s_dddot in each path cell [m/s3], and the time spent in it [s].
-
+    ``nodes`` are the grid points at which planner cells begin and end. ``v, a`` (N + 1,) and
+    ``jerk, duration`` (N,) are output.
     """
     for i in range(len(nodes) - 1):
         first, last = nodes[i], nodes[i + 1]

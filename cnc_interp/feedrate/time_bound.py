@@ -27,14 +27,12 @@ from cnc_interp.core.limit_table import ACCELERATION, FAR, PLACE, VELOCITY, limi
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
 
+#: Number of planner cells in one step of TOPP-RA.
 STEP = 3
-"""Number of planner cells in one step of TOPP-RA."""
-
+#: Part of the largest b by which a step may miss its rows without being solved [-].
 ROOM = 1e-9
-"""Part of the largest b by which a step may miss its rows without being solved [-]."""
-
+#: Rounding error of a difference of two positions, relative to the positions [-].
 ROUNDING = 4e-16
-"""Rounding error of a difference of two positions, relative to the positions [-]."""
 
 
 class TimeBound(NamedTuple):
@@ -160,13 +158,9 @@ def stroke_time(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _least_times(
-    h: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
-    largest: FloatArray,
+    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
     b: FloatArray,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Return the least time in each cell below the ceiling b, shape (n,) [s]."""
     n, n_axes = len(h), left.shape[2]
     time = np.empty(n)

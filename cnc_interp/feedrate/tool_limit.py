@@ -35,32 +35,24 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.choices import Settings
 
+#: Half of the step of an axis in a difference of poses [m or rad].
 FEELER = 1e-6
-"""Half of the step of an axis in a difference of poses [m or rad]."""
-
+#: Directions in which the error of the tip counts, and in which that of the axis does.
 NORMALS = 4
-"""Directions in which the error of the tip counts, and in which that of the axis does."""
-
+#: Part of the limit that rows get at first, and the least one [-].
 FIRST_PART, LEAST_PART = 0.97, 0.2
-"""Part of the limit that rows get at first, and the least one [-]."""
-
+#: Part by which the limit is relaxed for cells of an older plan [-].
 RELAXED = 1e-3
-"""Part by which the limit is relaxed for cells of an older plan [-]."""
-
+#: Largest part of its limit that friction and backlash may take of a row [-].
 STEADY_PART = 0.8
-"""Largest part of its limit that friction and backlash may take of a row [-]."""
-
+#: Use of the limit that a correction aims at, and the factor on the excess.
 AIM, EXCESS_FACTOR = 0.985, 1.3
-"""Use of the limit that a correction aims at, and the factor on the excess."""
-
+#: An error counts for the motion so long before and after it [s].
 NEARBY = 0.02
-"""An error counts for the motion so long before and after it [s]."""
-
+#: Time before a start in motion for which the drives are simulated [s].
 RUN_UP = 0.6
-"""Time before a start in motion for which the drives are simulated [s]."""
-
+#: Way of the tip per path length below which only the tool axis moves [-].
 STANDS = 0.5
-"""Way of the tip per path length below which only the tool axis moves [-]."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +82,9 @@ class ToolLimit:
 
     @staticmethod
     def of(
-        machine: Machine,
-        period: float,
-        largest: float,
-        flank_height: float,
-        model: Machine | None = None,
-    ) -> ToolLimit:
+        machine: Machine, period: float, largest: float, flank_height: float, model: Machine | None
+        = None,
+    ) -> ToolLimit:  # fmt: skip
         """Return the limit before any motion."""
         series = error_series(machine, model)
         return ToolLimit(machine, model, period, largest, flank_height, series)
@@ -144,17 +133,10 @@ class ToolLimit:
         """
         Compute the rows at the left nodes of cells, for a limit of 1.
 
-        Parameters
-        ----------
-        left, right : ndarray, shape (4, n, n_axes)
-            q and its derivatives by s at both ends of each cell [m or rad, per m^order].
-
-        Returns
-        -------
-        ndarray, shape (8, 4, n)
-            Factors of s_ddot, s_dot^2 and s_dot, and the constant. First the normals of the tip,
-            then those of the axis.
-
+        ``left, right`` (4, n, n_axes): q and its derivatives by s at both ends of each cell [m or
+        rad, per m^order].
+        Returns (8, 4, n): factors of s_ddot, s_dot^2 and s_dot, and the constant. First the
+        normals of the tip, then those of the axis.
         """
         q, q_s, q_ss = left[:3]
         across = self._across(q, q_s)
@@ -194,10 +176,7 @@ class ToolLimit:
         lean = self.flank_height * (axis - turn[:, :, None] * ahead[:, None, :])
         normals = np.where(moves[:, None], _normals(along), _everywhere(len(q)))
         return np.concatenate(
-            [
-                np.einsum('vnc,nck->vnk', normals, tip),
-                np.einsum('vnc,nck->vnk', _normals(o), lean),
-            ]
+            [np.einsum('vnc,nck->vnk', normals, tip), np.einsum('vnc,nck->vnk', _normals(o), lean)]
         )
 
     def _jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -218,18 +197,10 @@ class ToolLimit:
         """
         Simulate the drives on a law.
 
-        Parameters
-        ----------
-        stretch : Stretch
-            The law.
-        predicted : ndarray, shape (2, n)
-            Errors of tip and axis by the rows, at the left nodes of the planner cells [-].
-
-        Returns
-        -------
-        simulated, predicted : ndarray, shape (2, n)
-            Largest errors near each planner cell over the limit [-].
-
+        ``predicted`` (2, n): errors of tip and axis by the rows, at the left nodes of the planner
+        cells [-].
+        Returns ``simulated, predicted`` (2, n): largest errors near each planner cell over the
+        limit [-].
         """
         assert self.motion is not None, 'begun is called before'
         cells = len(stretch.duration)

@@ -15,8 +15,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
+#: A step of an axis [m, rad]: at 1 ms its third difference is 0.002 m/s3, see ``limits_at``.
 UNSEEN = 1e-12
-"""A step of an axis [m, rad]: at 1 ms its third difference is 0.002 m/s3, see ``limits_at``."""
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,9 @@ def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def evaluate_cells(
-    s_grid: FloatArray,
-    cell_left: FloatArray,
-    cell_right: FloatArray,
-    along: FloatArray,
+    s_grid: FloatArray, cell_left: FloatArray, cell_right: FloatArray, along: FloatArray,
     cell: IntArray,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Evaluate q and its derivatives in cells, ``along`` from their starts, (4, M, n_axes)."""
     n_axes = cell_left.shape[2]
     out = np.empty((4, len(along), n_axes))
@@ -150,22 +147,9 @@ def evaluate(
     path: AxisPath, s: FloatArray, cell: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """
-    Evaluate the axes and their derivatives by s anywhere on the path.
+    Return the axes and three derivatives by s at path positions [m], (M, n_axes) each.
 
-    Parameters
-    ----------
-    path : AxisPath
-        The path.
-    s : ndarray, shape (M,)
-        Path positions [m]; held at the ends of the path outside of it.
-    cell : ndarray of int, shape (M,), optional
-        Cell to use for each position; without it the cell on the right of a grid point.
-
-    Returns
-    -------
-    q, q_s, q_ss, q_sss : ndarray, shape (M, n_axes)
-        Axis positions and their geometric derivatives [m or rad, per m, per m2, per m3].
-
+    Outside the path its ends are held. Without ``cell``, a grid point has the cell on its right.
     """
     s = np.asarray(s, dtype=np.float64)
     if cell is None:
@@ -178,25 +162,10 @@ def evaluate_along(
     path: AxisPath, along: FloatArray, cell: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """
-    Evaluate the axes and their derivatives at distances from the starts of cells.
+    Return what ``evaluate`` does, at distances [m] from the starts of cells; held at their ends.
 
     A path position counts from the start of the program and is rounded accordingly. Where an axis
     moves thousands of times as far as s does, differences of setpoints would show that.
-
-    Parameters
-    ----------
-    path : AxisPath
-        The path.
-    along : ndarray, shape (M,)
-        Distances [m]; held at the ends of the cell.
-    cell : ndarray of int, shape (M,)
-        The cells.
-
-    Returns
-    -------
-    q, q_s, q_ss, q_sss : ndarray, shape (M, n_axes)
-        As from ``evaluate``.
-
     """
     jets = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)
     return jets[0], jets[1], jets[2], jets[3]
@@ -204,22 +173,9 @@ def evaluate_along(
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     """
-    Subdivide cells at further path positions without changing the curve.
+    Make further path positions [m] grid points without changing q(s).
 
-    Parameters
-    ----------
-    path : AxisPath
-        The path.
-    s_new : ndarray, shape (M,)
-        Positions of the new grid points [m]; those that are grid points already, or lie outside,
-        are dropped.
-
-    Returns
-    -------
-    AxisPath
-        The same q(s) on the finer grid. Tip and tool axis of new points are interpolated (chord
-        and normalised chord).
-
+    Tip and tool axis of new points are interpolated (chord and normalised chord).
     """
     s = np.union1d(path.s, s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
     if len(s) == len(path.s):
@@ -238,15 +194,9 @@ def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     tip[old], axis[old] = path.tip, path.axis
     return AxisPath(
-        s=s,
-        cell_left=left,
-        cell_right=right,
-        tip=tip,
-        axis=axis,
-        cell_feed=path.cell_feed[of_cell],
-        cell_block=path.cell_block[of_cell],
-        stop=stop,
-    )
+        s=s, cell_left=left, cell_right=right, tip=tip, axis=axis,
+        cell_feed=path.cell_feed[of_cell], cell_block=path.cell_block[of_cell], stop=stop,
+    )  # fmt: skip
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:

@@ -326,15 +326,7 @@ class Guides:
 
 @dataclass(frozen=True)
 class PathAtPole:
-    """
-    Segments whose passages are not decided yet.
-
-    Parameters
-    ----------
-    shapes, beside, rates : ndarray
-        Their curves, as the kernels read them.
-
-    """
+    """Segments whose passages are not decided yet."""
 
     transform: Transform  #: The machine's five-axis transformation.
     height: float  #: Flank height [m].

@@ -89,23 +89,10 @@ class AxisPathBuilder:
     """
     Turn segments into machine axes, batch by batch.
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    flank_height : float
-        Height h that measures inserted rotations [m].
-    period : float
-        Interpolation period T, within which a kink shows as jerk [s].
-
+    The flank height h measures inserted rotations [m]. Within the period a kink shows as jerk [s].
     """
 
-    def __init__(
-        self,
-        transform: Transform,
-        flank_height: float,
-        period: float,
-    ):
+    def __init__(self, transform: Transform, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
         self._rotary: FloatArray | None = None
@@ -121,29 +108,7 @@ class AxisPathBuilder:
         self.done: PathSegments | None = None
 
     def start(self, axis: FloatArray, rotary: FloatArray, line_number: int = 0) -> FloatArray:
-        """
-        Choose branch and whole turns at the first pose.
-
-        Parameters
-        ----------
-        axis : ndarray, shape (3,)
-            Tool axis of the start pose [-].
-        rotary : ndarray, shape (2,)
-            Rotary positions where the program names them, else NaN [rad].
-        line_number : int
-            For the message.
-
-        Returns
-        -------
-        ndarray, shape (2,)
-            Rotary positions of the start pose [rad].
-
-        Raises
-        ------
-        BlockError
-            If the orientation cannot be reached within the travel.
-
-        """
+        """Choose branch and whole turns at the first pose; NaN where no positions are named."""
         self._rotary, self._branch = start_positions(
             self.transform, axis, rotary, np.zeros(2), line_number
         )
@@ -155,12 +120,9 @@ class AxisPathBuilder:
         """
         Take further segments and return their axes; None when there are none.
 
-        Raises
-        ------
-        TravelError, SingularityError, BlockError
-            If an axis would leave its travel, the tool axis turns too close to the pole, or an
-            orientation cannot be reached; the message names line, axis and value.
-
+        Raises TravelError, SingularityError, BlockError if an axis would leave its travel, the
+        tool axis turns too close to the pole, or an orientation cannot be reached; the message
+        names line, axis and value.
         """
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
@@ -264,13 +226,10 @@ class AxisPathBuilder:
         assert self._rotary is not None
         turn = target - self._rotary
         still = replace(
-            one,
-            kind=np.array([ROTATION]),
-            extra=np.repeat(one.extra[:, :1], POINTS, axis=1),
-            length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
-            feed=np.full((1, 2), np.inf),
-            stop=np.array([True]),
-        )
+            one, kind=np.array([ROTATION]), extra=np.repeat(one.extra[:, :1], POINTS, axis=1),
+            length=np.array([self.flank_height * float(np.linalg.norm(turn))]), feed=np.full((1,
+            2), np.inf), stop=np.array([True]),
+        )  # fmt: skip
         return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
@@ -310,18 +269,10 @@ class AxisPathBuilder:
         if self._rotary is not None:
             rotary[:2] = self._rotary
         status, counts, early, steps, left, right, tips, tools = sample_segments(
-            self.transform.packed,
-            float(np.sin(self.machine.singular_cone)),
-            self._axes,
-            segments.kind,
-            shapes_of(segments),
-            beside_of(segments),
-            segments.parametrization,
-            segments.length,
-            motion,
-            guides,
-            rotary,
-        )
+            self.transform.packed, float(np.sin(self.machine.singular_cone)), self._axes,
+            segments.kind, shapes_of(segments), beside_of(segments), segments.parametrization,
+            segments.length, motion, guides, rotary,
+        )  # fmt: skip
         self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
@@ -368,15 +319,11 @@ class AxisPathBuilder:
         stop[1:-1] |= self._kinks(right[:, :-1], feed[:-1], left[:, 1:], feed[1:])
         self._s, self._stopped = float(s[-1]), bool(stop[-1])
         return AxisPath(
-            s=s,
-            cell_left=left,
-            cell_right=right,
+            s=s, cell_left=left, cell_right=right,
             tip=np.concatenate([parts[0].tips[:1]] + [part.tips[1:] for part in parts]),
             axis=np.concatenate([parts[0].tools[:1]] + [part.tools[1:] for part in parts]),
-            cell_feed=feed,
-            cell_block=np.concatenate([part.block for part in parts]),
-            stop=stop,
-        )
+            cell_feed=feed, cell_block=np.concatenate([part.block for part in parts]), stop=stop,
+        )  # fmt: skip
 
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray

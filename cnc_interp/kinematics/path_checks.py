@@ -106,24 +106,8 @@ def check_travel(
     these reach beyond the travel, the cell is divided until they do not, or until the axis is
     outside at an end of a part. So no place is missed. Bezier values approach the curve with the
     square of the length, and half of ``TRAVEL_SLACK`` lies between both decisions. So the division
-    ends. The interpolator's septic (``septic_coefficients``) differs by rounding only.
-
-    Parameters
-    ----------
-    machine : Machine
-        Axes and travel.
-    steps : ndarray, shape (N,)
-        Path length of each cell [m].
-    left, right : ndarray, shape (N, 4, n_axes)
-        Axes and three derivatives by path length at the ends of the cells [m or rad, per m].
-    lines : ndarray of int, shape (N,)
-        Source line of each cell.
-
-    Raises
-    ------
-    TravelError
-        Names the first line, the axis, and how far it would have to go in this line.
-
+    ends. The interpolator's septic (``septic_coefficients``) differs by rounding only. The error
+    names the first line, the axis, and how far it would have to go in this line.
     """
     powers = steps[:, None, None] ** np.arange(4.0)[:, None]
     values = np.concatenate(

@@ -9,7 +9,7 @@ needs a quarter of a turn at most. The tool axis then deviates. On a straight pa
 d, with x from -1 to 1 along the stretch, it deviates by ``d (1 - x^2)^4``: smooth in three
 derivatives, and largest at the pole.
 
-The deviation is bounded without gaps (``passage_bounds.py``). The longest stretch is taken whose
+The deviation is bounded without gaps (``gap_bounds``). The longest stretch is taken whose
 bound fits into what corners and curves leave of the orientation tolerance. A stretch is chosen
 when the path after it is known so far that nothing later can change it. So the result does not
 depend on how the segments arrive. ``path_at_pole.py`` answers questions about the path.
@@ -109,17 +109,7 @@ class PolePassages:
         )
 
     def take(self, segments: PathSegments, motion: IntArray) -> Released:
-        """
-        Take further segments and return those that are decided.
-
-        Parameters
-        ----------
-        segments : PathSegments
-            The next segments.
-        motion : ndarray of int, shape (n,)
-            How their rotary axes move.
-
-        """
+        """Take segments and how their rotary axes move; return those that are decided."""
         path = PathAtPole.look_at(self._transform, self._height, segments, motion)
         if self._waiting is not None:
             path = self._waiting.and_more(path)
@@ -270,13 +260,7 @@ class PolePassages:
         return bool((path.sine[rows] * self._height > FAR * room).any())
 
     def _longest(
-        self,
-        path: PathAtPole,
-        first: int,
-        last: int,
-        ends: FloatArray,
-        core: _Core,
-        after: float,
+        self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core, after: float
     ) -> _Stretch | None:
         """Return the longest stretch around a core that keeps the tolerance; None without one."""
         open_s, total = float(ends[min(max(self._open, first), last) - first]), float(ends[-1])
@@ -323,15 +307,9 @@ class PolePassages:
             self.forbidden.append(int(path.segments.line_number[rows.start]))
 
     def _ways(
-        self,
-        path: PathAtPole,
-        first: int,
-        last: int,
-        ends: FloatArray,
-        core: _Core,
-        open_s: float,
-        after: float,
-    ) -> tuple[float, float]:
+        self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core,
+        open_s: float, after: float,
+    ) -> tuple[float, float]:  # fmt: skip
         """Return how far a stretch may reach before and after a core [m]."""
         widest = np.sin(WIDEST)
         before, behind = 0.0, 0.0
@@ -358,14 +336,9 @@ class PolePassages:
         return max(before, 0.0), max(behind, 0.0)
 
     def _left(
-        self,
-        path: PathAtPole,
-        first: int,
-        ends: FloatArray,
-        core: _Core,
-        before: float,
+        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, before: float,
         begins: bool,
-    ) -> PassageEnd:
+    ) -> PassageEnd:  # fmt: skip
         """Return the first end of a stretch."""
         resting = np.array([self._turn, 0.0, 0.0, 0.0])
         if begins:
@@ -377,15 +350,9 @@ class PolePassages:
         return path.following(i, u, s, self._branch, self._turn)
 
     def _right(
-        self,
-        path: PathAtPole,
-        first: int,
-        ends: FloatArray,
-        core: _Core,
-        behind: float,
-        arrives: bool,
-        left: PassageEnd,
-    ) -> PassageEnd:
+        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, behind: float,
+        arrives: bool, left: PassageEnd,
+    ) -> PassageEnd:  # fmt: skip
         """Return the last end of a stretch: on the branch that turns the outer axis less."""
         near = float(left.jet[0])
         s = float(ends[-1]) if arrives else core.end + behind

@@ -28,9 +28,7 @@ from cnc_interp.kinematics.segment_axes import (
     sample,
     tip_rests,
 )
-from cnc_interp.smoothing.segment_curves import (
-    corner_breaks,
-)
+from cnc_interp.smoothing.segment_curves import corner_breaks
 from cnc_interp.smoothing.segments import CORNER, SPLINE
 
 #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -108,41 +106,17 @@ def roomier(array: FloatArray, cells: int) -> FloatArray:
 def sample_segments(
     packed: FloatArray, cone_sine: float, axes: IntArray, kinds: IntArray, shapes: FloatArray,
     extra: FloatArray, f: FloatArray, lengths: FloatArray, motion: IntArray, guides: FloatArray,
-    rotary: FloatArray,
-) -> tuple[
-    int, IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray
+    rotary: FloatArray, ) -> tuple[ int, IntArray, IntArray, FloatArray, FloatArray, FloatArray,
+    FloatArray, FloatArray,
 ]:  # fmt: skip
     """
-    Cut consecutive segments into cells.
+    Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
 
-    Parameters
-    ----------
-    packed : ndarray, shape (29 + 3 k,)
-        Geometry of the machine.
-    cone_sine : float
-        Sine of the singular cone [-].
-    axes : ndarray of int, shape (n_axes,)
-        The machine's own among X Y Z, first and second rotary axis, extra axes.
-    kinds, shapes, extra, f, lengths, motion, guides : ndarray
-        Shapes (n,), (n, m, 3), (n, 6, 2 + k), (n, spans, 8), (n,), (n,) and (n, 13).
-        As in ``sample``, segment by segment.
-    rotary : ndarray, shape (4,)
-        As in ``sample``; on return it holds the positions at the end of the last segment.
-
-    Returns
-    -------
-    status : int
-        FINE, or why the segment after the last one counted cannot be cut.
-    counts, early : ndarray of int, shape (m,)
-        How many cells each segment has, and how many of them lie before u = 0.5; m = n when all
-        is fine, else m - 1 segments are sound and the last one is not.
-    steps : ndarray, shape (N,)
-        Path length of each cell [m].
-    left, right : ndarray, shape (N, 4, n_axes)
-        As in AxisPath, but cell by cell.
-    tips, tools : ndarray, shape (N + 1, 3)
-        Tool tip and axis at the cells' ends.
-
+    ``axes`` are the machine's own among X Y Z, first and second rotary axis, extra axes.
+    ``rotary`` holds the positions at the end of the last segment on return. Returns FINE, or why
+    the segment after the last one counted cannot be cut; how many cells each segment has, and how
+    many of them lie before u = 0.5; path lengths of the cells [m]; axes and three derivatives at
+    their left and right ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
     """
     n, n_axes = len(kinds), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)

@@ -82,38 +82,14 @@ def sample(
     """
     Return the axes at one point of a segment.
 
-    Parameters
-    ----------
-    packed : ndarray, shape (29 + 3 k,)
-        Geometry of the machine.
-    kind, motion, length : int, int, float
-        Kind of the segment, RESTING to ALL_AXES, and its length unless it is a curve [m].
-    shape, f : ndarray, shapes (m, 3) and (spans, 8)
-        Its geometry, and the parametrization of corners.
-    beside : ndarray, shape (6, 2 + k)
-        Control values of the rotary axes [rad] and of k extra axes [m], on the same basis as the
-        bottom curve.
-    rotary : ndarray, shape (4,)
-        Rotary positions [rad], branch and flank height [m]. Rotary axes that follow the tool axis
-        keep the branch and the whole turns nearest to these positions.
-    guide : ndarray, shape (13,)
-        Where the outer axis is given, and its septic (``GUIDE_FROM`` and following).
-    way : float
-        Path length from the start of the segment to u [m].
-    u : float
-        Parameter in [0, 1].
-    inside : float
-        A parameter inside the cell that u belongs to, where u lies on a break.
-
-    Returns
-    -------
-    q : ndarray, shape (4, 5 + k)
-        Axes, extra ones last, and three derivatives by path length.
-    tip, tool : ndarray, shape (3,)
-        Tool tip [m] and tool axis [-]; of no meaning where the rotary axes are coordinates.
-    sine_squared : float
-        Of the tilt from the pole; negative when unreachable, 1 unless it is solved.
-
+    ``motion`` is RESTING to ALL_AXES. ``beside`` (6, 2 + k) has control values of the rotary axes
+    [rad] and of k extra axes [m], on the same basis as the bottom curve. ``rotary`` and ``guide``
+    are laid out as above; axes that follow the tool axis keep the branch and the whole turns
+    nearest to ``rotary``. ``way`` is the path length from the start of the segment to u [m].
+    ``inside`` is a parameter inside the cell that u belongs to, where u lies on a break. Returns
+    the axes with three derivatives by path length (4, 5 + k), extra ones last; tool tip and tool
+    axis, of no meaning where the rotary axes are coordinates; and the squared sine of the tilt
+    from the pole, negative when unreachable, 1 unless it is solved.
     """
     if kind == CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)
@@ -241,19 +217,7 @@ def arc_length(
     kind: int, motion: int, shape: FloatArray, beside: FloatArray, height: float, length: float,
     a: float, b: float,
 ) -> float:  # fmt: skip
-    """
-    Return the path length between two parameters of a segment [m].
-
-    Parameters
-    ----------
-    kind, motion, shape, beside, length
-        The segment, as in ``sample``.
-    height : float
-        Flank height, which turns angles of the rotary axes into lengths [m].
-    a, b : float
-        Parameters in the same half of the segment, [0, 0.5] or [0.5, 1].
-
-    """
+    """Return the path length between two u of one half of a segment [m], flank height as lever."""
     if kind != CORNER and kind != SPLINE:
         return length * (b - a)
     late = 0.5 * (a + b) > 0.5

@@ -24,7 +24,7 @@ from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, tool_line
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 
 #: A smaller share of a velocity limit is no motion; ruckig bounds the duration of a motion.
 LEAST_SHARE = 1e-3

@@ -36,9 +36,9 @@ from cnc_interp.machine.cycle_kernels import (
 from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
+from cnc_interp.run.setpoints import Setpoints
 
 #: Why the machine rests after the last setpoint of a chunk.
 WAIT_REASONS = {

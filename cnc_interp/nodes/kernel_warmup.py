@@ -18,9 +18,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import FeedPlanner, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.playback import Playback
@@ -30,11 +30,11 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import LIVE
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.path_chain import segments_of, way_time
 from cnc_interp.run.run_id import RunId
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Way

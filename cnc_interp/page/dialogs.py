@@ -18,7 +18,7 @@ from cnc_interp.page.contact import act_on_shown
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.declaration import Choice
-from cnc_interp.settings.form import filled_in, offered, settings_filled_in
+from cnc_interp.settings.texts import filled_in, offered, settings_filled_in
 
 #: What the browser calls a key; what is printed on it; the key of the page.
 KEYBOARD = (

@@ -52,11 +52,7 @@ class ClassicalPass:
         """
         Half width of the strip.
 
-        Returns
-        -------
-        ndarray, shape (n,)
-            Half widths at the places ``s`` [m].
-
+        Returns (n,): half widths at the places ``s`` [m].
         """
         return self.right.half_width(self.postures)
 
@@ -64,16 +60,7 @@ class ClassicalPass:
         """
         Return the postures at places of the pass.
 
-        Parameters
-        ----------
-        s : ndarray, shape (m,)
-            Places [m].
-
-        Returns
-        -------
-        Postures
-            m postures.
-
+        ``s`` (m,): places [m].
         """
         p, zero = self.postures, np.zeros(len(s))
         return Postures(
@@ -90,14 +77,9 @@ class ClassicalPaths:
 
 
 def classical_paths(
-    surface: Surface,
-    cutter: Cutter,
-    plane_normal: FloatArray,
-    scallop_height: float,
-    tilt: float,
-    start: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> ClassicalPaths:
+    surface: Surface, cutter: Cutter, plane_normal: FloatArray, scallop_height: float, tilt: float,
+    start: float | None = None, progress: Callable[[float], None] | None = None,
+) -> ClassicalPaths:  # fmt: skip
     """Compute the classical iso-scallop path over a surface."""
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)

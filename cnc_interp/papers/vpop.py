@@ -45,26 +45,20 @@ from cnc_interp.papers.vpop_steps import (
     go_forward,
 )
 
+#: Number of steps by which a difficult place must be passed.
 MARGIN = 8.0
-"""Number of steps by which a difficult place must be passed."""
-
+#: Number of speeds that are tried by bisection at one place.
 SPEEDS = 12
-"""Number of speeds that are tried by bisection at one place."""
-
+#: Growth of the number of steps by which the law goes back in a search [-].
 GROWTH = 1.5
-"""Growth of the number of steps by which the law goes back in a search [-]."""
-
+#: Largest number of steps from the beginning of braking until a place is passed.
 LONGEST_SEARCH = 8192
-"""Largest number of steps from the beginning of braking until a place is passed."""
-
+#: Largest number of steps in one stretch.
 MOST_STEPS = 4_000_000
-"""Largest number of steps in one stretch."""
-
+#: Jerk of the last part before rest, relative to a straight line; tried in this order [-].
 RELEASES = (0.995, 0.97, 0.93, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
-"""Jerk of the last part before rest, relative to a straight line; tried in this order [-]."""
-
+#: Largest accepted distance between the rest and the end of the path [m].
 LANDED = 1e-13
-"""Largest accepted distance between the rest and the end of the path [m]."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -76,11 +70,7 @@ def _from(state: FloatArray, rows: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _touch(
-    curve: Curve,
-    state: FloatArray,
-    passed: float,
-    down: FloatArray,
-    up: FloatArray,
+    curve: Curve, state: FloatArray, passed: float, down: FloatArray, up: FloatArray
 ) -> tuple[float, int, bool]:
     """
     Brake from a state, and find the first step from which the largest j passes a place.
@@ -105,11 +95,7 @@ def _touch(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _hold(
-    curve: Curve,
-    state: FloatArray,
-    fastest: float,
-    passed: float,
-    rows: FloatArray,
+    curve: Curve, state: FloatArray, fastest: float, passed: float, rows: FloatArray
 ) -> float:
     """Return the highest speed to which the motion may change to pass a place; 0 if none."""
     low, high, found = 0.0, fastest, 0.0
@@ -126,12 +112,7 @@ def _hold(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _go_back(
-    curve: Curve,
-    rows: FloatArray,
-    k: int,
-    passed: float,
-    trial: FloatArray,
-    faster: FloatArray,
+    curve: Curve, rows: FloatArray, k: int, passed: float, trial: FloatArray, faster: FloatArray
 ) -> tuple[int, int]:
     """
     Change the steps of rows 0 to k so that the motion passes the position ``passed``.
@@ -169,12 +150,7 @@ def _go_back(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _pass_held(
-    curve: Curve,
-    rows: FloatArray,
-    k: int,
-    passed: float,
-    trial: FloatArray,
-    faster: FloatArray,
+    curve: Curve, rows: FloatArray, k: int, passed: float, trial: FloatArray, faster: FloatArray
 ) -> tuple[int, int]:
     """Change rows 0 to k as ``_go_back`` does: hold a speed until the place is passed."""
     fastest = rows[: k + 1, V].max()
@@ -218,11 +194,7 @@ def _pass_held(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
-    curve: Curve,
-    step: FloatArray,
-    part: float,
-    release: float,
-    out: FloatArray,
+    curve: Curve, step: FloatArray, part: float, release: float, out: FloatArray
 ) -> tuple[int, float]:
     """Follow a step for a time, then brake to rest; return the steps and the distance left."""
     out[0] = step
@@ -239,11 +211,7 @@ def _brake(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _come_to_rest(
-    curve: Curve,
-    rows: FloatArray,
-    k: int,
-    release: float,
-    out: FloatArray,
+    curve: Curve, rows: FloatArray, k: int, release: float, out: FloatArray
 ) -> tuple[int, int]:
     """Find where braking begins so that it ends at the end of the path; (-1, 0) if it cannot."""
     late, begin, back = k, -1, 1
@@ -278,12 +246,7 @@ def _come_to_rest(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _arrive_slower(
-    curve: Curve,
-    rows: FloatArray,
-    k: int,
-    trial: FloatArray,
-) -> int:
+def _arrive_slower(curve: Curve, rows: FloatArray, k: int, trial: FloatArray) -> int:
     """Change the last steps so that the motion comes to the end of the path at half the speed."""
     back, speed = 1, 0.5 * rows[k, V]
     while True:
@@ -298,11 +261,7 @@ def _arrive_slower(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _difficult_until(
-    curve: Curve,
-    state: FloatArray,
-    steady: FloatArray,
-) -> float:
+def _difficult_until(curve: Curve, state: FloatArray, steady: FloatArray) -> float:
     """Return the end of the cells from a state on in which its speed could not stay constant."""
     grid, cell = curve[0], int(state[CELL])
     place = state[S]
@@ -316,10 +275,7 @@ def _difficult_until(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _drive(
-    curve: Curve,
-    start: tuple[float, float],
-    steady: FloatArray,
-    releases: FloatArray,
+    curve: Curve, start: tuple[float, float], steady: FloatArray, releases: FloatArray
 ) -> FloatArray:
     """Return the steps from a state to rest at the end of the path; no row if it is stuck."""
     rows = np.empty((4 * LONGEST_SEARCH, 6))
@@ -365,13 +321,9 @@ def _all_septics(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArr
 
 
 def plan(
-    path: AxisPath,
-    table: FloatArray,
-    start: tuple[float, float] = (0.0, 0.0),
-    options: PlanOptions | None = None,
-    kept: KeptCells | None = None,
-    tool: object = None,
-) -> Stretch | None:
+    path: AxisPath, table: FloatArray, start: tuple[float, float] = (0.0, 0.0),
+    options: PlanOptions | None = None, kept: KeptCells | None = None, tool: object = None,
+) -> Stretch | None:  # fmt: skip
     """Plan from a state of motion to rest at the end of the path, by steps forward."""
     options = options or PlanOptions()
     septics = _all_septics(np.diff(path.s), path.cell_left, path.cell_right)

@@ -25,20 +25,16 @@ from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit
 from cnc_interp.feedrate.stretch import time_at
 from cnc_interp.kinematics.axis_path import septic_value
 
+#: Ends of the cells from 0 on, septics and largest feed of each, limits, and the longest step.
 Curve: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]
-"""Ends of the cells from 0 on, septics and largest feed of each, limits, and the longest step."""
-
+#: Part of velocity, feed, and acceleration and jerk limits that the steps leave free [-].
 SLACK_SPEED, SLACK_FEED, SLACK = 2e-4, 2e-5, 1e-3
-"""Part of velocity, feed, and acceleration and jerk limits that the steps leave free [-]."""
-
+#: Largest number of corrections of j in one step.
 ROUNDS = 5
-"""Largest number of corrections of j in one step."""
-
+#: Jerk with which a speed is approached, relative to what the axes leave [-].
 EASE = 0.9
-"""Jerk with which a speed is approached, relative to what the axes leave [-]."""
-
+#: Longest step near rest, relative to the time in which the jerk reaches the speed [-].
 SHARE = 0.1
-"""Longest step near rest, relative to the time in which the jerk reaches the speed [-]."""
 
 S, V, A, J, D, CELL = 0, 1, 2, 3, 4, 5  # columns of a step: state at its start, j, duration, cell
 PASSED, FAILED, AT_END, RESTS, FULL, BACKWARDS = 0, 1, 2, 3, 4, 5
@@ -98,12 +94,7 @@ def _last_a(room: float, jerk: float, t: float, otherwise: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def go_forward(
-    curve: Curve,
-    rows: FloatArray,
-    target: float,
-    release: float,
-    passed: float,
-    margin: float,
+    curve: Curve, rows: FloatArray, target: float, release: float, passed: float, margin: float
 ) -> tuple[int, int]:
     """
     Go forward from the state in row 0; return what ended it, and the number of steps.
@@ -210,14 +201,9 @@ def go_forward(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _release_time(
-    septics: FloatArray,
-    along: float,
-    h: float,
-    step: tuple[float, float, float, float],
-    table: FloatArray,
-    release: float,
-    out: FloatArray,
-) -> float:
+    septics: FloatArray, along: float, h: float, step: tuple[float, float, float, float],
+    table: FloatArray, release: float, out: FloatArray,
+) -> float:  # fmt: skip
     """Return the time within a step (v, a, j, duration) at which the release begins."""
     v, a, j, high = step
     low = 0.0

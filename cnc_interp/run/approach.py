@@ -35,20 +35,11 @@ def way_inside(
     along the tool, as far as the travel goes. So a machine whose tool keeps its direction
     positions at one height, above both ends.
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    stands, place : ndarray, shape (n_axes,)
-        Axis positions where the machine stands, and of the place [m, rad].
-    retract : float
-        Length of the plunge, and least way back [m].
-
-    Returns
-    -------
-    ndarray, shape (5, n_axes)
-        Where it stands, drawn back, above the place, where the plunge begins, the place [m, rad].
-
+    ``stands, place`` (n_axes,): axis positions where the machine stands, and of the place [m,
+    rad].
+    ``retract``: length of the plunge, and least way back [m].
+    Returns (5, n_axes): where it stands, drawn back, above the place, where the plunge begins, the
+    place [m, rad].
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])
@@ -65,13 +56,9 @@ def _height(line: ToolLine, foot: FloatArray, other: FloatArray, least: float) -
 
 
 def approach_inside(
-    transform: Transform,
-    flank_height: float,
-    stands: FloatArray,
-    place: FloatArray,
-    retract: float,
-    plunge_feed: float,
-) -> AxisPath | None:
+    transform: Transform, flank_height: float, stands: FloatArray, place: FloatArray,
+    retract: float, plunge_feed: float,
+) -> AxisPath | None:  # fmt: skip
     """Make the path to a place inside the program: retract, position, plunge."""
     corners = way_inside(transform, stands, place, retract)
     feeds = np.array([np.inf, np.inf, np.inf, plunge_feed])
@@ -104,12 +91,6 @@ def straight(
     tip, axis = transform.forward(points)
     after = np.append(np.cumsum(length[::-1])[::-1], 0.0)
     return AxisPath(
-        s=-after,
-        cell_left=left,
-        cell_right=right,
-        tip=tip,
-        axis=axis,
-        cell_feed=feeds,
-        cell_block=np.zeros(len(feeds), dtype=np.int64),
-        stop=np.ones(len(points), dtype=np.bool_),
-    )
+        s=-after, cell_left=left, cell_right=right, tip=tip, axis=axis, cell_feed=feeds,
+        cell_block=np.zeros(len(feeds), dtype=np.int64), stop=np.ones(len(points), dtype=np.bool_),
+    )  # fmt: skip

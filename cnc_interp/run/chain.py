@@ -1,32 +1,32 @@
 """
-The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> plan files.
+The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink.
 
-Its first half is ``path_chain.py``. The nodes use the same stages in the same order; their motion
-is planned in chunks with stop tails (``run_planner.py``), because it may be held at any moment.
+Its first half is ``path_chain.py``. The nodes use the same stages in the same order; their sink
+takes chunks with stop tails (``run_planner.py``), because motion may be held at any moment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, ProgramStream
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.interpolator import Interpolator, Setpoints
-from cnc_interp.run.parallel_planner import MotionPlanner, ParallelPlanner, Planning
+from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
@@ -37,45 +37,42 @@ LONGEST_STEP = 1e-3
 STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
-@dataclass(frozen=True)
-class Plan:
-    """A planned program: everything from blocks to setpoints, and the time that planning took."""
+class Sink(Protocol):
+    """Takes what is planned, part by part and in order: plan files, or ``Kept``."""
 
-    program: Program
-    machine: Machine
-    settings: Settings
-    segments: PathSegments
-    pieces: list[PlannedPiece]
-    setpoints: Setpoints
-    planning_time: dict[str, float]
+    def segments(self, segments: PathSegments) -> None:
+        """Take further segments."""
+
+    def piece(self, piece: PlannedPiece) -> None:
+        """Take the motion along a further part of the path."""
+
+    def setpoints(self, samples: Setpoints) -> None:
+        """Take further setpoints."""
 
 
 class Chain:
-    """All stages: blocks in; segments, planned pieces and setpoints out."""
+    """All stages: blocks in; segments, planned pieces and setpoints into a sink."""
 
     def __init__(
         self,
         machine: Machine,
         settings: Settings,
+        sink: Sink,
         clock: Callable[[], float] = working_time,
         start: StartFinder | None = None,
         processes: int = 1,
     ):
-        self._watch, self._start = Stopwatch(clock), start
+        self._sink, self._watch, self._start = sink, Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
         options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
         tool = wanted_tool(machine, settings)
         planning = Planning(limits_at(machine, period), options, tool)
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
-        self._planner: MotionPlanner = self._parallel or planning.planner()
-        self._interpolator = Interpolator(settings.interpolation_period)
-        self.segments: list[PathSegments] = []
-        self.pieces: list[PlannedPiece] = []
+        self._planner: ParallelPlanner | FeedPlanner = self._parallel or planning.planner()
+        self._interpolator = Interpolator(period)
         self.moved = False
         self.row_planned = 0  # last row of the program that has been planned
-        self._unsampled: list[PlannedPiece] = []
-        self._finished = False
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -110,115 +107,88 @@ class Chain:
     def finish(self) -> None:
         """Plan the motion to its end."""
         self._plan(self._path.finish(), last=True)
-        self._keep(self._watch.timed('feedrate', self._planner.finish))
-        self._finished = True
-
-    def drain(self, writer: PlanWriter) -> None:
-        """Write the results so far, and drop them."""
-        for segments in self.segments:
-            writer.segments(segments)
-        for piece in self.pieces:
-            writer.piece(piece)
-        for samples in self.setpoints():
-            writer.setpoints(samples)
-        self.segments, self.pieces = [], []
-
-    def setpoints(self) -> Iterator[Setpoints]:
-        """Interpolate what has been planned and not interpolated yet, part by part."""
-        pieces, self._unsampled = self._unsampled, []
-        for piece in pieces:
-            parts = self._interpolator.parts(piece)
-            while (part := self._watch.timed('interpolation', next, parts, None)) is not None:
-                yield part
-        if self._finished and self.moved:
-            yield self._interpolator.finish()
+        self._pass_on(self._watch.timed('feedrate', self._planner.finish))
+        if self.moved:
+            self._sink.setpoints(self._interpolator.finish())
 
     def _plan(self, part: PathPart, last: bool = False) -> None:
         """Plan the motion along a further part of the path."""
         segments, path = part.segments, part.path
         if self._start is not None:
             segments, path = self._start.segments(segments), self._start.path(path, last)
-        self.segments.append(segments)
+        self._sink.segments(segments)
         if path is not None:
-            self._keep(self._watch.timed('feedrate', self._planner.push, path))
+            self._pass_on(self._watch.timed('feedrate', self._planner.push, path))
 
-    def _keep(self, pieces: list[PlannedPiece]) -> None:
-        """Store what the planner committed."""
-        if pieces:
-            self.moved, self.row_planned = True, int(pieces[-1].path.cell_block[-1])
-        self.pieces += pieces
-        self._unsampled += pieces
+    def _pass_on(self, pieces: list[PlannedPiece]) -> None:
+        """Pass on what the planner committed, and its setpoints."""
+        for piece in pieces:
+            self._sink.piece(piece)
+            parts = self._interpolator.parts(piece)
+            while (samples := self._watch.timed('interpolation', next, parts, None)) is not None:
+                self._sink.setpoints(samples)
+            self.moved, self.row_planned = True, int(piece.path.cell_block[-1])
 
 
-def plan_program(
-    program: Program,
-    machine: Machine,
-    settings: Settings | None = None,
-) -> Plan:
+class Kept:
+    """A sink that keeps everything."""
+
+    def __init__(self) -> None:
+        self.parts: list[PathSegments] = []
+        self.pieces: list[PlannedPiece] = []
+        self.samples: list[Setpoints] = []
+        self.segments, self.piece = self.parts.append, self.pieces.append
+        self.setpoints = self.samples.append
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planned program: everything from blocks to setpoints, and the time that planning took."""
+
+    program: Program
+    machine: Machine
+    settings: Settings
+    segments: PathSegments
+    pieces: list[PlannedPiece]
+    setpoints: Setpoints
+    planning_time: dict[str, float]
+
+
+def plan_program(program: Program, machine: Machine, settings: Settings | None = None) -> Plan:
     """Plan a whole program and keep everything; ``plan_to_files`` keeps nothing."""
-    settings = settings or Settings()
-    chain = Chain(machine, settings)
+    settings, kept = settings or Settings(), Kept()
+    chain = Chain(machine, settings, kept)
     with at_fault(program.source):
         for batch in batches(program.blocks):
             chain.push(batch)
         chain.finish()
     if not chain.moved:
         raise no_motion(program.source)
-    setpoints = Setpoints.concatenate(list(chain.setpoints()))
-    return Plan(
-        program=program,
-        machine=machine,
-        settings=settings,
-        segments=PathSegments.concatenate(chain.segments),
-        pieces=chain.pieces,
-        setpoints=setpoints,
-        planning_time=chain.seconds,
-    )
+    segments, setpoints = PathSegments.concatenate(kept.parts), Setpoints.concatenate(kept.samples)
+    return Plan(program, machine, settings, segments, kept.pieces, setpoints, chain.seconds)
 
 
 def plan_to_files(
-    stream: ProgramStream,
-    machine: Machine,
-    directory: Path,
-    settings: Settings | None = None,
-    progress: Callable[[float], None] | None = None,
-    processes: int = 1,
-) -> dict[str, Any]:
+    stream: ProgramStream, machine: Machine, directory: Path, settings: Settings | None = None,
+    progress: Callable[[float], None] | None = None, processes: int = 1,
+) -> dict[str, Any]:  # fmt: skip
     """
     Plan a program while it is read and write its plan files; memory does not grow with it.
 
-    Parameters
-    ----------
-    stream : ProgramStream
-        The program, not read yet.
-    machine : Machine
-        The machine it shall run on.
-    directory : Path
-        For the plan files; files in it are replaced once all is planned.
-    settings : Settings, optional
-        The user's choices.
-    progress : callable, optional
-        Told the share of the program that has been planned, 0 to 1.
-    processes : int
-        How many processes plan motion; with 1, this one does. The files are the same.
-
-    Returns
-    -------
-    dict
-        The summary as written to ``summary.json``; SI units.
-
-    Raises
-    ------
-    InterpError
-        If the program cannot be read, or cannot run on the machine.
-
+    ``directory``: for the plan files; files in it are replaced once all is planned.
+    ``progress``: told the share of the program that has been planned, 0 to 1.
+    ``processes``: how many processes plan motion; with 1, this one does. The files are the same.
+    Returns the summary as written to ``summary.json``; SI units.
+    Raises InterpError if the program cannot be read, or cannot run on the machine.
     """
     settings = settings or Settings()
     start = None
     if stream.start.line:
         start = StartFinder(Transform.of(machine), settings.flank_height, stream.start)
-    chain = Chain(machine, settings, start=start, processes=processes)
-    with closing(chain), PlanWriter(directory, machine, settings) as writer:
+    with ExitStack() as stack:
+        writer = stack.enter_context(PlanWriter(directory, machine, settings))
+        chain = Chain(machine, settings, writer, start=start, processes=processes)
+        stack.callback(chain.close)
         with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0
             for part in stream:
@@ -226,13 +196,11 @@ def plan_to_files(
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
-                    chain.drain(writer)
                     if progress:
                         # Planning takes most of the time, and reading is ahead of it.
                         told = max(told, stream.share * chain.row_planned / rows_read)
                         progress(told)
             chain.finish()
-            chain.drain(writer)
             stream.note(chain.notice)
             if start is not None:
                 writer.figures.start = start.found()

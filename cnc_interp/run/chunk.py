@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 
 
 class Wait(IntEnum):

@@ -10,29 +10,24 @@ from itertools import pairwise
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.stop_law import cut_between
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 
+#: Cells of the path planned at a time.
 PORTION = 500
-"""Cells of the path planned at a time."""
-
+#: Cells planned at a time where the drives wait for the first setpoint.
 FINE = 64
-"""Cells planned at a time where the drives wait for the first setpoint."""
-
+#: Cells of the path that a stop may use.
 AHEAD = 4000
-"""Cells of the path that a stop may use."""
-
+#: Cells into which the way down to a lower feed is cut.
 ENVELOPE = 24
-"""Cells into which the way down to a lower feed is cut."""
-
+#: Feed allowed on the way down, as a multiple of the fastest stop [-].
 ABOVE = 1.02
-"""Feed allowed on the way down, as a multiple of the fastest stop [-]."""
-
+#: Places nearer than this are the same place; no cell is so short [m].
 SAME = 1e-13
-"""Places nearer than this are the same place; no cell is so short [m]."""
 
 
 @dataclass(frozen=True)
@@ -109,14 +104,9 @@ class Course:
         position = evaluate(path, place, np.array([cell]))[0]
         still: FloatArray = np.zeros_like(position)
         return Setpoints(
-            time=np.zeros(1),
-            position=position,
-            velocity=still,
-            acceleration=still,
-            jerk=still,
-            block=path.cell_block[cell : cell + 1].copy(),
-            s=place,
-        )
+            time=np.zeros(1), position=position, velocity=still, acceleration=still, jerk=still,
+            block=path.cell_block[cell : cell + 1].copy(), s=place,
+        )  # fmt: skip
 
     def first_rest(self) -> Setpoints | None:
         """Return the setpoint of a machine that rests where the kept path begins."""
@@ -166,9 +156,7 @@ def from_place(path: AxisPath, s: float) -> AxisPath:
 
 
 def slowed(
-    path: AxisPath,
-    scaled: Callable[[AxisPath], FloatArray],
-    way_down: PlannedPiece | None,
+    path: AxisPath, scaled: Callable[[AxisPath], FloatArray], way_down: PlannedPiece | None
 ) -> AxisPath:
     """Scale the feed of a part. During a stop the feed is at least the speed of the stop."""
     if way_down is None or path.s[0] >= way_down.path.s[-1]:

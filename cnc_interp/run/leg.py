@@ -9,28 +9,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.interpolator import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
+#: Settings of the planner in a run, where nothing shows the least time.
 LIVE = PlanOptions(bound=False)
-"""Settings of the planner in a run, where nothing shows the least time."""
-
+#: Length of the slices in which motion is sampled [s]; a change of the override waits for one.
 SLICE = 0.1
-"""Length of the slices in which motion is sampled [s]; a change of the override waits for one."""
-
+#: Speed below which the end of a law is rest [m/s].
 STILL = 1e-9
-"""Speed below which the end of a law is rest [m/s]."""
-
+#: Times nearer than this are the same [s].
 SAME_TIME = 1e-9
-"""Times nearer than this are the same [s]."""
 
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
@@ -61,13 +58,9 @@ class Leg:
     """One leg of a stream: planned, then sampled slice by slice."""
 
     def __init__(
-        self,
-        limits: AxisLimits,
-        period: float,
-        begun: int = 0,
-        start: tuple[float, float] = (0.0, 0.0),
-        tool: ToolLimit | None = None,
-    ):
+        self, limits: AxisLimits, period: float, begun: int = 0, start: tuple[float, float] = (0.0,
+        0.0), tool: ToolLimit | None = None,
+    ):  # fmt: skip
         self.period = period
         self.planner = FeedPlanner(limits, LIVE, start, max(begun - 1, 0) * period, tool)
         self.interpolator = Interpolator(period, begun)
@@ -77,15 +70,7 @@ class Leg:
         self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
 
     def push(self, path: AxisPath) -> None:
-        """
-        Plan a part of the path.
-
-        Raises
-        ------
-        PlanningError
-            If there is no law within the limits.
-
-        """
+        """Plan a part of the path; raises PlanningError if no law is within the limits."""
         for piece in self.planner.push(path):
             self.slices.extend(sliced(piece))
         self.moves = True
@@ -109,22 +94,7 @@ class Leg:
         return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])
 
     def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
-        """
-        Return the state of motion at a sample.
-
-        Parameters
-        ----------
-        number : int
-            Number of the sample in the stream.
-        piece : PlannedPiece
-            The slice in which it lies.
-
-        Returns
-        -------
-        tuple of float
-            s, s_dot and s_ddot [m, m/s, m/s2].
-
-        """
+        """Return s, s_dot and s_ddot at a sample, in the slice that has it [m, m/s, m/s2]."""
         assert self.number_of_zero is not None
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))

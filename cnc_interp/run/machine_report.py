@@ -67,10 +67,10 @@ class MachineReport:
         return self.run_id == run_id and self.plan_over and self.rests_on_path
 
 
+#: A machine that rests for so long after cycle_start has nothing to execute [s].
 SETTLED = 0.1
-"""A machine that rests for so long after cycle_start has nothing to execute [s]."""
+#: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
 FILLED = 0.5
-"""A machine with a plan whose buffer is not full after so long gets no more setpoints [s]."""
 
 
 class LossRecovery:

@@ -13,13 +13,13 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import Course, LegEnd, finely, slowed
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.leg import Leg
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.stop_tails import ChunkCutter, StopSearch, way_down
 
 if TYPE_CHECKING:
@@ -60,16 +60,10 @@ class MotionPlan:
     """One plan of a run, from one setpoint on."""
 
     def __init__(
-        self,
-        context: PlanContext,
-        settings: OperatorSettings,
-        todo: deque[AxisPath | LegEnd],
-        number: int = 0,
-        leg: Leg | None = None,
-        way_down: PlannedPiece | None = None,
-        before: MotionPlan | None = None,
-        rests: Setpoints | None = None,
-    ):
+        self, context: PlanContext, settings: OperatorSettings, todo: deque[AxisPath | LegEnd],
+        number: int = 0, leg: Leg | None = None, way_down: PlannedPiece | None = None,
+        before: MotionPlan | None = None, rests: Setpoints | None = None,
+    ):  # fmt: skip
         self.settings = settings
         self._context, self._todo, self._way_down = context, todo, way_down
         self._legs: deque[Leg] = deque([] if leg is None else [leg])
@@ -199,7 +193,6 @@ class MotionPlan:
         return cutter.cut()
 
     def _append(self, samples: Setpoints) -> None:
-        """Store sampled setpoints."""
         self._cutter.take(samples)
         if len(samples):
             self._last = samples[-1:]
@@ -236,14 +229,10 @@ class MotionStream:
     """
 
     def __init__(
-        self,
-        limits: AxisLimits,
-        period: float,
-        chunk_size: int = 10,
-        line_of: Callable[[int], int] = int,
-        settings: OperatorSettings | None = None,
+        self, limits: AxisLimits, period: float, chunk_size: int = 10,
+        line_of: Callable[[int], int] = int, settings: OperatorSettings | None = None,
         tool: ToolLimit | None = None,
-    ):
+    ):  # fmt: skip
         table = limit_table(limits)
         self._context = PlanContext(limits, table, period, chunk_size, line_of, tool=tool)
         self._course = self._context.course

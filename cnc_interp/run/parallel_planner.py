@@ -22,14 +22,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
 if TYPE_CHECKING:
@@ -90,7 +90,6 @@ class RestSections:
             yield self._section(len(self._parts), rests=True)
 
     def _section(self, parts: int, rests: bool) -> Section:
-        """Take the first parts."""
         path = AxisPath.join(self._parts[:parts])
         del self._parts[:parts]
         self._work = sum(len(part.s) - 1 for part in self._parts)
@@ -147,17 +146,7 @@ class PlannerProcess:
         return self._results.poll()
 
     def take(self) -> list[PlannedPiece]:
-        """
-        Return the motion of the first section that was not taken yet.
-
-        Raises
-        ------
-        PlanningError
-            If no law within the limits exists.
-        LostProcessError
-            If somebody has killed the process.
-
-        """
+        """Return the motion of the first section that was not taken yet; raises its refusal."""
         try:
             answer = self._results.recv()
         except (EOFError, OSError):
@@ -219,28 +208,8 @@ def _send(answers: SimpleQueue[list[PlannedPiece] | Exception], results: Connect
 AHEAD = 4
 
 
-class MotionPlanner(Protocol):
-    """Plans the motion along a path that arrives in parts; see ``FeedPlanner``."""
-
-    def push(self, path: AxisPath) -> list[PlannedPiece]:
-        """Add the next part of the path; return motion that is committed, in order."""
-        ...
-
-    def finish(self) -> list[PlannedPiece]:
-        """Return the rest of the motion, down to rest at the end of the path."""
-        ...
-
-    def refuse(self) -> None:
-        """Raise the refusal of the path so far, if there is one."""
-        ...
-
-
 class ParallelPlanner:
-    """
-    Plan the motion along a path that arrives in parts, with several processes.
-
-    They start when the path has a section for them.
-    """
+    """Plan the motion along a path that arrives in parts with processes, started when needed."""
 
     def __init__(self, planning: Planning, processes: int):
         self._planning, self._most = planning, processes if planning.afresh_at_rests else 1
@@ -251,22 +220,7 @@ class ParallelPlanner:
         self._time = 0.0
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
-        """
-        Add the next part of the path; see ``FeedPlanner.push``.
-
-        Returns
-        -------
-        list of PlannedPiece
-            The motion that is ready, in order. How much that is depends on the processes.
-
-        Raises
-        ------
-        PlanningError
-            If no law within the limits exists.
-        LostProcessError
-            If somebody has killed a process.
-
-        """
+        """Add the next part of the path; return the motion that is ready, in order."""
         pieces: list[PlannedPiece] = []
         for section in self._sections.push(path):
             self._give(section)

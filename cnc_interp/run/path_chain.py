@@ -11,7 +11,6 @@ smoothing proposes ways over a few blocks (``smoothing/stop_choice.py``), ``is_f
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,10 +19,11 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from cnc_interp.core.arrays import IntArray
+from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import InterpError
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine_traits import traits_of
@@ -46,17 +46,14 @@ WORTH = 5e-5
 class Stopwatch:
     """Adds up the time that each stage takes."""
 
-    def __init__(self, clock: Callable[[], float] = time.perf_counter):
+    def __init__(self, clock: Callable[[], float] = working_time):
         self._clock = clock
         self.seconds: dict[str, float] = {}
 
     def timed(
-        self,
-        stage: str,
-        work: Callable[Arguments, Made],
-        *arguments: Arguments.args,
+        self, stage: str, work: Callable[Arguments, Made], *arguments: Arguments.args,
         **named: Arguments.kwargs,
-    ) -> Made:
+    ) -> Made:  # fmt: skip
         """Call the function of a stage and add up its time."""
         start = self._clock()
         try:
@@ -83,12 +80,9 @@ class PathChain:
     """
 
     def __init__(
-        self,
-        transform: Transform,
-        settings: Settings,
-        watch: Stopwatch | None = None,
+        self, transform: Transform, settings: Settings, watch: Stopwatch | None = None,
         chooses: bool = True,
-    ):
+    ):  # fmt: skip
         self._smoother = smoother_of(transform, settings, chooses)
         self._builder = AxisPathBuilder(
             transform, settings.flank_height, settings.interpolation_period

@@ -12,11 +12,11 @@ import numpy as np
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
+from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool
-from cnc_interp.feedrate.window import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
@@ -101,7 +101,6 @@ class PlanFigures:
         self._note_error(self._tool_motion.push(samples.position, samples.velocity))
 
     def _note_error(self, error: ToolError) -> None:
-        """Keep the largest errors."""
         if len(error.tip):
             largest = np.array([error.tip.max(), error.axis.max() * self._height])
             self._tool_error = np.maximum(self._tool_error, largest)
@@ -138,27 +137,10 @@ class PlanFigures:
         self._last = held[-BEFORE:]
 
     def summary(
-        self,
-        source: str,
-        seconds: Mapping[str, float],
-        largest_override: float = 1.0,
-        setup: str = '',
-    ) -> dict[str, Any]:
-        """
-        Return the summary at the end of the motion; SI units.
-
-        Parameters
-        ----------
-        source : str
-            The program.
-        seconds : mapping
-            Planning time of every room [s]; empty for a run, which is not planned again.
-        largest_override : float
-            Largest feed override that was in force [-].
-        setup : str
-            Text of the setup file with the offsets and tools at the start; empty for none.
-
-        """
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0, setup: str
+        = '',
+    ) -> dict[str, Any]:  # fmt: skip
+        """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
         if self._last is not None:
             self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
         machine = self._machine

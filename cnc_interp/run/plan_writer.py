@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limits import feed_limit
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.plan_figures import PlanFigures
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -44,17 +44,8 @@ class PlanWriter:
     """
     Writes the plan files of one program (README, "Plan files"); everything in SI.
 
-    Used as a context manager. Leaving it without ``finish`` removes what was written.
-
-    Parameters
-    ----------
-    directory : Path
-        Created if missing; files in it are replaced by ``finish``, not before.
-    machine : Machine
-        The machine.
-    settings : Settings
-        The user's choices.
-
+    Used as a context manager. Leaving it without ``finish`` removes what was written; ``finish``
+    replaces the files in the directory, not before.
     """
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
@@ -101,11 +92,7 @@ class PlanWriter:
         """
         Write the path of a further piece; its law has one row for every cell.
 
-        Raises
-        ------
-        InterpError
-            If the setpoints up to its end do not fit on the disk.
-
+        Raises InterpError if the setpoints up to its end do not fit on the disk.
         """
         # Time, row, path position, and position, velocity, acceleration of every axis.
         row = 8.0 * (3 + 3 * len(self._machine.axis_names))
@@ -121,17 +108,7 @@ class PlanWriter:
         self.path(piece.path, piece.law.s_dot)
 
     def path(self, path: AxisPath, speed: FloatArray) -> None:
-        """
-        Write a further part of the path but its last point, which belongs to the next part, too.
-
-        Parameters
-        ----------
-        path : AxisPath
-            The part; its first point is the last one of the part before.
-        speed : ndarray, shape (N - 1,)
-            Path speed at the left end of every cell [m/s].
-
-        """
+        """Write a further part of the path, with s_dot at the left end of each cell [m/s]."""
         self._paths.append((path, speed))
         if sum(len(part.s) for part, _ in self._paths) >= CELLS_AT_ONCE:
             self._write_path()
@@ -189,12 +166,9 @@ class PlanWriter:
         self._archives['setpoints'].append(columns)
 
     def finish(
-        self,
-        source: str,
-        seconds: Mapping[str, float],
-        largest_override: float = 1.0,
-        setup: str = '',
-    ) -> dict[str, Any]:
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0, setup: str
+        = '',
+    ) -> dict[str, Any]:  # fmt: skip
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
         self._write_path()
         self._write_setpoints()
@@ -291,13 +265,7 @@ def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> Floa
 
     Inverse-time feeds become length / duration; rotations of the resting tip have none (infinite).
 
-    Parameters
-    ----------
-    blocks : Blocks
-        Consecutive rows.
-    tip_before : ndarray, shape (3,), optional
-        Tool tip of the row before them [m]; none for the start pose.
-
+    ``tip_before`` (3,): tool tip of the row before them [m]; none for the start pose.
     """
     before = blocks.tip[:1] if tip_before is None else tip_before[None]
     length = np.sqrt((np.diff(blocks.tip, axis=0, prepend=before) ** 2).sum(axis=1))

@@ -135,27 +135,21 @@ class PathEnd(IntEnum):
     QUEUED = 3  # its last setpoint is handed to the sender
 
 
+#: Segments taken over together.
 SEGMENTS_PER_TASK = 64
-"""Segments taken over together."""
-
+#: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
 SAMPLED_AHEAD = 0.6
-"""Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled."""
-
+#: Time between the end of a revision and the next one [s].
 REVISE_AGAIN = 0.02
-"""Time between the end of a revision and the next one [s]."""
-
+#: Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
+#: sampled meanwhile; longest time between two where there is less [s].
 REFILLED, REFILLING = 0.8, 0.5
-"""Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
-sampled meanwhile; longest time between two where there is less [s]."""
-
+#: Motion ahead of the machine after which a revision joins; the most, after a late one [s].
 LEAD, LONGEST_LEAD = 0.065, 0.4
-"""Motion ahead of the machine after which a revision joins; the most, after a late one [s]."""
-
+#: Time given to a revision, relative to the time of the one before [-].
 LONGER = 1.3
-"""Time given to a revision, relative to the time of the one before [-]."""
-
+#: A revision that joins less ahead of the machine than this is late [s].
 MARGIN = 0.03
-"""A revision that joins less ahead of the machine than this is late [s]."""
 
 
 @dataclass(frozen=True)
@@ -169,19 +163,7 @@ class Kept:
 
 
 class PlanningSession:
-    """
-    The planning of one run after the other.
-
-    Parameters
-    ----------
-    port : SessionPort
-        The surroundings.
-    period : float
-        Interpolation period [s].
-    plan_ahead : float
-        Motion planned beyond what was sent [s].
-
-    """
+    """The planning of one run after the other."""
 
     def __init__(self, port: SessionPort, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
@@ -208,17 +190,7 @@ class PlanningSession:
         self.activity = TABLE[self.activity, step]
 
     def begin(self, run_id: RunId, continue_at: float) -> None:
-        """
-        Begin a run; the result of a task of an earlier run is dropped.
-
-        Parameters
-        ----------
-        run_id : RunId
-            Run and attempt.
-        continue_at : float
-            Path length from which the program goes on; NaN or below 0 from its start [m].
-
-        """
+        """Begin a run; the result of a task of an earlier run is dropped."""
         self._change(Step.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
         self.planner, self.task, self._machine, self._executing = None, None, None, False
@@ -262,23 +234,7 @@ class PlanningSession:
         return self._joins_at
 
     def step(self, now: float, received: Received) -> Task | None:
-        """
-        Decide what to do next.
-
-        Parameters
-        ----------
-        now : float
-            Time of any steady clock [s].
-        received : Received
-            What the machine receives.
-
-        Returns
-        -------
-        Task or None
-            What is to be done now; its result goes to ``finish``. None while a task is under way
-            or nothing is to be done.
-
-        """
+        """Return what to do now, at a time of any steady clock [s]; None while a task runs."""
         self._received = received
         if self.activity is Activity.JOINING:
             self._see_join()
@@ -365,7 +321,6 @@ class PlanningSession:
         return sent * self._period > REFILLED or self.path_end is PathEnd.QUEUED
 
     def _is_last(self, number: int) -> bool:
-        """Tell whether this setpoint is the last one that is queued."""
         return number == self._port.sender.next_number - 1
 
     def _join_after(self) -> int:
@@ -455,7 +410,6 @@ class PlanningSession:
         self._put(chunks)
 
     def _put(self, chunks: list[Chunk]) -> None:
-        """Queue chunks in the sender."""
         for chunk in chunks:
             self._port.sender.put(chunk, len(chunk.samples))
             if chunk.wait is Wait.END:
@@ -463,18 +417,9 @@ class PlanningSession:
 
     def finish(self, task: Task, outcome: Callable[[], Any], now: float) -> None:
         """
-        Store the result of a task.
+        Store the result of a task; one of an earlier run is ignored.
 
-        Parameters
-        ----------
-        task : Task
-            The task; one of an earlier run is ignored.
-        outcome : callable
-            Returns the result or raises the InterpError that the task ended with. Then the run is
-            refused; setpoints that are sampled already are still sent.
-        now : float
-            Time of the clock of ``step`` [s].
-
+        If ``outcome`` raises InterpError, the run is refused; sampled setpoints are still sent.
         """
         if task is not self.task:
             return

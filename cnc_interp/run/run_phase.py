@@ -72,19 +72,7 @@ class Outcome:
 
 
 def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
-    """
-    Return the outcome of a run that a node has refused.
-
-    Parameters
-    ----------
-    kind : Refusal
-        Why.
-    reason : str
-        The node's words for it.
-    moved : bool
-        True where a part of the program was executed.
-
-    """
+    """Return the outcome of a run that a node has refused, after it has moved or not."""
     if kind is Refusal.BAD_PATH:
         return Outcome(Code.REFUSED, reason)
     stopped = moved or kind in (Refusal.GIVEN_UP, Refusal.MACHINE_FAULT)

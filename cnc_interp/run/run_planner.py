@@ -16,8 +16,8 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach, approach_inside
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:
@@ -45,46 +45,18 @@ class RunPlanner:
     """
     The planning of one run: the approach, then the program; or the rest of a program.
 
-    ``push``, ``work``, ``resume`` and the stream's ``revision`` may take long. They run in one
-    thread of their own.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    flank_height : float
-        Height that measures rotations [m].
-    period : float
-        Interpolation period [s].
-    chunk_time : float
-        Motion in a chunk; it has one setpoint at least [s].
-    stands : ndarray, shape (n_axes,)
-        Where the machine stands, at rest [m, rad].
-    continue_at : float
-        Path length from which the program goes on; NaN or below 0 from its start [m]. A machine
-        that stands elsewhere waits for cycle_start, then goes there.
-    settings : OperatorSettings, optional
-        The settings that the first plan follows.
-    retract, plunge_feed : float
-        The way to a place inside the program: see ``approach_inside`` [m, m/s].
-    tool : ToolLimit, optional
-        Limit on the error that the drives leave at the tool.
-
+    The machine stands at rest at ``stands`` [m, rad]. The program goes on from the path length
+    ``continue_at`` [m], if that is above 0. A machine that stands elsewhere waits for cycle_start,
+    then goes there (``approach_inside``). A chunk has at least one setpoint. ``push``, ``work``,
+    ``resume`` and ``revise`` may take long. They run in one thread of their own.
     """
 
     def __init__(
-        self,
-        transform: Transform,
-        flank_height: float,
-        period: float,
-        chunk_time: float,
-        stands: FloatArray,
-        continue_at: float = math.nan,
-        settings: OperatorSettings | None = None,
-        retract: float = 0.0,
-        plunge_feed: float = math.inf,
-        tool: ToolLimit | None = None,
-    ):
+        self, transform: Transform, flank_height: float, period: float, chunk_time: float,
+        stands: FloatArray, continue_at: float = math.nan,
+        settings: OperatorSettings | None = None, retract: float = 0.0,
+        plunge_feed: float = math.inf, tool: ToolLimit | None = None,
+    ):  # fmt: skip
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
         limits = limits_at(transform.machine, period)
@@ -99,20 +71,9 @@ class RunPlanner:
 
     def push(self, segments: PathSegments, pauses: dict[int, Wait]) -> None:
         """
-        Take further segments.
+        Take further segments, and the blocks after which cycle_start is waited for (M0, M1).
 
-        Parameters
-        ----------
-        segments : PathSegments
-            Consecutive segments.
-        pauses : dict of int to Wait
-            Blocks after which cycle_start is waited for, and why (M0, M1).
-
-        Raises
-        ------
-        InterpError
-            If the path cannot be run on the machine; the message names line, axis and value.
-
+        Raises InterpError if the path cannot be run; the message names line, axis and value.
         """
         self._note_lines(segments)
         self.stream.pause_after(pauses)
@@ -156,42 +117,17 @@ class RunPlanner:
         return approach_inside(transform, height, stands, there, self._retract, self._plunge_feed)
 
     def finish(self) -> None:
-        """
-        End the path here.
-
-        Raises
-        ------
-        PlanningError
-            If the run was to go on from a place that lies after the end.
-
-        """
+        """End the path; raises PlanningError if the place to go on from lies after the end."""
         if self._starts is None:
             raise PlanningError('the program ends before the place to go on from; reset')
         self.stream.end_leg(Wait.END)
 
     def work(self, plan: MotionPlan, sample: bool, executed: float) -> list[Chunk]:
         """
-        Sample a slice of the motion, or plan another portion of the path.
+        Sample a slice of the motion if told so and possible, or plan a portion of the path.
 
-        Parameters
-        ----------
-        plan : MotionPlan
-            The plan.
-        sample : bool
-            Sample where there is planned motion; else plan.
-        executed : float
-            Path length executed; the path before it is forgotten [m].
-
-        Returns
-        -------
-        list of Chunk
-            The chunks that are complete now.
-
-        Raises
-        ------
-        PlanningError
-            If there is no law within the limits.
-
+        The path before the length ``executed`` [m] is forgotten. Raises PlanningError if no law is
+        within the limits.
         """
         self.stream.release(executed)
         if sample and plan.can_sample:
@@ -202,22 +138,9 @@ class RunPlanner:
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> list[Chunk]:
         """
-        Plan anew from rest; return no chunks yet.
+        Plan anew from rest at a path length [m]; return no chunks yet.
 
-        Parameters
-        ----------
-        s : float
-            Path length executed [m]; before the start of the program on the approach.
-        stands : ndarray, shape (n_axes,)
-            Where the machine stands. If it was moved away by hand, it is led back first [m, rad].
-        settings : OperatorSettings
-            The settings that the plan follows.
-
-        Raises
-        ------
-        InterpError
-            If there is no way back.
-
+        A machine that was moved away by hand is led back first; raises InterpError without a way.
         """
         there = self.stream.position_at(s)
         if there is not None and np.abs(there - stands).max() <= ON_PATH:

@@ -240,22 +240,9 @@ class RunState:
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:
         """
-        Return the state after an event.
+        Return the state after an event; the reason counts where it brings the machine to rest.
 
-        Parameters
-        ----------
-        event : Event
-            What happened.
-        reason : Reason
-            Why; it counts where the event brings the machine to rest.
-        detail : str
-            What the text of the reason needs.
-
-        Raises
-        ------
-        StreamError
-            If the event is not possible in this state.
-
+        Raises StreamError if the event is not possible in this state.
         """
         following = TRANSITIONS.get((self.state, event))
         if following is None or (event is Event.JOG and self.start_wanted):

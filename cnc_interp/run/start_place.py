@@ -19,7 +19,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.run.course import from_place
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.smoothing.segments import PathSegments
 
 #: Positions tried in a cell, and how often the nearest interval is divided again.
@@ -72,16 +72,6 @@ class StartFinder:
     Takes blocks and path of the whole program, and passes on what is executed.
 
     The row before the start stays as the start pose. It is row 0 of what is passed on.
-
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    flank_height : float
-        Height that measures rotations [m].
-    start : StartLine
-        The start, known as soon as it was read.
-
     """
 
     def __init__(self, transform: Transform, flank_height: float, start: StartLine):
@@ -94,15 +84,7 @@ class StartFinder:
         self._position = np.zeros(0)
 
     def blocks(self, blocks: Blocks) -> Blocks:
-        """
-        Take further rows and return those of the run, its start pose first.
-
-        Raises
-        ------
-        ProgramError
-            If the start lies inside a native spline.
-
-        """
+        """Return those rows that the run has; refuses a start inside a spline."""
         first, row = self._rows, self._start.row
         self._rows += len(blocks)
         before, self._before = self._before, blocks[-1:]
@@ -130,17 +112,7 @@ class StartFinder:
         return replace(mine, block=self._own(mine.block))
 
     def path(self, path: AxisPath | None, last: bool = False) -> AxisPath | None:
-        """
-        Take a further part of the path and return what of it is executed.
-
-        Parameters
-        ----------
-        path : AxisPath or None
-            The next part, if there is one.
-        last : bool
-            Whether the path ends with it.
-
-        """
+        """Take a further part of the path and return what of it is executed."""
         if self._s is not None:
             return None if path is None else self._renumbered(path)
         parts = [part for part in (self._kept, path) if part is not None]
@@ -161,15 +133,7 @@ class StartFinder:
         return self._renumbered(rest)
 
     def found(self) -> StartPlace:
-        """
-        Return the place after the whole program was read and smoothed.
-
-        Raises
-        ------
-        ProgramError
-            If there is none, or if it is ambiguous.
-
-        """
+        """Return the place, once all is smoothed; raises ProgramError without a clear one."""
         return self.place(self._start.found())
 
     def place(self, block: StartBlock) -> StartPlace:
@@ -223,7 +187,6 @@ class StartFinder:
         return replace(path, cell_block=self._own(path.cell_block))
 
     def _own(self, rows: IntArray) -> IntArray:
-        """Return rows of the program as rows of the run."""
         assert self._start.row is not None
         return np.maximum(rows - (self._start.row - 1), 1)
 
@@ -232,13 +195,8 @@ def start_pose(row: Blocks) -> Blocks:
     """Return the end of a row as the start pose of what follows."""
     none = np.full(1, np.nan)
     return replace(
-        row,
-        feedrate=np.full(1, np.inf),
-        duration=none,
-        exact_stop=np.zeros(1, dtype=np.bool_),
-        program_stop=np.zeros(1, dtype=np.int64),
-        top=np.full((1, 3), np.nan),
-        knot_interval=none.copy(),
-        interpolation=np.full(1, POSES),
-        rotary_from=np.full((1, 2), np.nan),
-    )
+        row, feedrate=np.full(1, np.inf), duration=none, exact_stop=np.zeros(1, dtype=np.bool_),
+        program_stop=np.zeros(1, dtype=np.int64), top=np.full((1, 3), np.nan),
+        knot_interval=none.copy(), interpolation=np.full(1, POSES), rotary_from=np.full((1, 2),
+        np.nan),
+    )  # fmt: skip

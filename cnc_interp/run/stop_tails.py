@@ -14,14 +14,14 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import Course
-from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import STILL, Leg
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 
 #: Time between setpoints at which a stop is looked for [s].
 STOP_EVERY = 0.005
@@ -45,11 +45,7 @@ class StopSearch:
     def stops(
         self, leg: Leg, piece: PlannedPiece, numbers: range
     ) -> Iterator[tuple[int, Setpoints]]:
-        """
-        Look for stops at the setpoints of a slice of a leg, which have these numbers.
-
-        Yields the number of a setpoint, and the setpoints after it down to rest.
-        """
+        """Yield numbers of setpoints of a slice, and the setpoints from there down to rest."""
         ahead: AxisPath | None = None
         first = -(-(numbers.start + 1) // self._every) * self._every - 1
         for number in range(first, numbers.stop, self._every):

@@ -39,15 +39,7 @@ class ToleranceUse:
         self._rows += len(blocks)
 
     def segments(self, segments: PathSegments) -> BoolArray:
-        """
-        Check further segments. Their blocks must be known: call ``blocks`` first.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Whether each segment belongs to a native spline.
-
-        """
+        """Check further segments, whose blocks are known; return which are of native splines."""
         if not len(segments):
             return np.zeros(0, dtype=np.bool_)
         place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
@@ -58,15 +50,7 @@ class ToleranceUse:
         return native
 
     def require(self, segments: PathSegments) -> None:
-        """
-        Check further segments as ``segments`` does, and refuse one that leaves its tolerances.
-
-        Raises
-        ------
-        BlockError
-            Names the line from which on the tolerances hold.
-
-        """
+        """Check segments; raise BlockError with the line if one leaves its tolerances."""
         lines, marks = self._lines, self._marks
         self.segments(segments)
         if (self.largest <= ROUNDING).all():

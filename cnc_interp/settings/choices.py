@@ -41,11 +41,7 @@ class Settings:
     """
     The choices of the user for one run; SI units.
 
-    Raises
-    ------
-    SettingsError
-        If a value is of the wrong type or outside its range; names the choice.
-
+    Raises SettingsError if a value is of the wrong type or outside its range; names the choice.
     """
 
     contour_tolerance: float = number(

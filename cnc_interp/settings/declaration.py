@@ -79,11 +79,7 @@ class Choice:
         """
         Refuse a value of the wrong type or outside the range.
 
-        Raises
-        ------
-        SettingsError
-            If the value cannot be chosen; names the choice.
-
+        Raises SettingsError if the value cannot be chosen; names the choice.
         """
         if value is None and self.optional:
             return
@@ -160,11 +156,7 @@ class Choice:
         """
         Take the value of a ROS parameter; 0 or empty is None where that is allowed.
 
-        Raises
-        ------
-        SettingsError
-            If it is no value of this choice.
-
+        Raises SettingsError if it is no value of this choice.
         """
         found: Value = None if self.optional and not value else value
         if self.kind is Path and isinstance(found, str):
@@ -202,13 +194,9 @@ class Choice:
 
 
 def number(
-    default: float | None,
-    unit: Unit,
-    bounds: tuple[float, float],
-    stage: Stage,
-    sentence: str,
+    default: float | None, unit: Unit, bounds: tuple[float, float], stage: Stage, sentence: str,
     **more: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     """Declare a number [SI] with its bounds [SI]; None as default makes it optional."""
     low, high = bounds
     metavar = unit.name.upper().replace('/', '_PER_')
@@ -251,17 +239,7 @@ def _declare(kind: type, default: Value, stage: Stage, sentence: str, **more: An
 
 
 def choices(settings: Any, *stages: Stage) -> tuple[Choice, ...]:
-    """
-    Return the choices of a settings class in their order.
-
-    Parameters
-    ----------
-    settings : Settings or type
-        The class that declares them, or one of its objects.
-    *stages : Stage
-        Only choices of these stages; none: all.
-
-    """
+    """Return the choices of a settings class, or of its object, in their order."""
     found = (_choice(field) for field in fields(settings))
     return tuple(choice for choice in found if not stages or choice.stage in stages)
 

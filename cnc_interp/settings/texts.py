@@ -1,14 +1,14 @@
-"""Settings as names and texts in SI, the form in which messages and files carry them."""
+"""Settings as texts: in SI, as messages and files carry them; in shop units, as a form does."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import Value, choices
+from cnc_interp.settings.declaration import Choice, Stage, Value, choices
 
 
 def texts_of(settings: Settings) -> dict[str, str]:
@@ -31,22 +31,10 @@ def with_texts(
     settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
 ) -> Settings:
     """
-    Return settings with some choices replaced.
+    Return settings with some choices replaced by texts; a number without a unit is in SI.
 
-    Parameters
-    ----------
-    settings : Settings
-        The choices where no text is given.
-    texts : iterable of (str, str)
-        Names of choices and their values as text; a number without a unit is in SI.
-    need_units : bool
-        Refuse a number without its unit, because a person wrote it.
-
-    Raises
-    ------
-    SettingsError
-        If a name is unknown or given twice, or a value is not possible; names the choice.
-
+    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError if a name
+    is unknown or given twice, or a value is not possible.
     """
     known = {choice.name: choice for choice in choices(settings)}
     given: dict[str, Any] = {}
@@ -57,3 +45,19 @@ def with_texts(
             raise SettingsError(name, 'this choice is given twice; give it once')
         given[name] = known[name].from_text(text, need_units)
     return replace(settings, **given)
+
+
+def offered() -> tuple[Choice, ...]:
+    """Return the choices on the page: of reading and smoothing, not the period."""
+    found = choices(Settings, Stage.READING, Stage.SMOOTHING)
+    return tuple(choice for choice in found if not choice.for_comparison)
+
+
+def filled_in(settings: Settings) -> dict[str, str]:
+    """Return the contents of the fields, in shop units."""
+    return {choice.name: choice.shop_text(getattr(settings, choice.name)) for choice in offered()}
+
+
+def settings_filled_in(settings: Settings, texts: Mapping[str, str]) -> Settings:
+    """Return settings with the fields of the form, in shop units; raises SettingsError."""
+    return replace(settings, **{c.name: c.from_shop(texts[c.name]) for c in offered()})

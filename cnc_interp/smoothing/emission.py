@@ -11,15 +11,9 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner
-from cnc_interp.smoothing.corners.axis_legs import EXTRA, POINT, TURN
+from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
 from cnc_interp.smoothing.corners.corner import Style
-from cnc_interp.smoothing.corners.vertices import (
-    ROUND,
-    STOP,
-    Legs,
-    axis_corners,
-    corners_at,
-)
+from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, axis_corners, corners_at
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import norm, turned_by
 from cnc_interp.smoothing.segments import (
@@ -75,23 +69,14 @@ class Emission:
         tool = spans.top[:, 0] - spans.bottom[:, 0]
         final = np.append(row[1:] != row[:-1], True)
         return PathSegments(
-            kind=np.full(n, SPLINE),
-            bottom=spans.bottom,
-            top=spans.top,
-            connection=empty_curves.connection,
-            parametrization=empty_curves.parametrization,
-            axis=tool / norm(tool)[:, None],
-            rotation=np.zeros((n, 3)),
-            rotary=no_rotary(n),
-            length=np.full(n, np.nan),
-            feed=spans.feed,
-            block=spans.block,
-            line_number=spans.line_number,
-            stop=final & (self.vertex[row + 1] == STOP),
-            deviation=spans.deviation,
-            room=spans.room,
+            kind=np.full(n, SPLINE), bottom=spans.bottom, top=spans.top,
+            connection=empty_curves.connection, parametrization=empty_curves.parametrization,
+            axis=tool / norm(tool)[:, None], rotation=np.zeros((n, 3)), rotary=no_rotary(n),
+            length=np.full(n, np.nan), feed=spans.feed, block=spans.block,
+            line_number=spans.line_number, stop=final & (self.vertex[row + 1] == STOP),
+            deviation=spans.deviation, room=spans.room,
             extra=np.repeat(self.rows.blocks.extra[row, None], POINTS, axis=1),
-        )
+        )  # fmt: skip
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
         """
@@ -156,14 +141,9 @@ class Emission:
         )
 
     def _put_axis_lines(
-        self,
-        start: FloatArray,
-        end: FloatArray,
-        bottom: FloatArray,
-        axis: FloatArray,
-        rotary: FloatArray,
-        extra: FloatArray,
-    ) -> None:
+        self, start: FloatArray, end: FloatArray, bottom: FloatArray, axis: FloatArray,
+        rotary: FloatArray, extra: FloatArray,
+    ) -> None:  # fmt: skip
         """Write the lines whose rotary axes run linearly, between path lengths of each block."""
         axes, geometry = self.legs.axes, self.machine.geometry
         if axes is None or geometry is None:
@@ -296,10 +276,7 @@ class Emission:
             rotation=np.zeros((n, 3)),
             rotary=no_rotary(n),
             length=np.full(n, np.nan),
-            feed=np.stack(
-                [self._feed(rows - 1, zero), self._feed(rows, zero)],
-                axis=1,
-            ),
+            feed=np.stack([self._feed(rows - 1, zero), self._feed(rows, zero)], axis=1),
             block=np.stack([lines.row[rows], lines.row[rows + 1]], axis=1),
             line_number=blocks.line_number[rows + 1],
             stop=np.zeros(n, dtype=bool),
@@ -313,18 +290,10 @@ def no_segments(style: Style) -> PathSegments:
     """Return no segments, in arrays of the shapes that the construction of corners needs."""
     curves = style.empty_curves(0)
     return PathSegments(
-        kind=np.zeros(0, dtype=np.int64),
-        bottom=padded(curves.bottom),
-        top=padded(curves.top),
-        connection=curves.connection,
-        parametrization=curves.parametrization,
-        axis=np.zeros((0, 3)),
-        rotation=np.zeros((0, 3)),
-        rotary=no_rotary(0),
-        length=np.zeros(0),
-        feed=np.zeros((0, 2)),
-        block=np.zeros((0, 2), dtype=np.int64),
-        line_number=np.zeros(0, dtype=np.int64),
-        stop=np.zeros(0, dtype=bool),
+        kind=np.zeros(0, dtype=np.int64), bottom=padded(curves.bottom), top=padded(curves.top),
+        connection=curves.connection, parametrization=curves.parametrization,
+        axis=np.zeros((0, 3)), rotation=np.zeros((0, 3)), rotary=no_rotary(0), length=np.zeros(0),
+        feed=np.zeros((0, 2)), block=np.zeros((0, 2), dtype=np.int64),
+        line_number=np.zeros(0, dtype=np.int64), stop=np.zeros(0, dtype=bool),
         deviation=np.zeros((0, 2)),
-    )
+    )  # fmt: skip

@@ -44,14 +44,9 @@ class LookAhead:
     """Round the corners of a stream of blocks."""
 
     def __init__(
-        self,
-        settings: Settings,
-        machine: MachineTraits,
-        choice: Choice | None = None,
-        row: int = 0,
-        joined: bool = False,
-        stops: list[int] | None = None,
-    ):
+        self, settings: Settings, machine: MachineTraits, choice: Choice | None = None, row: int =
+        0, joined: bool = False, stops: list[int] | None = None,
+    ):  # fmt: skip
         self._settings, self._machine = settings, machine
         self._style = Style.of(settings)
         self._ratio = settings.corner_ratio
@@ -67,42 +62,11 @@ class LookAhead:
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
-        """
-        Add blocks and return the segments that are final.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            The next rows of the program; the very first row is the start pose.
-
-        Returns
-        -------
-        PathSegments
-            Segments that later blocks cannot change; may be empty.
-
-        Raises
-        ------
-        BlockError
-            If the tool axis of a block reverses, because its plane of rotation is undefined.
-
-        """
+        """Add blocks, the start pose first; return the segments that are final."""
         return self._take(self._compressor.push(blocks), final=False)
 
     def finish(self, joined: bool = False) -> PathSegments:
-        """
-        Return the remaining segments; the tool rests at the end.
-
-        Parameters
-        ----------
-        joined : bool
-            Whether a native spline follows. Then the last block stays a line.
-
-        Returns
-        -------
-        PathSegments
-            All segments that were not returned before.
-
-        """
+        """Return the rest; if a native spline follows (``joined``), the last block is a line."""
         return self._take(self._compressor.finish(joined), final=True)
 
     def _take(self, rows: Rows, final: bool) -> PathSegments:

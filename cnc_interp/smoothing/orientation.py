@@ -8,38 +8,12 @@ from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """
-    Return scalar products; the sum has a fixed order, so the bits do not depend on the shape.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (..., 3)
-        Vectors in any unit.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Scalar products over the last axis.
-
-    """
+    """Scalar products of vectors (..., 3); the order of the sum is fixed, and so are the bits."""
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def norm(a: FloatArray) -> FloatArray:
-    """
-    Return the lengths of vectors.
-
-    Parameters
-    ----------
-    a : ndarray, shape (..., 3)
-        Vectors in any unit.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Lengths over the last axis, in the same unit.
-
-    """
+    """Return the lengths of vectors (..., 3)."""
     return np.asarray(np.sqrt(dot(a, a)))
 
 
@@ -65,22 +39,7 @@ def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float) -> FloatArray:
-    """
-    Turn tool axes by a part of rotation vectors [B2013, Eq. 4 (Rodrigues)].
-
-    Parameters
-    ----------
-    axis, rotation : ndarray, shape (..., 3)
-        Unit tool axes [-] and rotation vectors [rad, or rad/m if ``share`` is in m].
-    share : float or ndarray, shape (...)
-        Factor on the rotation [-, or m].
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Turned unit tool axes [-].
-
-    """
+    """Turn tool axes by a share of rotation vectors, (..., 3) [B2013, Eq. 4 (Rodrigues)]."""
     rate = norm(rotation)
     k = rotation / np.where(rate > 0.0, rate, 1.0)[..., None]
     angle = (share * rate)[..., None]

@@ -20,24 +20,16 @@ from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
+from cnc_interp.smoothing.pole import Upright
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Choice
-from cnc_interp.smoothing.upright import Upright
 
 
 class PathSmoother:
     """
     Smooth a stream of blocks. The result does not depend on how the stream is divided.
 
-    Parameters
-    ----------
-    settings : Settings
-        Choices of the user.
-    machine : MachineTraits
-        Properties of the machine that the smoothing needs.
-    choice : Choice, optional
-        Chooses between ways that it proposes; without it every corner is rounded.
-
+    Without a ``choice`` between the ways that it proposes, every corner is rounded.
     """
 
     def __init__(self, settings: Settings, machine: MachineTraits, choice: Choice | None = None):
@@ -54,23 +46,9 @@ class PathSmoother:
 
     def push(self, blocks: Blocks) -> PathSegments:
         """
-        Add blocks and return the segments that are final.
+        Add blocks, the start pose first; return the segments that later blocks cannot change.
 
-        Parameters
-        ----------
-        blocks : Blocks
-            The next rows of the program; the very first row is the start pose.
-
-        Returns
-        -------
-        PathSegments
-            Segments that later blocks cannot change; may be empty.
-
-        Raises
-        ------
-        BlockError
-            If the tool axis of a block reverses, or control points do not form a curve.
-
+        Raises BlockError if a tool axis reverses, or control points do not form a curve.
         """
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
@@ -144,13 +122,9 @@ class PathSmoother:
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
         self._lookahead = LookAhead(
-            self._settings,
-            self._machine,
-            self._choice,
-            self._row - 1,
-            after is not None,
+            self._settings, self._machine, self._choice, self._row - 1, after is not None,
             self.stops,
-        )
+        )  # fmt: skip
         self._lookahead.push(pose)
         self._recent = pose
         return [rest]

@@ -18,24 +18,7 @@ from cnc_interp.core.jet import Jet, VectorJet
 def spline_jets(
     bottom: FloatArray, top: FloatArray, connection: FloatArray, u: float
 ) -> tuple[VectorJet, VectorJet]:
-    """
-    Return the jets in u of tool tip and tool axis on a SPLINE [B2013, Eq. 5].
-
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (6, 3)
-        Quintic Bezier points [m].
-    connection : ndarray, shape (m, 3)
-        Bezier points of the connection [m].
-    u : float
-        Parameter in [0, 1].
-
-    Returns
-    -------
-    tip, axis : VectorJet
-        Jets of the tool tip [m] and of the unit tool axis [-].
-
-    """
+    """Return the jets in u of tool tip [m] and unit tool axis on a SPLINE [B2013, Eq. 5]."""
     tip, tool = np.empty((3, 4)), np.empty((3, 4))
     for i in range(3):
         p = quintic_jet(bottom, i, u)
@@ -68,20 +51,7 @@ def _top_parameter(parametrization: FloatArray, u: float, inside: float) -> Jet:
 
 @njit(cache=True, nogil=True)
 def corner_breaks(parametrization: FloatArray) -> FloatArray:
-    """
-    Return the parameters at which the third derivative of a corner may jump.
-
-    Parameters
-    ----------
-    parametrization : ndarray, shape (spans, 8)
-        Start of each span of f and seven Bezier values on it [-].
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Bottom parameters in rising order, 0 and 1 included [-].
-
-    """
+    """Return in order the u at which the third derivative of a corner may jump, with 0 and 1."""
     spans = parametrization.shape[0]
     if spans == 0:
         return np.array([0.0, 0.5, 1.0])
@@ -106,26 +76,10 @@ def corner_jets(
     u: float, inside: float,
 ) -> tuple[VectorJet, VectorJet]:  # fmt: skip
     """
-    Return the jets in u of tool tip and tool axis on a CORNER [B2013, Eq. 5].
+    Return the jets in u of tool tip [m] and unit tool axis on a CORNER [B2013, Eq. 5].
 
-    Parameters
-    ----------
-    bottom, top : ndarray, shape (6, 3)
-        Control points; the first five are used [m].
-    connection : ndarray, shape (m, 3)
-        Bezier points of the connection [m].
-    parametrization : ndarray, shape (spans, 8)
-        Start of each span of f and seven Bezier values on it [-].
-    u : float
-        Bottom parameter in [0, 1].
-    inside : float
-        A parameter inside the same smooth piece as u; it selects the side if u is a break.
-
-    Returns
-    -------
-    tip, axis : VectorJet
-        Jets of the tool tip [m] and of the unit tool axis [-].
-
+    ``parametrization`` (spans, 8) has the start of each span of f and seven Bezier values on it.
+    If u is a break, ``inside`` selects the side: a parameter inside the same smooth piece.
     """
     late = late_top = inside > 0.5
     f = _top_parameter(parametrization, u, inside)
@@ -153,22 +107,7 @@ def _vector_jet(rows: FloatArray) -> VectorJet:
 
 @njit(cache=True, nogil=True)
 def great_circle_jets(axis: FloatArray, rotation: FloatArray, u: float) -> VectorJet:
-    """
-    Return the jet in u of a tool axis turned by u times a rotation vector [B2013, Eq. 4].
-
-    Parameters
-    ----------
-    axis, rotation : ndarray, shape (3,)
-        Unit tool axis at u = 0 [-], and rotation vector [rad].
-    u : float
-        Parameter in [0, 1].
-
-    Returns
-    -------
-    VectorJet
-        Jet of the unit tool axis [-].
-
-    """
+    """Return the jet of a unit tool axis turned by u times a rotation vector [B2013, Eq. 4]."""
     o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
     angle = sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
     if angle == 0.0:
@@ -183,24 +122,7 @@ def great_circle_jets(axis: FloatArray, rotation: FloatArray, u: float) -> Vecto
 def line_jets(
     bottom: FloatArray, axis: FloatArray, rotation: FloatArray, u: float
 ) -> tuple[VectorJet, VectorJet]:
-    """
-    Return the jets in u of tool tip and tool axis on a LINE [B2013, Eq. 4].
-
-    Parameters
-    ----------
-    bottom : ndarray, shape (2 or more, 3)
-        Start and end point of the tip [m].
-    axis, rotation : ndarray, shape (3,)
-        Unit tool axis at u = 0 [-], and its rotation vector over the line [rad].
-    u : float
-        Parameter in [0, 1].
-
-    Returns
-    -------
-    tip, axis : VectorJet
-        Jets of the tool tip [m] and of the unit tool axis [-].
-
-    """
+    """Return the jets in u of tip [m] and unit tool axis on a LINE [B2013, Eq. 4]."""
     dx, dy, dz = (
         bottom[1, 0] - bottom[0, 0],
         bottom[1, 1] - bottom[0, 1],

@@ -10,8 +10,8 @@ from cnc_interp_msgs.msg import SetpointChunk
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.path_messages import packed
 from cnc_interp.wire.run_messages import run_id_of
 

@@ -7,16 +7,16 @@ import pytest
 from programs import pyramid, zigzag
 from tiers import few_of
 
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.settings.choices import Settings
 
 T = 1e-3

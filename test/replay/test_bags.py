@@ -29,7 +29,7 @@ from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 
 HERE = Path(__file__).parent
 HELD, FAULTY = HERE / 'held', HERE / 'faulty'

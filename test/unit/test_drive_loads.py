@@ -13,9 +13,9 @@ from programs import zigzag
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError, StreamError
+from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
@@ -30,8 +30,8 @@ from cnc_interp.report.series import series_of
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.interpolator import Setpoints
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.choices import Settings
 
 RAM = Machine.load('ram_mill')

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from feedrate_paths import XYZAC, line_path, polyline_path
 
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.window import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 
 CORNER = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.015, 0], [0.035, 0.02, 0.01]], dtype=float)

@@ -147,7 +147,7 @@ def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
     }
     assert ports == {
         'cnc_interp.cam.work': 1,
-        'cnc_interp.feedrate.window': 1,
+        'cnc_interp.feedrate.feed_planner': 1,
         'cnc_interp.smoothing.corners.connection': 1,
     }
     script = (

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.run.interpolator import Interpolator
+from cnc_interp.run.setpoints import Interpolator
 
 T = 1e-3
 

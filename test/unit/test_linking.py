@@ -19,8 +19,8 @@ from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.native.linking import join, linked
-from cnc_interp.smoothing.native.portion import Portion
 
 H = 30 * MM
 MACHINE = Machine.load('xyzac')

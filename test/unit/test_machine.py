@@ -20,7 +20,7 @@ from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Setpoints
+from cnc_interp.run.setpoints import Setpoints
 
 MACHINE = Machine.load('xyzac')
 PERIOD = 1e-3

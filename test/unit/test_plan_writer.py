@@ -19,8 +19,8 @@ from cnc_interp.program.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
-from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')

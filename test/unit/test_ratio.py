@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.feedrate.window import FeedPlanner
+from cnc_interp.feedrate.feed_planner import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform

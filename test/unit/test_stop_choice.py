@@ -8,7 +8,7 @@ import pytest
 from programs import blocks_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
-from cnc_interp.feedrate.window import plan_path
+from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform

@@ -7,10 +7,10 @@ import pytest
 from feedrate_paths import XYZAC, Limits, first_axes, line_path, polyline_path, random_polyline
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
-from cnc_interp.feedrate.window import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import MotionStream

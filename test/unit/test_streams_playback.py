@@ -8,8 +8,8 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from limit_use import limit_use
 
 from cnc_interp.core.errors import Refusal, StreamError, TravelError
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.feedrate.window import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.playback import Playback
@@ -18,11 +18,11 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.wire.machine_messages import executed_setpoints
 from cnc_interp.wire.run_messages import run_id_of
 

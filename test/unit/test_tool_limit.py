@@ -13,9 +13,9 @@ from cnc_interp.commands.cli import main
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.error_series import error_series
 from cnc_interp.drives.tool_error import tool_error
+from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
-from cnc_interp.feedrate.window import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
@@ -24,8 +24,8 @@ from cnc_interp.program import read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.interpolator import Interpolator, Setpoints
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.settings.choices import Settings
 
 S_PATH = Path(__file__).parents[2] / 'examples' / 's_path.apt'

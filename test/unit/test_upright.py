@@ -11,7 +11,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.upright import Upright
+from cnc_interp.smoothing.pole import Upright
 
 HEIGHT = 30.0 * MM
 XYZAC = traits_of(Transform.of(Machine.load('xyzac')))

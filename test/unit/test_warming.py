@@ -15,8 +15,8 @@ from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.choices import Settings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
-from cnc_interp.feedrate.window import FeedPlanner
-from cnc_interp.run.chain import Chain
+from cnc_interp.feedrate.feed_planner import FeedPlanner
+from cnc_interp.run.chain import Chain, Kept
 from cnc_interp.run.leg import LIVE
 from programs import dome, zigzag
 
@@ -29,7 +29,8 @@ def compiled():
     }}
 
 machine, settings = Machine.load('xyzac'), Settings(compress={curves})
-chain = Chain(machine, settings)
+kept = Kept()
+chain = Chain(machine, settings, kept)
 chain._planner = FeedPlanner(machine, LIVE)
 warm_all('xyzac', 0.001)
 before = compiled()
@@ -38,7 +39,7 @@ blocks = dome(2000) if settings.compress else zigzag(3, count=300, exact_stop=st
 for first in range(0, len(blocks), 64):
     chain.push(blocks[first : first + 64])
 chain.finish()
-assert len(chain.pieces) > 8
+assert len(kept.pieces) > 8
 print(sorted(compiled() - before))
 """
 

@@ -27,11 +27,60 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.corners.axis_legs import EXTRA, POINT, TURN, AxisLegs, positions, size_of
+from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.corners.corner import LARGEST_TURN, LEAST_RATIO, USED_UP
 from cnc_interp.smoothing.corners.ratio import best_ratios
 from cnc_interp.smoothing.orientation import norm
+
+#: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
+POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
+
+
+@dataclass(frozen=True)
+class AxisLegs:
+    """The blocks between n + 1 vertices as lines in coordinates."""
+
+    #: (n,): Whether the rotary axes run linearly, and whether X Y Z do so, too.
+    linear: BoolArray
+    in_axes: BoolArray
+    #: (n, 5 + k): Coordinates at the start of linear blocks, and what they move by [m, rad].
+    start: FloatArray
+    step: FloatArray
+    length: FloatArray  #: (n,): Length of linear blocks [m].
+
+    @staticmethod
+    def of(blocks: Blocks, machine: Transform, height: float) -> AxisLegs:
+        """Compute the lines between the rows of blocks; the flank height is in metres."""
+        kind, extra = blocks.interpolation[1:], blocks.extra
+        linear, in_axes = blocks.by_rotary[1:], kind == AXES_LINEAR
+        ends = []
+        for rows, rotary in (
+            (slice(None, -1), blocks.rotary_from[1:]),
+            (slice(1, None), blocks.rotary[1:]),
+        ):
+            found = np.zeros((len(linear), 5 + extra.shape[1]))
+            found[:, POINT], found[:, EXTRA] = blocks.tip[rows], extra[rows]
+            found[linear, TURN] = rotary[linear]
+            found[in_axes, POINT] = positions(machine, found[in_axes])
+            ends.append(found)
+        step = ends[1] - ends[0]
+        return AxisLegs(linear, in_axes, ends[0], step, size_of(step, height))
+
+
+def positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
+    """Return X Y Z for tips, rotary axes and extra axes, shape (n, 5 + k), as (n, 3) [m]."""
+    stands = machine.linear(coordinates[:, POINT], coordinates[:, TURN]).reshape(-1, 3)
+    return np.asarray(stands - coordinates[:, EXTRA] @ machine.extra_direction)
+
+
+def size_of(step: FloatArray, height: float) -> FloatArray:
+    """Return the lengths of steps in coordinates, shape (..., 5 + k), as (...) [m]."""
+    squares = step**2
+    turned = height**2 * squares[..., TURN].sum(axis=-1)
+    return np.asarray(
+        np.sqrt(squares[..., POINT].sum(axis=-1) + turned + squares[..., EXTRA].sum(axis=-1))
+    )
+
 
 #: Bisections for the middle of a corner.
 _BISECTIONS = 45
@@ -58,31 +107,13 @@ class AxisCorners:
 
     @staticmethod
     def at(
-        rows: IntArray,
-        blocks: Blocks,
-        axes: AxisLegs,
-        still: BoolArray,
-        machine: Transform,
+        rows: IntArray, blocks: Blocks, axes: AxisLegs, still: BoolArray, machine: Transform,
         height: float,
-    ) -> AxisCorners:
+    ) -> AxisCorners:  # fmt: skip
         """
-        Collect the corners at some vertices with a linear block on at least one side.
+        Collect the corners at inner vertices with a linear block on at least one side.
 
-        Parameters
-        ----------
-        rows : ndarray of int, shape (n,)
-            Inner vertices.
-        blocks : Blocks
-            All vertices.
-        axes : AxisLegs
-            Lines between them.
-        still : ndarray of bool, shape (number of blocks,)
-            Blocks of poses in which the tip moves alone. They are lines in any coordinates.
-        machine : Transform
-            The machine.
-        height : float
-            Flank height [m].
-
+        ``still`` tells which blocks of poses are lines in any coordinates: the tip moves alone.
         """
         before, after = rows - 1, rows
         first, second = axes.linear[before], axes.linear[after]
@@ -118,7 +149,6 @@ class AxisCorners:
         return AxisCorners(rows, joined, in_axes, point, legs, tolerances, levers, height)
 
     def __getitem__(self, rows: IntArray | BoolArray) -> AxisCorners:
-        """Return the corners at these indices."""
         return AxisCorners(
             self.row[rows], self.joined[rows], self.in_axes[rows], self.point[rows],
             self.legs[rows], self.tolerances[rows], self.levers[rows], self.height,
@@ -156,13 +186,8 @@ class AxisCorners:
         """
         Bound the deviation of corners with L1, shape (n,), and L2, shape (n, 2) [m].
 
-        Returns
-        -------
-        deviation : ndarray, shape (n, 2)
-            Bounds of contour and orientation deviation [m].
-        use : ndarray, shape (n,)
-            Largest use of a tolerance, both measured at the same programmed points [-].
-
+        Returns contour and orientation deviation, shape (n, 2) [m], and the largest use of a
+        tolerance with both measured at the same programmed points, shape (n,) [-].
         """
         ways = self.legs[:, 0], self.legs[:, 1], self.legs.sum(axis=1)
         gains = [self.gains(outer, way) for way in ways]
@@ -215,11 +240,7 @@ class AxisCorners:
 
 
 def _largest_gap(
-    inner: FloatArray,
-    outer: FloatArray,
-    before: FloatArray,
-    after: FloatArray,
-    both: FloatArray,
+    inner: FloatArray, outer: FloatArray, before: FloatArray, after: FloatArray, both: FloatArray
 ) -> FloatArray:
     """
     Bound the distance from the program, and that of the vertex from the curve, shape (n,).

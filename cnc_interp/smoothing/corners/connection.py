@@ -21,7 +21,7 @@ from importlib import import_module
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.corner_spline import corner_end_derivatives
 from cnc_interp.smoothing.corners.corner_curves import Curves
 from cnc_interp.smoothing.orientation import cross, dot, norm
@@ -66,13 +66,9 @@ class End:
     """
 
     def __init__(
-        self,
-        bottom: FloatArray,
-        top: FloatArray,
-        height: float,
-        axis: FloatArray,
+        self, bottom: FloatArray, top: FloatArray, height: float, axis: FloatArray,
         rate: FloatArray,
-    ):
+    ):  # fmt: skip
         self.height, self.axis = height, axis
         self.b, self.c = corner_end_derivatives(bottom), corner_end_derivatives(top)
         s1 = norm(self.b[0])[:, None]
@@ -92,25 +88,39 @@ class End:
         rho = np.full((len(self.axis), 1), self.height)
         return matching_slopes(self.b, self.c, self.axis, self.o, rho)[:2]
 
-    def residuals(self, f: FloatArray, free_length: FloatArray) -> FloatArray:
+    def residuals(self, f: FloatArray, free_length: BoolArray) -> FloatArray:
         """Return the first three derivatives by u of rho o - D; D is top minus bottom curve."""
         b, c, o, h = self.b, self.c, self.o, self.height
         f1, f2, f3 = f[:, :, None]
         d1 = c[0] * f1 - b[0]
         d2 = c[1] * f1**2 + c[0] * f2 - b[1]
         d3 = c[2] * f1**3 + 3.0 * c[1] * f1 * f2 + c[0] * f3 - b[2]
-        free = free_length[:, None]
-        rho1 = np.where(free, dot(d1, self.axis)[:, None], 0.0)
-        rho2 = np.where(free, dot(d2 - h * o[1], self.axis)[:, None], 0.0)
-        rho3 = dot(d3 - 3.0 * rho1 * o[1] - h * o[2], self.axis)[:, None]
-        rho3 = np.where(free, rho3, 0.0)
-        return np.stack(
-            [
-                rho1 * self.axis + h * o[0] - d1,
-                rho2 * self.axis + 2.0 * rho1 * o[0] + h * o[1] - d2,
-                rho3 * self.axis + 3.0 * rho2 * o[0] + 3.0 * rho1 * o[1] + h * o[2] - d3,
-            ]
-        )
+        return lacking((d1, d2, d3), self.axis, o, h, free_length)
+
+
+def lacking(
+    d: tuple[FloatArray, FloatArray, FloatArray], axis: FloatArray, turning: FloatArray,
+    rho: FloatArray | float, free: BoolArray | bool = True,
+) -> FloatArray:  # fmt: skip
+    """
+    Return what the first three derivatives of D lack to those of rho o, shape (3, n, 3) [m].
+
+    ``turning`` has the derivatives of the tool axis o by the same parameter. The length rho
+    follows D where it is free; else it is constant.
+    """
+    d1, d2, d3 = d
+    o1, o2, o3 = turning
+    free = np.asarray(free)[..., None]
+    rho1 = np.where(free, dot(d1, axis)[:, None], 0.0)
+    rho2 = np.where(free, dot(d2 - rho * o2, axis)[:, None], 0.0)
+    rho3 = np.where(free, dot(d3 - 3.0 * rho1 * o2 - rho * o3, axis)[:, None], 0.0)
+    return np.stack(
+        [
+            rho1 * axis + rho * o1 - d1,
+            rho2 * axis + 2.0 * rho1 * o1 + rho * o2 - d2,
+            rho3 * axis + 3.0 * rho2 * o1 + 3.0 * rho1 * o2 + rho * o3 - d3,
+        ]
+    )
 
 
 def matching_slopes(

@@ -34,39 +34,14 @@ class Curves:
         )
 
     def put(self, rows: IntArray, other: Curves) -> None:
-        """
-        Replace some of the corners.
-
-        Parameters
-        ----------
-        rows : ndarray of int, shape (k,)
-            Indices of the corners.
-        other : Curves
-            The k new corners.
-
-        """
+        """Replace the corners at some rows."""
         self.bottom[rows], self.top[rows] = other.bottom, other.top
         self.connection[rows] = other.connection
         self.parametrization[rows] = other.parametrization
 
 
 def top_parameters(parametrization: FloatArray, u: float) -> FloatArray:
-    """
-    Evaluate u_top = f(u) at one u for many corners.
-
-    Parameters
-    ----------
-    parametrization : ndarray, shape (n, spans, 8)
-        Start of each span and seven Bezier values of f on it [-].
-    u : float
-        Bottom parameter in [0, 1].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Top parameters [-].
-
-    """
+    """Return u_top = f(u) of many corners at one u, shape (n,) [-]."""
     n, spans = parametrization.shape[:2]
     if spans == 0:
         return np.full(n, u)
@@ -79,24 +54,7 @@ def top_parameters(parametrization: FloatArray, u: float) -> FloatArray:
 
 
 def poses(curves: Curves, u: float) -> tuple[FloatArray, FloatArray]:
-    """
-    Return the poses of corners at one parameter [B2013, Eq. 5].
-
-    Parameters
-    ----------
-    curves : Curves
-        The curves of n corners.
-    u : float
-        Bottom parameter in [0, 1].
-
-    Returns
-    -------
-    tip : ndarray, shape (n, 3)
-        Tool tips [m].
-    axis : ndarray, shape (n, 3)
-        Unit tool axes [-].
-
-    """
+    """Return tool tips and unit tool axes of corners at one parameter, (n, 3) [B2013, Eq. 5]."""
     tip = corner_spline_points(curves.bottom, u)
     if curves.parametrization.shape[1]:
         at = top_parameters(curves.parametrization, u)

@@ -11,12 +11,11 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.corners.axis_corner import AxisCorners
-from cnc_interp.smoothing.corners.axis_legs import AxisLegs
+from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
-from cnc_interp.smoothing.pole_room import shares_near_pole
+from cnc_interp.smoothing.pole import shares_near_pole
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9
@@ -46,24 +45,7 @@ class Legs:
 
     @staticmethod
     def of(blocks: Blocks, machine: MachineTraits, flank_height: float) -> Legs:
-        """
-        Compute the geometry of blocks.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            n + 1 vertices. Block i leads from vertex i to vertex i + 1.
-        machine : MachineTraits
-            Kinematics for blocks whose rotary axes run linearly.
-        flank_height : float
-            Flank height [m].
-
-        Returns
-        -------
-        Legs
-            Geometry of n blocks.
-
-        """
+        """Compute the geometry of n blocks; block i leads from vertex i to vertex i + 1."""
         step = np.diff(blocks.tip, axis=0)
         length = norm(step)
         resting = length < STANDSTILL
@@ -135,11 +117,7 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
 
 
 def axis_corners(
-    rows: Rows,
-    legs: Legs,
-    flank_height: float,
-    machine: MachineTraits,
-    at: IntArray | None = None,
+    rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits, at: IntArray | None = None
 ) -> AxisCorners | None:
     """Collect the corners beside blocks whose rotary axes run linearly."""
     if legs.axes is None or machine.geometry is None:

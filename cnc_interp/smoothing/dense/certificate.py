@@ -30,39 +30,15 @@ def _hull(
     tool: FloatArray, turn: float, height: float, turning: bool, work: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
     """
-    Bound the deviations of the part a ... b of a quintic span from a line.
+    Bound contour and orientation deviation of the part a ... b of a quintic span from a line [m].
 
     The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
     has no effect on it. Primes mark the line. With d = D - D' and the direction o' of D',
 
         |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|.
 
-    o' turns by ``turn`` along the line. Its middle direction is used, which adds |d| turn.
-
-    Parameters
-    ----------
-    points : ndarray, shape (6, d)
-        Bezier points of tip and top [m].
-    a, b : float
-        Ends of the part in [0, 1].
-    first, last : ndarray, shape (6,)
-        Tip and top of the line at a and b [m].
-    tool : ndarray, shape (3,)
-        Tool axis in the middle of the line [-].
-    turn : float
-        Turn of the tool axis along the line [rad].
-    height : float
-        Flank height [m].
-    turning : bool
-        Whether the tool turns; without it, only the tip is compared.
-    work : ndarray, shape (6, d)
-        Work array.
-
-    Returns
-    -------
-    contour, orientation : float
-        Bounds of contour and orientation deviation [m].
-
+    o' turns by ``turn`` along the line. Its middle direction ``tool`` is used, which adds |d|
+    turn. ``first`` and ``last`` (6,) are tip and top of the line at a and b.
     """
     quintic_part(points, a, b, work)
     contour, top, across = 0.0, 0.0, 0.0
@@ -101,34 +77,13 @@ def certify(
     used: FloatArray, height: float, turning: bool, allowed: FloatArray,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
     """
-    Bound the deviation of the spans of a curve from the blocks.
+    Bound the deviation of the n spans of a curve from the blocks.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 6, d)
-        Bezier points of the tip, and of the top if the tool turns [m].
-    knots : ndarray, shape (n + 1 or more,)
-        Curve parameters at the ends of the spans [m].
-    tip, axis, u : ndarray, shapes (m, 3), (m, 3) and (m,)
-        Vertices of the blocks: tip [m], tool axis [-] and curve parameter [m].
-    used : ndarray, shape (m - 1, 2)
-        Deviation of each segment between vertices from the program [m].
-    height : float
-        Flank height [m].
-    turning : bool
-        Whether the tool turns.
-    allowed : ndarray, shape (m - 1, 2)
-        Contour and orientation tolerance of each segment [m]; a wider hull is refined.
-
-    Returns
-    -------
-    deviation : ndarray, shape (n, 2)
-        Largest contour and orientation deviation of each span from the program [m].
-    excess : ndarray, shape (n, 2)
-        Largest share of both tolerances that each span uses [-].
-    advances : ndarray of bool, shape (n,)
-        Whether the tip certainly moves forward everywhere in the span.
-
+    ``points`` (n, 6, d) are the Bezier points of the tip, and of the top if the tool turns.
+    ``used`` has the deviation of each block from the program, and a hull wider than ``allowed`` (m
+    - 1, 2) is refined [m]. Returns contour and orientation deviation (n, 2) [m], the largest
+    shares of both tolerances (n, 2), and whether the tip certainly moves forward everywhere in
+    each span.
     """
     n = len(points)
     deviation, excess = np.zeros((n, 2)), np.zeros((n, 2))

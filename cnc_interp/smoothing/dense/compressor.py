@@ -11,13 +11,14 @@ the motion of the line: the tip moves straight and the tool axis on the great ci
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.dense.corner_search import CornerSearch
 from cnc_interp.smoothing.dense.curve_fit import AHEAD, Run, Window
 from cnc_interp.smoothing.dense.end_lines import (
     EndLine,
@@ -27,8 +28,13 @@ from cnc_interp.smoothing.dense.end_lines import (
 )
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.polyline import Polyline
-from cnc_interp.smoothing.dense.run_rows import curve_row, line_row
-from cnc_interp.smoothing.dense.skeleton import LONG, SHORT, Skeleton, SkeletonBuilder
+from cnc_interp.smoothing.dense.skeleton import (
+    LONG,
+    SHORT,
+    CornerSearch,
+    Skeleton,
+    SkeletonBuilder,
+)
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
 #: Smallest number of blocks in a run.
@@ -43,13 +49,9 @@ class Compressor:
     """Convert a stream of blocks to lines and curves."""
 
     def __init__(
-        self,
-        settings: Settings,
-        machine: MachineTraits,
-        choice: Choice | None,
-        row: int = 0,
+        self, settings: Settings, machine: MachineTraits, choice: Choice | None, row: int = 0,
         joined: bool = False,
-    ):
+    ):  # fmt: skip
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
         self._machine, self._choice = machine, choice
@@ -66,20 +68,7 @@ class Compressor:
         self._rows: list[Rows] = []
 
     def push(self, blocks: Blocks) -> Rows:
-        """
-        Add blocks and return the rows that are final.
-
-        Parameters
-        ----------
-        blocks : Blocks
-            The next rows of the program; the very first row is the start pose.
-
-        Returns
-        -------
-        Rows
-            Lines and curves that later blocks cannot change.
-
-        """
+        """Add blocks; return the lines and curves that later blocks cannot change."""
         if not self._enabled:
             self._first += len(blocks)
             return Rows.plain(blocks, self._first - len(blocks))
@@ -87,20 +76,7 @@ class Compressor:
         return self._advance(final=False)
 
     def finish(self, joined: bool = False) -> Rows:
-        """
-        Return the remaining rows.
-
-        Parameters
-        ----------
-        joined : bool
-            Whether a native spline follows. Then the last block stays a line.
-
-        Returns
-        -------
-        Rows
-            All lines and curves that were not returned before.
-
-        """
+        """Return the rest; if a native spline follows (``joined``), the last block is a line."""
         if self._enabled:
             self._builder.push(None, final=True, joined=joined)
         return self._advance(final=True)
@@ -116,7 +92,6 @@ class Compressor:
 
     @property
     def _skeleton(self) -> Skeleton:
-        """Return the skeleton, which exists after the first block."""
         assert self._builder.skeleton is not None
         return self._builder.skeleton
 
@@ -189,13 +164,9 @@ class Compressor:
         return not self._choice(*ways_of_run(skeleton, start, last))
 
     def _line(
-        self,
-        k: int,
-        leg: EndLine | None = None,
-        leads: bool = False,
-        off: FloatArray | None = None,
-    ) -> None:
-        """Send the line to vertex k; see ``line_row``."""
+        self, k: int, leg: EndLine | None = None, leads: bool = False, off: FloatArray | None =
+        None,
+    ) -> None:  # fmt: skip
         self._rows.append(line_row(self._skeleton, k, leg, leads, off, self._after_curve))
         self._after_curve = False
 
@@ -356,3 +327,41 @@ class Compressor:
         if self._run is not None:
             self._run.shift(first)
         self._lead, self._tail = (leg and leg.shifted(first) for leg in (self._lead, self._tail))
+
+
+def line_row(
+    skeleton: Skeleton, k: int, leg: EndLine | None, leads: bool, off: FloatArray | None,
+    smooth: bool,
+) -> Rows:  # fmt: skip
+    """Return the row of the line to vertex k."""
+    block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
+    tolerance = skeleton.tolerance[k]
+    if leg is not None:
+        off, tolerance = leg.used, leg.tolerance
+    elif off is None:
+        off = skeleton.used[k]
+    if leg is not None and not block.rapid[0]:
+        block = replace(block, feedrate=np.array([leg.feed]))
+    if leg is not None and leads:
+        block = replace(
+            block, tip=leg.pose[0][None].copy(), axis=leg.pose[1][None].copy(),
+            rotary=np.full((1, 2), np.nan), exact_stop=np.zeros(1, dtype=bool),
+        )  # fmt: skip
+    block = replace(
+        block,
+        contour_tolerance=tolerance[:1] - off[0],
+        orientation_tolerance=tolerance[1:] - off[1],
+    )
+    return Rows.line(block, int(skeleton.row[k]), off, smooth=smooth, leads=leads)
+
+
+def curve_row(skeleton: Skeleton, k: int, found: Window, stop: bool, smooth: bool) -> Rows:
+    """Return the row of the committed part of a curve."""
+    spans = found.spans
+    assert spans is not None
+    block = replace(
+        skeleton.blocks[k : k + 1], tip=spans.bottom[-1:, 5].copy(), axis=found.axis[None],
+        rotary=np.full((1, 2), np.nan), line_number=spans.line_number[-1:].copy(),
+        exact_stop=np.array([stop]),
+    )  # fmt: skip
+    return Rows.curve(block, spans, smooth)

@@ -8,16 +8,12 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import quintic_end_jet
-from cnc_interp.core.bspline import (
-    clamped_knots,
-    quintic_bezier_matrices,
-    quintic_bezier_points,
-)
+from cnc_interp.core.bspline import clamped_knots, quintic_bezier_matrices, quintic_bezier_points
 from cnc_interp.smoothing.dense import certificate, knots, polyline, tube_fit
 from cnc_interp.smoothing.dense.path_rows import Spans
 from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.orientation import rotations_between
-from cnc_interp.smoothing.pole_room import shares_near_pole
+from cnc_interp.smoothing.pole import shares_near_pole
 
 #: Longest and shortest spacing of knots, in tolerances.
 LONGEST, FINEST = 100.0, 2.0
@@ -45,33 +41,15 @@ class Run:
     """
     A run of short blocks, and the curve through it as far as it is committed.
 
-    Parameters
-    ----------
-    line : Polyline
-        Polyline that the curve follows. It grows while blocks arrive.
-    jet : ndarray, shape (m, 6)
-        Value and derivatives at the start of the curve, divided by factorials of their order.
-    turning : bool
-        Whether the tool turns.
-    height, longest : float
-        Flank height and longest spacing of knots [m].
-    share : float
-        Share of the tolerances that the curve may use [-].
-    pole : ndarray, shape (3,), optional
-        Direction beside which the curve leaves a part of the orientation tolerance.
-
+    The polyline grows while blocks arrive. ``jet`` (m, 6) has value and derivatives at the start
+    of the curve, divided by factorials of their order. Beside the direction ``pole`` the curve
+    leaves a part of the orientation tolerance.
     """
 
     def __init__(
-        self,
-        line: Polyline,
-        jet: FloatArray,
-        turning: bool,
-        height: float,
-        longest: float,
-        share: float,
-        pole: FloatArray | None = None,
-    ):
+        self, line: Polyline, jet: FloatArray, turning: bool, height: float, longest: float,
+        share: float, pole: FloatArray | None = None,
+    ):  # fmt: skip
         self.line = self.whole = line
         self.turning = turning
         self.t = 0.0
@@ -87,17 +65,7 @@ class Run:
         return int(known.max(initial=-1))
 
     def end(self, line: Polyline, jet: FloatArray) -> None:
-        """
-        Set the end of the run.
-
-        Parameters
-        ----------
-        line : Polyline
-            The complete polyline of the run.
-        jet : ndarray, shape (m, 6)
-            Value and derivatives at the end, divided by factorials of their order.
-
-        """
+        """Set the complete polyline, and value and derivatives at its end as in ``jet``."""
         self.whole, self.line = self.line, line
         self.ended, self._end_jet = True, jet
 
@@ -114,20 +82,7 @@ class Run:
             line.vertex = np.where(line.vertex >= 0, line.vertex - first, -1)
 
     def window(self, final: bool) -> Window | None:
-        """
-        Fit the next window; return None if more blocks are necessary.
-
-        Parameters
-        ----------
-        final : bool
-            Whether the end of the run is known.
-
-        Returns
-        -------
-        Window or None
-            The spans to commit, or the place where no curve keeps the tolerance.
-
-        """
+        """Fit the next window, the last one if ``final``; None if more blocks are necessary."""
         if not final:
             self.whole = self.line
         line, end = self.line, float(self.line.u[-1])
@@ -173,12 +128,7 @@ class Run:
         return found
 
     def _fitted(
-        self,
-        found: FloatArray,
-        left: FloatArray,
-        last: bool,
-        sweeps: tuple[int, int],
-        aim: float,
+        self, found: FloatArray, left: FloatArray, last: bool, sweeps: tuple[int, int], aim: float
     ) -> Window | float:
         """Return the spans to commit, or the place where the deviation is too large [m]."""
         line, height = self.line, self._height

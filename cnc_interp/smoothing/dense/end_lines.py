@@ -125,13 +125,9 @@ def _pose_between(
 
 
 def with_end_line(
-    line: Polyline,
-    leg: EndLine,
-    pose: tuple[FloatArray, FloatArray],
-    vertex: int,
-    skeleton: Skeleton,
-    height: float,
-) -> tuple[Polyline, FloatArray]:
+    line: Polyline, leg: EndLine, pose: tuple[FloatArray, FloatArray], vertex: int,
+    skeleton: Skeleton, height: float,
+) -> tuple[Polyline, FloatArray]:  # fmt: skip
     """Extend a polyline by an end line, and return the motion at the outer end of that line."""
     n = len(leg.pieces)
     before = line.tip[-1], line.axis[-1]
@@ -143,14 +139,9 @@ def with_end_line(
     at_end = vertex < 0
     jet = straight.line_jet(len(straight.feed) - 1 if at_end else 0, at_end, height)
     line = line.extended(
-        np.array([tip for tip, _ in [*inner, pose]]),
-        np.array([axis for _, axis in [*inner, pose]]),
-        np.append(np.full(n - 1, -1), vertex),
-        np.repeat(leg.used[None], n, axis=0),
-        np.repeat(leg.tolerance[None], n, axis=0),
-        np.full(n, leg.feed),
-        skeleton.row[leg.pieces],
-        skeleton.blocks.line_number[leg.pieces],
-        height,
-    )
+        np.array([tip for tip, _ in [*inner, pose]]), np.array([axis for _, axis in [*inner,
+        pose]]), np.append(np.full(n - 1, -1), vertex), np.repeat(leg.used[None], n, axis=0),
+        np.repeat(leg.tolerance[None], n, axis=0), np.full(n, leg.feed), skeleton.row[leg.pieces],
+        skeleton.blocks.line_number[leg.pieces], height,
+    )  # fmt: skip
     return line, jet

@@ -48,29 +48,11 @@ def knot_spacings(
     longest: float, most: FloatArray, finest: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """
-    Return the wanted spacing of knots at each vertex of a polyline.
+    Return the wanted spacing of knots in u at each vertex of a polyline, shape (n,) [m].
 
     It is the longest spacing over which the second difference of the polyline stays below ``BEND``
-    tolerances. Along u it changes at most by ``GROWTH``.
-
-    Parameters
-    ----------
-    tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        Vertices of the polyline: tip [m], tool axis [-] and parameter [m].
-    tolerance : ndarray, shape (n - 1, 2)
-        Contour and orientation tolerance of its segments [m].
-    height : float
-        Flank height [m].
-    longest : float
-        Longest spacing [m].
-    most, finest : ndarray, shape (n - 1,)
-        Longest and shortest spacing on the segments by themselves [m].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Spacing in u at the vertices [m].
-
+    tolerances. Along u it changes at most by ``GROWTH``. ``most`` and ``finest`` (n - 1,) bound it
+    on each segment.
     """
     n = len(u)
     wanted = np.full(n, longest)
@@ -110,26 +92,9 @@ def place_knots(
     u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, most: int,
 ) -> FloatArray:  # fmt: skip
     """
-    Place knots one after the other, with the wanted spacing.
+    Place knots one after the other, with the wanted spacing times ``factor``, from start to end.
 
-    Inside a long segment the spacing grows from both ends.
-
-    Parameters
-    ----------
-    u, wanted : ndarray, shape (n,)
-        Parameters of the vertices, and wanted spacing there [m].
-    start, end : float
-        First knot, and the parameter at which the knots may end [m].
-    factor : float
-        Factor on the wanted spacing [-].
-    most : int
-        Largest number of spans.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        Knots in rising order [m].
-
+    Inside a long segment the spacing grows from both ends. There are at most ``most`` spans.
     """
     knots = np.empty(most + 1)
     knots[0] = start
@@ -157,34 +122,11 @@ def sample_points(
     height: float,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """
-    Return sample points of a polyline between the first and the last knot.
+    Return sample points of a polyline between the first and the last knot, m rows each.
 
-    Parameters
-    ----------
-    tip, axis, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        Vertices of the polyline: tip [m], tool axis [-] and parameter [m].
-    tolerance : ndarray, shape (n - 1, 2)
-        Contour and orientation tolerance of its segments [m].
-    knots : ndarray, shape (k,)
-        Knots in rising order [m].
-    height : float
-        Flank height [m].
-
-    Returns
-    -------
-    x : ndarray, shape (m,)
-        Parameters of the samples [m].
-    span : ndarray of int, shape (m,)
-        Span between knots that contains each sample.
-    point : ndarray, shape (m, 6)
-        Tip and top of the polyline [m].
-    tool : ndarray, shape (m, 3)
-        Tool axis [-].
-    allowed : ndarray, shape (m, 2)
-        Contour and orientation tolerance at the samples [m].
-    weight : ndarray, shape (m,)
-        Weights of Simpson's rule, or of the trapezoidal rule on short segments [m].
-
+    These are parameters [m], spans between knots, tip and top (m, 6) [m], tool axes, contour and
+    orientation tolerances (m, 2) [m], and weights of Simpson's rule, or of the trapezoidal rule on
+    short segments [m].
     """
     spans = len(knots) - 1
     first = 0

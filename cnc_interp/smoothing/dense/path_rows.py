@@ -110,24 +110,10 @@ class Rows(Table):
     @staticmethod
     def line(block: Blocks, row: int, used: FloatArray, smooth: bool, leads: bool) -> Rows:
         """
-        Return one line.
+        Return one line: ``row`` is the program row at whose end it ends.
 
-        Parameters
-        ----------
-        block : Blocks
-            One row: end pose and programmed data of the line.
-        row : int
-            Program row at whose end the line ends.
-        used : ndarray, shape (2,)
-            Contour and orientation deviation of the line from the program [m].
-        smooth, leads : bool
-            Whether a curve joins smoothly at the start, and at the end.
-
-        Returns
-        -------
-        Rows
-            One row.
-
+        ``used`` has its deviations from the program [m], ``smooth`` and ``leads`` tell whether a
+        curve joins smoothly at its start and its end.
         """
         return Rows(
             block, np.array([row]), used[None].copy(), np.array([smooth]), np.array([leads]),

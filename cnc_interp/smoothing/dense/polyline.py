@@ -37,22 +37,7 @@ class Polyline:
 
     @staticmethod
     def at(tip: FloatArray, axis: FloatArray, vertex: int) -> Polyline:
-        """
-        Return a polyline with one vertex.
-
-        Parameters
-        ----------
-        tip, axis : ndarray, shape (3,)
-            Tip [m] and unit tool axis [-].
-        vertex : int
-            Index of the skeleton vertex, or -1.
-
-        Returns
-        -------
-        Polyline
-            One vertex and no segment; its curve parameter is 0.
-
-        """
+        """Return a polyline with one vertex, whose curve parameter is 0."""
         return Polyline(
             tip[None].copy(), axis[None].copy(), np.zeros(1), np.array([vertex]),
             np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64),
@@ -60,17 +45,9 @@ class Polyline:
         )  # fmt: skip
 
     def extended(
-        self,
-        tip: FloatArray,
-        axis: FloatArray,
-        vertex: IntArray,
-        used: FloatArray,
-        tolerance: FloatArray,
-        feed: FloatArray,
-        row: IntArray,
-        line: IntArray,
-        height: float,
-    ) -> Polyline:
+        self, tip: FloatArray, axis: FloatArray, vertex: IntArray, used: FloatArray,
+        tolerance: FloatArray, feed: FloatArray, row: IntArray, line: IntArray, height: float,
+    ) -> Polyline:  # fmt: skip
         """Return the polyline with k more vertices and the segments that end there."""
         begin, begin_axis = np.vstack([self.tip[-1:], tip]), np.vstack([self.axis[-1:], axis])
         rotation = rotations_between(begin_axis[:-1], begin_axis[1:])
@@ -140,34 +117,11 @@ def pieces(
     tolerance: FloatArray, apart: BoolArray,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
     """
-    Divide the spans of a curve where the programmed feed changes, or the tolerances.
+    Divide the spans of a curve where the programmed feed changes; if ``apart``, the tolerances.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 6, d)
-        Bezier points of the spans [m].
-    knots : ndarray, shape (n + 1 or more,)
-        Curve parameters at the ends of the spans [m].
-    u : ndarray, shape (k + 1,)
-        Curve parameters of the polyline vertices [m].
-    feed, tolerance : ndarray, shapes (k,) and (k, 2)
-        Programmed speed [m/s] and tolerances [m] of its segments.
-    apart : ndarray of bool, shape (n,)
-        Spans that are divided where the tolerances change.
-
-    Returns
-    -------
-    source : ndarray of int, shape (m,)
-        Span of each piece.
-    cut : ndarray, shape (m, 6, d)
-        Bezier points of the pieces [m].
-    ends : ndarray, shape (m + 1,)
-        Curve parameters at the ends of the pieces [m].
-    speed : ndarray, shape (m,)
-        Programmed speed of the pieces [m/s].
-    segment : ndarray of int, shape (m, 2)
-        Polyline segments in the middle of the first and second half.
-
+    ``points`` (n, 6, d) are Bezier points. Returns for m pieces: their spans, Bezier points, curve
+    parameters at their ends (m + 1,), programmed speed [m/s], and the polyline segments in the
+    middle of their first and second half (m, 2).
     """
     n = len(points)
     most = 2 * n + len(u)

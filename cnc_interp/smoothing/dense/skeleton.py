@@ -1,4 +1,4 @@
-"""The skeleton of the program: its significant vertices, built while blocks arrive."""
+"""The skeleton of the program: its significant vertices and corners, found while blocks arrive."""
 
 from __future__ import annotations
 
@@ -45,7 +45,6 @@ class Skeleton:
     turn: FloatArray  #: (n,): Turn of the path at the vertex, if already known [rad].
 
     def __len__(self) -> int:
-        """Return the number of vertices."""
         return len(self.row)
 
     def join(self, other: Skeleton) -> Skeleton:
@@ -97,19 +96,7 @@ class SkeletonBuilder:
         self.skeleton: Skeleton | None = None
 
     def push(self, blocks: Blocks | None, final: bool, joined: bool = False) -> None:
-        """
-        Add blocks, and add their significant vertices to the skeleton.
-
-        Parameters
-        ----------
-        blocks : Blocks or None
-            The next rows of the program.
-        final : bool
-            Whether these are the last rows.
-        joined : bool
-            Whether the last block stays a line, because a native spline follows.
-
-        """
+        """Add blocks; if a native spline follows (``joined``), the last one stays a line."""
         known = [part for part in (self._raw, blocks) if part is not None]
         if not known:
             return
@@ -179,15 +166,9 @@ class SkeletonBuilder:
         return kind, stop, closed | stop
 
     def _append(
-        self,
-        raw: Blocks,
-        top: FloatArray,
-        kept: IntArray,
-        used: FloatArray,
-        kind: IntArray,
-        stop: BoolArray,
-        closed: BoolArray,
-    ) -> None:
+        self, raw: Blocks, top: FloatArray, kept: IntArray, used: FloatArray, kind: IntArray,
+        stop: BoolArray, closed: BoolArray,
+    ) -> None:  # fmt: skip
         """Add the selected vertices to the skeleton."""
         assert self.skeleton is not None
         skeleton = self.skeleton
@@ -263,3 +244,46 @@ class SkeletonBuilder:
         mean = way / np.where(spent > 0.0, spent, 1.0)
         mean = np.minimum(mean, np.where(length[kept] > 0.0, feed[kept], np.inf))
         return np.asarray(np.where((low == high) | (spent <= 0.0), feed[kept], mean))
+
+
+class CornerSearch:
+    """Find the corners of a growing skeleton."""
+
+    def __init__(self, angle: float):
+        self._angle = angle
+        self.turned = 0  # number of vertices whose turn is known
+        self.decided = 0  # number of vertices that are known to be corners or not
+
+    def decide(self, skeleton: Skeleton, final: bool) -> None:
+        """Decide about the vertices that are known far enough in both directions."""
+        n, tolerance = len(skeleton), skeleton.tolerance
+        # A repeated point that arrives later may still close the last vertex.
+        closed = np.flatnonzero(skeleton.closed[: n if final else n - 1])
+        known = int(closed[-1]) + 1 if len(closed) else 0
+        widest = float(tolerance[self.decided :].max())
+        turned = n
+        if not final:
+            seen = np.searchsorted(skeleton.u, skeleton.u[-1] - thinning.REACH * widest, 'right')
+            turned = max(known, min(int(seen), n - 1), self.turned)
+        if turned > self.turned:
+            skeleton.turn[self.turned : turned] = thinning.vertex_turns(
+                skeleton.blocks.tip, skeleton.top, skeleton.u, skeleton.closed, tolerance,
+                self.turned, turned,
+            )  # fmt: skip
+        self.turned = turned
+        decided = n
+        if not final:
+            last = skeleton.u[turned - 1] if turned else -np.inf
+            seen = np.searchsorted(skeleton.u, last - thinning.CHORD * widest, 'left')
+            decided = max(known, int(seen), self.decided)
+        if decided > self.decided:
+            skeleton.corner[self.decided : decided] |= thinning.find_corners(
+                skeleton.turn[:turned], skeleton.u[:turned], skeleton.closed[:turned],
+                tolerance[:turned], self._angle, self.decided, decided,
+            )  # fmt: skip
+        self.decided = decided
+
+    def shift(self, first: int) -> None:
+        """Renumber the vertices after the first ones were dropped."""
+        self.turned -= first
+        self.decided -= first

@@ -63,24 +63,10 @@ def select_vertices(
     tip: FloatArray, top: FloatArray, tolerance: FloatArray, must: BoolArray
 ) -> tuple[IntArray, FloatArray]:
     """
-    Select the vertices of the skeleton.
+    Select the vertices of the skeleton among rows of tip and top; row 0 is the last one kept.
 
-    Parameters
-    ----------
-    tip, top : ndarray, shape (n, 3)
-        Tip and top of the rows [m]; row 0 is the last vertex kept.
-    tolerance : ndarray, shape (n, 2)
-        Contour and orientation tolerance of the rows [m].
-    must : ndarray of bool, shape (n,)
-        Rows that must be kept.
-
-    Returns
-    -------
-    kept : ndarray of int, shape (m,)
-        Rows kept after row 0, as far as this can be decided.
-    used : ndarray, shape (m, 2)
-        Largest distance of dropped rows from the chord that ends at each kept row [m].
-
+    Returns the rows kept after it, as far as they can be decided, and (m, 2) the largest distances
+    of dropped rows from the chord that ends at each of them [m]. Rows in ``must`` are kept.
     """
     n = len(tip)
     kept, used = np.empty(n, dtype=np.int64), np.zeros((n, 2))
@@ -146,24 +132,9 @@ def vertex_turns(
     first: int, last: int,
 ) -> FloatArray:  # fmt: skip
     """
-    Return the turn of the path at the vertices first ... last - 1.
+    Return the larger turn of tip and top at the vertices first ... last - 1 [rad].
 
-    Parameters
-    ----------
-    tip, top, u : ndarray, shapes (n, 3), (n, 3) and (n,)
-        Vertices of the skeleton: tip, top and curve parameter [m].
-    closed : ndarray of bool, shape (n,)
-        Vertices that no chord may cross.
-    tolerance : ndarray, shape (n, 2)
-        Contour and orientation tolerance at the vertices [m].
-    first, last : int
-        Range of the vertices.
-
-    Returns
-    -------
-    ndarray, shape (last - first,)
-        Larger turn of tip and top; 0 where no chord is long enough [rad].
-
+    It is 0 where no chord is long enough. No chord crosses a ``closed`` vertex.
     """
     n = len(u)
     found = np.zeros(last - first)
@@ -195,26 +166,8 @@ def find_corners(
     """
     Tell which of the vertices first ... last - 1 are corners.
 
-    A corner turns by more than ``least``, and by more than all vertices near it.
-
-    Parameters
-    ----------
-    turn, u : ndarray, shape (n,)
-        Turn [rad] and curve parameter [m] of the vertices.
-    closed : ndarray of bool, shape (n,)
-        Vertices that end the comparison.
-    tolerance : ndarray, shape (n, 2)
-        Contour and orientation tolerance at the vertices [m].
-    least : float
-        Smallest turn of a corner [rad].
-    first, last : int
-        Range of the vertices.
-
-    Returns
-    -------
-    ndarray of bool, shape (last - first,)
-        Whether each vertex is a corner.
-
+    A corner turns by more than ``least`` [rad], and by more than all vertices near it; a
+    ``closed`` vertex ends the comparison.
     """
     found = np.zeros(last - first, dtype=np.bool_)
     n = len(u)
@@ -241,28 +194,11 @@ def longest_chord(
     most: float, share: float,
 ) -> tuple[int, float, float]:  # fmt: skip
     """
-    Find the farthest vertex whose chord to vertex a stays near all vertices between.
+    Find the farthest vertex whose chord to vertex a keeps near all vertices between.
 
-    Parameters
-    ----------
-    tip, top : ndarray, shape (n, 3)
-        Tip and top of the skeleton vertices [m].
-    tolerance : ndarray, shape (2,)
-        Contour and orientation tolerance [m].
-    a, step, last : int
-        Start vertex, direction (+1 or -1) and last vertex allowed.
-    most : float
-        Length of a chord that is long enough [m].
-    share : float
-        Largest distance of the vertices between, in tolerances.
-
-    Returns
-    -------
-    vertex : int
-        The vertex at the other end of the chord.
-    off, off_top : float
-        Largest distance of tip and top from the chord [m].
-
+    ``step`` is +1 or -1. A chord of the length ``most`` [m] is long enough. ``share`` is the
+    largest distance of the vertices between in tolerances. Returns the vertex, and the largest
+    distances of tip and top from the chord [m].
     """
     best, best_off, best_top = a + step, 0.0, 0.0
     k = a + step

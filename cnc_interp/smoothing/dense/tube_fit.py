@@ -131,34 +131,10 @@ def fit(
     """
     Fit the smoothest quintic spline within the tolerance tube.
 
-    Parameters
-    ----------
-    full : ndarray, shape (n + 11,)
-        Full knot vector (``clamped_knots``).
-    matrices : ndarray, shape (n, 6, 6)
-        Bezier matrices of the n spans (``quintic_bezier_matrices``).
-    knots : ndarray, shape (n + 1,)
-        Knots with single ends [m].
-    start, end : ndarray, shape (m, 6)
-        Given value and derivatives at both ends, divided by factorials of their order.
-    samples : tuple
-        Output of ``knots.sample_points``.
-    turning : bool
-        Whether the tool turns. Otherwise only the tip is computed.
-    sweeps : tuple of int
-        Smallest and largest number of sweeps.
-    aim : float
-        Wanted deviation as part of the tolerance [-].
-    stiffness : float
-        Weight of the integral of |X'''|^2 [m^6].
-
-    Returns
-    -------
-    coefficients : ndarray, shape (n + 5, 6 or 3)
-        Control points of tip and top, or of the tip [m].
-    largest : float
-        Largest deviation of a sample as part of its tolerance [-].
-
+    ``full`` is the knot vector with multiple ends, ``start`` and ``end`` (m, 6) have value and
+    derivatives divided by factorials of their order. Without ``turning`` only the tip is computed.
+    ``aim`` is the wanted deviation as part of the tolerance [-]. Returns the control points, and
+    the largest deviation of a sample as part of its tolerance.
     """
     x, span, point, tool, allowed, simpson = samples
     columns = 6 if turning else 3

@@ -16,14 +16,58 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
+from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
-from cnc_interp.smoothing.native.portion import Portion
+from cnc_interp.smoothing.native.joining import Jets, span_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segment_curves import corner_jets, spline_jets
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
+
+@dataclass(frozen=True)
+class Portion:
+    """A pair of cubic B-splines with one clamped knot vector, one row for each control point."""
+
+    #: (n, 3): Control points of tool tip and second point [m].
+    bottom: FloatArray
+    top: FloatArray
+    #: (n,): Knot interval of each control point: t_(i+3) - t_(i+2) of row i. It is 0 in the first
+    #: and in the last two rows.
+    knot_interval: FloatArray
+
+    @property
+    def knots(self) -> FloatArray:
+        """The knots from 0, shape (n + 4,)."""
+        inner = np.cumsum(self.knot_interval)
+        return np.concatenate([np.zeros(3), inner, inner[-1:]])
+
+    @property
+    def curve(self) -> BSpline:
+        """Tip and second point as one spline of u with six coordinates [m]."""
+        from scipy.interpolate import BSpline  # takes a tenth of a second
+
+        return BSpline(self.knots, np.hstack([self.bottom, self.top]), 3)
+
+    def end_span(self, at_end: bool) -> tuple[FloatArray, FloatArray, float]:
+        """Return Bezier points, shape (1, 4, 3), of the span at one end, inward; its length."""
+        step = self.knot_interval[1:4] if not at_end else self.knot_interval[-3:-6:-1]
+        ends = np.cumsum(np.concatenate([step, np.zeros(3)]))[:3]  # a lone span has two
+        knots = np.concatenate([np.zeros(3), ends])[None]
+        rows = slice(None, 4) if not at_end else slice(None, -5, -1)
+        bottom, top = (
+            cubic_bezier_points(points[rows][None], knots) for points in (self.bottom, self.top)
+        )
+        return bottom, top, float(step[0])
+
+    def jets(self, at_end: bool) -> Jets:
+        """Return the jets at the start or the end, in the direction of motion."""
+        bottom, top, _ = self.end_span(at_end)
+        jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
+        return jets.backwards() if at_end else jets
+
 
 #: Most knot intervals of one segment, and points per interval at which the distance is measured.
 MOST_INTERVALS, PROBES = 512, 8
@@ -41,31 +85,10 @@ def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
     """
-    Approximate one corner or spline by a pair of cubic B-splines with one parameter.
+    Approximate one corner or spline within a distance by two cubic B-splines with one parameter.
 
-    Parameters
-    ----------
-    segments : PathSegments
-        The path.
-    i : int
-        Index of the segment.
-    height : float
-        Flank height, at which the deviation of the tool axis is measured [m].
-    tolerance : float
-        Largest accepted distance from the segment [m].
-    constant_height : bool
-        Whether the second point is at flank height. Otherwise it is on the segment's top curve.
-
-    Returns
-    -------
-    CubicCurve
-        Control points and the deviation reached.
-
-    Raises
-    ------
-    BlockError
-        If more than MOST_INTERVALS knot intervals are necessary.
-
+    The second point is at flank height, or on the top curve of the segment. Raises BlockError if
+    more than MOST_INTERVALS knot intervals are necessary.
     """
     if segments.kind[i] == CORNER and not len(segments.parametrization[i]):
         if not segments.connection[i].any():

@@ -16,15 +16,15 @@ deviation from the programmed curves is therefore bounded by coefficients of the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bezier import start_derivatives
+from cnc_interp.core.bezier import divided, start_derivatives
 from cnc_interp.core.hull_bounds import least_length, weighted_largest
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.corners.connection import hermite
+from cnc_interp.smoothing.corners.connection import hermite, lacking
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
 
@@ -51,22 +51,7 @@ class Jets:
 
 
 def line_jets(tip: FloatArray, direction: FloatArray, axis: FloatArray, rate: FloatArray) -> Jets:
-    """
-    Return the jets of lines: o_s = w k x o, o_ss = -w^2 o, o_sss = -w^2 o_s [B2013, Eq. 4].
-
-    Parameters
-    ----------
-    tip, direction, axis : ndarray, shape (n, 3)
-        Point [m], unit direction of motion [-] and unit tool axis [-].
-    rate : ndarray, shape (n, 3)
-        Rotation vector per metre of path [rad/m].
-
-    Returns
-    -------
-    Jets
-        Jets at the n points.
-
-    """
+    """Jets of n lines: o_s = w k x o, o_ss = -w^2 o, o_sss = -w^2 o_s [B2013, Eq. 4]."""
     turn, square = cross(rate, axis), dot(rate, rate)[:, None]
     rest = np.zeros_like(tip)
     return Jets(
@@ -107,7 +92,6 @@ def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _by_arc_length(
     x: FloatArray, s1: FloatArray, s2: FloatArray, s3: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Convert derivatives by u, shape (3, n, 3), to derivatives by s."""
     x_s = x[0] / s1
     x_ss = (x[1] - x_s * s2) / s1**2
     return x_s, x_ss, (x[2] - 3.0 * x_ss * s1 * s2 - x_s * s3) / s1**3
@@ -125,13 +109,9 @@ class Connected:
 
 
 def connected(
-    bottom: FloatArray,
-    top: FloatArray,
-    first: Jets | None,
-    last: Jets | None,
-    height: float,
+    bottom: FloatArray, top: FloatArray, first: Jets | None, last: Jets | None, height: float,
     points: int = 6,
-) -> Connected:
+) -> Connected:  # fmt: skip
     """Change spans so that they begin and end with the derivatives of their neighbours."""
     n = len(bottom)
     moved = bottom.copy()
@@ -168,19 +148,8 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
     """Return (rho o - D) in the first three derivatives by u, shape (3, n, 3) [m]."""
     p = start_derivatives(bottom)
     d1, d2, d3 = start_derivatives(top) - p
-    o = jets.axis[0]
-    o1, o2, o3 = by_parameter(jets, p)
     rho = norm(top[:, 0] - bottom[:, 0])[:, None]
-    rho1 = dot(d1, o)[:, None]
-    rho2 = dot(d2 - rho * o2, o)[:, None]
-    rho3 = dot(d3 - 3.0 * rho1 * o2 - rho * o3, o)[:, None]
-    return np.stack(
-        [
-            rho1 * o + rho * o1 - d1,
-            rho2 * o + 2.0 * rho1 * o1 + rho * o2 - d2,
-            rho3 * o + 3.0 * rho2 * o1 + 3.0 * rho1 * o2 + rho * o3 - d3,
-        ]
-    )
+    return lacking((d1, d2, d3), jets.axis[0], by_parameter(jets, p), rho)
 
 
 def by_parameter(jets: Jets, p: FloatArray) -> FloatArray:
@@ -188,31 +157,12 @@ def by_parameter(jets: Jets, p: FloatArray) -> FloatArray:
     s1, s2, s3 = arc_length(p)
     _, o_s, o_ss, o_sss = jets.axis
     return np.stack(
-        [
-            o_s * s1,
-            o_ss * s1**2 + o_s * s2,
-            o_sss * s1**3 + 3.0 * o_ss * s1 * s2 + o_s * s3,
-        ]
+        [o_s * s1, o_ss * s1**2 + o_s * s2, o_sss * s1**3 + 3.0 * o_ss * s1 * s2 + o_s * s3]
     )
 
 
 def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
-    """
-    Return the jets at one end of the line between two poses.
-
-    Parameters
-    ----------
-    start, end : Blocks
-        One row each.
-    at_end : bool
-        Whether the jets are those at the end of the line.
-
-    Returns
-    -------
-    Jets or None
-        None if the tip rests or the rotary axes run linearly.
-
-    """
+    """Return the jets at an end of a line of poses; None if the tip rests."""
     if end.by_rotary[0]:
         return None
     step = end.tip - start.tip
@@ -222,3 +172,74 @@ def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
     rate = rotations_between(start.axis, end.axis) / length
     row = end if at_end else start
     return line_jets(row.tip, step / length, row.axis, rate)
+
+
+#: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
+SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
+#: Above this angle between the directions at a join, the tool rests [rad].
+SHARPEST = 0.1
+#: Largest number of times that a span is halved for a join.
+MOST_HALVINGS = 12
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One polynomial piece of the curve."""
+
+    #: (1, 6, 3): Bezier points of tip and second point [m].
+    bottom: FloatArray
+    top: FloatArray
+    connection: FloatArray  #: (1, m, 3): Bezier points of the connection E [m].
+    deviation: FloatArray  #: (2,): Bounds of contour and orientation deviation [m].
+    row: int  #: Number of the span in the curve.
+
+    def jets(self, at_end: bool) -> Jets:
+        """Return the jets at the start or the end of the piece, in the direction of motion."""
+        if not at_end:
+            return span_jets(self.bottom, self.top, self.connection)
+        inward = (self.bottom[:, ::-1], self.top[:, ::-1], self.connection[:, ::-1])
+        return span_jets(*inward).backwards()
+
+    def halves(self) -> tuple[Piece, Piece]:
+        """Divide a piece without a connection in the middle."""
+        first, last = zip(divided(self.bottom), divided(self.top), strict=True)
+        return (
+            replace(self, bottom=first[0], top=first[1]),
+            replace(self, bottom=last[0], top=last[1]),
+        )
+
+
+def absorbed(
+    piece: Piece, first: Jets | None, last: Jets | None, tolerance: FloatArray, height: float,
+    halvings: int = MOST_HALVINGS,
+) -> list[Piece] | None:  # fmt: skip
+    """Return pieces with the derivatives of the neighbours; None beyond the tolerances [m]."""
+    if first is None and last is None:
+        return [piece]
+    points = piece.connection.shape[1]
+    made = connected(piece.bottom, piece.top, first, last, height, points)
+    if (made.deviation[0] <= tolerance).all():
+        return [
+            replace(
+                piece, bottom=made.bottom, connection=made.connection, deviation=made.deviation[0]
+            )
+        ]
+    if halvings == 0:
+        return None
+    left, right = piece.halves()
+    parts = [
+        absorbed(left, first, None, tolerance, height, halvings - 1),
+        absorbed(right, None, last, tolerance, height, halvings - 1),
+    ]
+    return None if None in parts else [piece for part in parts for piece in part or ()]
+
+
+def same_jets(a: Jets, b: Jets, height: float) -> bool:
+    """Tell whether both sides of a join have equal derivatives."""
+    angle, bend = (float(x[0]) for x in a.jumps(b, height))
+    return angle <= SAME_DIRECTION and bend <= SAME_BEND
+
+
+def joins_gently(a: Jets, b: Jets) -> bool:
+    """Tell whether the path turns little enough at a join to pass it without rest."""
+    return float(norm(a.tip[1] - b.tip[1])[0]) <= SHARPEST

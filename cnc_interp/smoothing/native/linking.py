@@ -24,9 +24,8 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import start_derivatives
 from cnc_interp.core.errors import InterpError
 from cnc_interp.smoothing.corners.connection import matching_slopes
-from cnc_interp.smoothing.native.cubic_curves import PROBES, clamped
+from cnc_interp.smoothing.native.cubic_curves import PROBES, Portion, clamped
 from cnc_interp.smoothing.native.joining import Jets, by_parameter
-from cnc_interp.smoothing.native.portion import Portion
 from cnc_interp.smoothing.orientation import norm
 
 if TYPE_CHECKING:
@@ -52,20 +51,7 @@ class Linked:
     deviation: float  #: Largest distance of ``written`` from top(f(u)), at flank height [m].
 
     def poses(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return the poses at bottom parameters [B2013, Eq. 5].
-
-        Parameters
-        ----------
-        u : ndarray, shape (k,)
-            Bottom parameters in [0, last knot].
-
-        Returns
-        -------
-        tip, axis : ndarray, shape (k, 3)
-            Tool tips [m] and unit tool axes [-].
-
-        """
+        """Return tool tips and tool axes at bottom parameters [B2013, Eq. 5]."""
         curve = self.portion.curve
         tip = curve(u)[:, :3]
         tool = curve(self.parametrization(u))[:, 3:] - tip
@@ -85,35 +71,13 @@ def join(
 
 
 def linked(
-    portion: Portion,
-    before: Jets | None,
-    after: Jets | None,
-    height: float,
-    tolerance: float = 1e-8,
-    septic: bool = False,
-) -> Linked:
+    portion: Portion, before: Jets | None, after: Jets | None, height: float, tolerance: float =
+    1e-8, septic: bool = False,
+) -> Linked:  # fmt: skip
     """
-    Join a portion with the paths before and after it by a parametrization spline.
+    Join a portion with the paths before and after it, if any, by a parametrization spline.
 
-    Parameters
-    ----------
-    portion : Portion
-        The curves.
-    before, after : Jets or None
-        Jets of the path before and after the portion; None where it ends freely.
-    height, tolerance, septic
-        See ``join``.
-
-    Returns
-    -------
-    Linked
-        The portion with its parametrization.
-
-    Raises
-    ------
-    InterpError
-        If no increasing f has these derivatives.
-
+    Raises InterpError if no increasing f has these derivatives.
     """
     from scipy.interpolate import BPoly
 

@@ -20,8 +20,7 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.core.hull_bounds import least_length
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
-from cnc_interp.smoothing.native.joining import Jets
-from cnc_interp.smoothing.native.spline_piece import Piece, absorbed, joins_gently, same_jets
+from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
 
@@ -54,24 +53,10 @@ class SplineRun:
 
     def push(self, rows: Blocks) -> PathSegments | None:
         """
-        Add control points and return the segments that are final.
+        Add control points and return the segments that later ones cannot change.
 
-        Parameters
-        ----------
-        rows : Blocks
-            The next control points of the curve, one per row.
-
-        Returns
-        -------
-        PathSegments or None
-            Segments that later control points cannot change.
-
-        Raises
-        ------
-        BlockError
-            If the curve does not begin at the tool, the tip stands still in it, or its knots
-            interrupt it.
-
+        Raises BlockError if the curve does not begin at the tool, the tip stands still in it, or
+        its knots interrupt it.
         """
         if self._rows is None:
             self._check_begin(rows)
@@ -86,23 +71,9 @@ class SplineRun:
 
     def finish(self, after: Jets | None) -> PathSegments | None:
         """
-        Return the remaining segments of the curve.
+        Return the rest of the curve; without jets of the path after it, the tool rests at its end.
 
-        Parameters
-        ----------
-        after : Jets or None
-            Jets of the path after the curve; None if the tool rests there.
-
-        Returns
-        -------
-        PathSegments or None
-            All segments that were not returned before.
-
-        Raises
-        ------
-        BlockError
-            If the curve has fewer than four control points or is not clamped at its end.
-
+        Raises BlockError if it has fewer than four control points or is not clamped at its end.
         """
         rows = self._rows_known()
         line = int(rows.line_number[-1])
@@ -252,7 +223,6 @@ class SplineRun:
         return absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
 
     def _rows_known(self) -> Blocks:
-        """Return the control points that are kept."""
         assert self._rows is not None
         return self._rows
 
@@ -281,20 +251,13 @@ class SplineRun:
         if end:
             block[-1, 1] = self._first_row + self._offset + len(rows) - 1
         return PathSegments(
-            kind=np.full(n, SPLINE),
-            bottom=bottom,
-            top=top,
+            kind=np.full(n, SPLINE), bottom=bottom, top=top,
             connection=np.concatenate([piece.connection for piece, _ in pieces]),
             parametrization=np.repeat(self._room.parametrization, n, axis=0),
-            axis=tool / norm(tool)[:, None],
-            rotation=np.zeros((n, 3)),
-            rotary=no_rotary(n),
-            length=np.full(n, np.nan),
-            feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
-            block=block,
-            line_number=rows.line_number[own],
-            stop=np.array([stop for _, stop in pieces]),
-            deviation=deviation,
+            axis=tool / norm(tool)[:, None], rotation=np.zeros((n, 3)), rotary=no_rotary(n),
+            length=np.full(n, np.nan), feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
+            block=block, line_number=rows.line_number[own],
+            stop=np.array([stop for _, stop in pieces]), deviation=deviation,
             extra=np.repeat(rows.extra[own, None], POINTS, axis=1),
             room=rows.orientation_tolerance[own] - deviation[:, 1],
-        )
+        )  # fmt: skip

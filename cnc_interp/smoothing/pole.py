@@ -1,12 +1,20 @@
 """
-Tool axes that lie beside the pole by rounding are put on it.
+What smoothing does near the pole: tool axes beside it are put on it, and room is left to pass it.
 
 CL data give tool axes with six to twelve digits. Beside the pole the last digit alone decides
 where the outer rotary axis stands, and from block to block it would turn half round for nothing.
-So a tool axis that is nearer to the pole than a small part of the tolerance becomes the pole. What
-this takes of the orientation tolerance, the blocks before and after it no longer have. Where the
-tool rests and where a native spline begins, it stands as programmed. So a block whose tool axis
-would be moved waits for the next one.
+So a tool axis that is nearer to the pole than a small part of the tolerance becomes the pole
+(``Upright``). What this takes of the orientation tolerance, the blocks before and after it no
+longer have. Where the tool rests and where a native spline begins, it stands as programmed. So a
+block whose tool axis would be moved waits for the next one.
+
+A path that passes beside the pole is moved through it (``kinematics/pole_passage.py``). Corners
+and curves leave a part of the orientation tolerance for that (``shares_near_pole``). With the
+distance d of the programmed path from the pole and a share c, both over the tolerance, a path
+passes the pole at most at ``d + g c``, and 1 - c is left. It can be moved onto the pole if
+``d + g c < 0.9 (1 - c)``; here it is at most ``0.8 (1 - c)``. A path that is farther away should
+not come nearer than that. The factor g is 1 for curves. A corner deviates less the farther it is
+from its vertex: at the part f of its leg by about ``(1 - f)^4`` of its largest deviation.
 """
 
 from __future__ import annotations
@@ -19,7 +27,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
-from cnc_interp.smoothing.orientation import cross, norm
+from cnc_interp.smoothing.orientation import cross, dot, norm
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM
@@ -39,18 +47,9 @@ class Upright:
         """
         Return blocks whose tool axes are on the pole where they were nearly.
 
-        Parameters
-        ----------
-        blocks : Blocks
-            The next rows of the program; the very first row is the start pose. It and exact
-            stops, rows that name rotary positions, rows whose rotary axes run linearly, control
-            points, and rows before a spline keep their tool axes.
-
-        Returns
-        -------
-        Blocks
-            Rows in the same order; the last one may come with the next call, or with ``finish``.
-
+        The last row may come with the next call. The start pose, exact stops, rows that name
+        rotary positions, rows whose rotary axes run linearly, control points, and rows before a
+        spline keep their tool axes.
         """
         if self._pole is None or not len(blocks):
             return blocks
@@ -90,3 +89,31 @@ class Upright:
             axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
             orientation_tolerance=blocks.orientation_tolerance - used,
         )
+
+
+#: Part of the tolerance that can move a path onto the pole [-].
+MOVED = 0.8
+#: Smallest share of corners and curves, and distance that a path keeps from the pole [-].
+LEAST, KEPT = 0.1, 0.7
+#: The deviation of a corner at f is at most this times ``(1 - f)^4`` of the largest [-].
+FADING = 1.4
+
+
+def shares_near_pole(
+    pole: FloatArray, axis: FloatArray, rotation: FloatArray, tolerance: FloatArray, corner: bool =
+    False,
+) -> FloatArray:  # fmt: skip
+    """Return what corners and curves may use of the orientation tolerance beside great circles."""
+    sense = np.where(axis @ pole < 0.0, -1.0, 1.0)
+    poles = sense[:, None] * pole
+    turn = norm(rotation)
+    normal = rotation / np.where(turn > 0.0, turn, 1.0)[:, None]
+    side = cross(normal, axis)
+    foot = np.clip(np.arctan2(dot(side, poles), dot(axis, poles)), 0.0, turn)
+    nearest = np.cos(foot)[:, None] * axis + np.sin(foot)[:, None] * side
+    distance = np.arctan2(norm(cross(nearest, poles)), dot(nearest, poles)) / tolerance
+    part = foot / np.where(turn > 0.0, turn, 1.0) if corner else np.zeros(len(foot))
+    fading = np.clip(FADING * (1.0 - part) ** 4, 1e-3, 1.0)
+    through = (MOVED - distance) / (fading + MOVED)
+    share = np.maximum(np.maximum(through, (distance - KEPT) / fading), LEAST)
+    return np.asarray(np.minimum(share, 1.0))

@@ -8,7 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
-from cnc_interp.feedrate.window import PlannedPiece
+from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate_along
 
 
@@ -34,31 +34,14 @@ class Interpolator:
         self._rest: Setpoints | None = None
 
     def parts(self, piece: PlannedPiece, most: int = 1 << 16) -> Iterator[Setpoints]:
-        """
-        Sample one piece in parts of at most so many samples; see ``push``.
-
-        A slow motion has many samples: 10 mm at F0.1 are six million.
-        """
+        """Sample a piece in parts: a slow motion has many samples, 10 mm at F0.1 six million."""
         while True:
             yield self.push(piece, most)
             if self.next_number >= self._end_of(piece):
                 return
 
     def push(self, piece: PlannedPiece, most: int | None = None) -> Setpoints:
-        """
-        Sample one piece, or its next part of at most ``most`` samples.
-
-        Parameters
-        ----------
-        piece : PlannedPiece
-            The piece that follows the one pushed before.
-
-        Returns
-        -------
-        Setpoints
-            The samples that lie in the piece, its end excluded; possibly none.
-
-        """
+        """Sample one piece, or its next ``most`` samples; its end is excluded."""
         law, path = piece.law, piece.path
         last = self._end_of(piece)
         last = last if most is None else min(last, self.next_number + most)
@@ -82,7 +65,6 @@ class Interpolator:
         )
 
     def _end_of(self, piece: PlannedPiece) -> int:
-        """Return the number of the first sample after a piece."""
         return int(np.ceil(piece.law.end_time / self.period - 1e-9))
 
     def finish(self) -> Setpoints:
@@ -95,10 +77,6 @@ class Interpolator:
         still: FloatArray = np.zeros((1, piece.path.cell_left.shape[2]))
         return Setpoints(
             time=np.array([self.next_number * self.period]),
-            position=piece.path.cell_right[0, -1:].copy(),
-            velocity=still,
-            acceleration=still,
-            jerk=still,
-            block=piece.path.cell_block[-1:].copy(),
-            s=piece.path.s[-1:].copy(),
-        )
+            position=piece.path.cell_right[0, -1:].copy(), velocity=still, acceleration=still,
+            jerk=still, block=piece.path.cell_block[-1:].copy(), s=piece.path.s[-1:].copy(),
+        )  # fmt: skip

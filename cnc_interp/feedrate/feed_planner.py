@@ -41,14 +41,12 @@ from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 
+#: Stopping distances that must lie between a committed state and the end of its plan [-].
 HORIZON = 3.0
-"""Stopping distances that must lie between a committed state and the end of its plan [-]."""
-
+#: Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-].
 SHORT, LEAST = 2e-4, 1 / 8
-"""Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-]."""
-
+#: Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only.
 SETTLE = 0.1
-"""Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only."""
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -127,12 +125,9 @@ class WindowScan:
         cells = slice(0, last)
         s = part.s[: last + 1]
         bounds = speed_bounds(
-            np.diff(s),
-            part.cell_left[:, cells],
-            part.cell_right[:, cells],
-            part.cell_feed[cells],
+            np.diff(s), part.cell_left[:, cells], part.cell_right[:, cells], part.cell_feed[cells],
             self.table,
-        )
+        )  # fmt: skip
         found = _window_end(s, bounds, self.ratio, self.most_cells, self.state)
         if found > 0:
             self.full = before + found
@@ -157,18 +152,16 @@ if TYPE_CHECKING:
 
 AT_REST = (0.0, 0.0)
 
+#: Largest number of path cells in a part that is handled as one.
 PART = 512
-"""Largest number of path cells in a part that is handled as one."""
 
 CONVERGED, DIVIDED, NOT_CONVERGED, OLDER = 'converged', 'divided', 'not converged', 'older plan'
+#: How the law of a committed piece was found. A divided window has one rest more.
 SOLVED_BY = (CONVERGED, DIVIDED, NOT_CONVERGED, OLDER)
-"""How the law of a committed piece was found. A divided window has one rest more."""
-
+#: Largest number of places at which a window is divided until its first part converges.
 MOST_RESTS = 8
-"""Largest number of places at which a window is divided until its first part converges."""
-
+#: Part of the horizon in which the next window keeps the cells of the older plan [-].
 KEPT_PART = 0.5
-"""Part of the horizon in which the next window keeps the cells of the older plan [-]."""
 
 
 @dataclass(frozen=True)
@@ -210,30 +203,14 @@ class FeedPlanner:
     """
     Plan the motion along a path that arrives in parts.
 
-    Parameters
-    ----------
-    limits : AxisLimits
-        Limits of the axes, for example a Machine.
-    options : PlanOptions, optional
-        Settings of the planner.
-    start : tuple of float, optional
-        s_dot and s_ddot at the start of the path [m/s, m/s2]; default is rest. The state must
-        belong to a law within the same limits and feeds, otherwise no law may exist.
-    time : float
-        Time at the start of the path [s].
-    tool : ToolLimit, optional
-        Limit on the error that the drives leave at the tool.
-
+    ``start`` has s_dot and s_ddot at the start of the path, else it begins at rest. The state must
+    belong to a law within the same limits and feeds, otherwise no law may exist.
     """
 
     def __init__(
-        self,
-        limits: AxisLimits,
-        options: PlanOptions | None = None,
-        start: tuple[float, float] = AT_REST,
-        time: float = 0.0,
-        tool: ToolLimit | None = None,
-    ):
+        self, limits: AxisLimits, options: PlanOptions | None = None, start: tuple[float, float] =
+        AT_REST, time: float = 0.0, tool: ToolLimit | None = None,
+    ):  # fmt: skip
         self.options = options or PlanOptions()
         self._table = limit_table(limits)
         self._parts: list[AxisPath] = []
@@ -251,25 +228,10 @@ class FeedPlanner:
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
         """
-        Add the next part of the path, and plan the windows that are now full.
+        Add the next part of the path; return the motion of the windows that are now full.
 
-        Parameters
-        ----------
-        path : AxisPath
-            It must begin at the grid point where the previous part ended.
-
-        Returns
-        -------
-        list of PlannedPiece
-            The motion committed by this call, in order; often empty. If the path cannot be
-            continued, the motion ends at rest before the faulty block. The next call raises.
-
-        Raises
-        ------
-        PlanningError
-            If the path is not finite or no law within its limits exists, and no committed motion
-            is left to return.
-
+        It is often empty. If the path cannot be continued, the motion ends at rest before the
+        faulty block; then the next call raises PlanningError.
         """
         self.refuse()
         bad = _unsound_cell(path)
@@ -289,18 +251,9 @@ class FeedPlanner:
 
     def finish(self) -> list[PlannedPiece]:
         """
-        Plan the rest of the path, down to rest at its end.
+        Plan the rest of the path, down to rest at its end; return the motion.
 
-        Returns
-        -------
-        list of PlannedPiece
-            The committed motion in order. The planner is then ready for another path.
-
-        Raises
-        ------
-        PlanningError
-            If no law within the limits exists and no committed motion is left to return.
-
+        Raises PlanningError if there is no law. The planner is then ready for another path.
         """
         self.refuse()
         pieces = self._plan_windows(finished=True)
@@ -492,38 +445,9 @@ class FeedPlanner:
 
 
 def plan_path(
-    path: AxisPath,
-    limits: AxisLimits,
-    options: PlanOptions | None = None,
-    start: tuple[float, float] = AT_REST,
-    tool: ToolLimit | None = None,
-) -> PlannedPiece:
-    """
-    Plan a complete path with a ``FeedPlanner``.
-
-    Parameters
-    ----------
-    path : AxisPath
-        The path, which may contain stops.
-    limits : AxisLimits
-        Limits of the axes, for example a Machine.
-    options : PlanOptions, optional
-        Settings of the planner.
-    start : tuple of float, optional
-        s_dot and s_ddot at the start of the path [m/s, m/s2]; default is rest.
-    tool : ToolLimit, optional
-        Limit on the error that the drives leave at the tool.
-
-    Returns
-    -------
-    PlannedPiece
-        The path on the grid of the planner, and the motion law along it.
-
-    Raises
-    ------
-    PlanningError
-        If no law within the limits exists.
-
-    """
+    path: AxisPath, limits: AxisLimits, options: PlanOptions | None = None,
+    start: tuple[float, float] = AT_REST, tool: ToolLimit | None = None,
+) -> PlannedPiece:  # fmt: skip
+    """Plan a complete path, which may contain stops; raises as ``FeedPlanner``."""
     planner = FeedPlanner(limits, options, start, tool=tool)
     return PlannedPiece.join(planner.push(path) + planner.finish())

@@ -15,6 +15,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
+from cnc_interp.machine.drive_kinds import CHOICE
 from cnc_interp.processes.this_host import variables_of_this_host
 
 NODES = ('lookahead_node', 'feedrate_node', 'machine_node', 'program_node')
@@ -28,11 +29,7 @@ ARGUMENTS = (
     ('namespace', '', 'Namespace of all nodes, topics, services and actions.'),
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('program_folder', '', 'Programs below this folder may be run by their path.'),
-    (
-        'drives',
-        'simulated',
-        "Drives: simulated, hal (LinuxCNC's HAL) or trajectory (ros2_control).",
-    ),
+    ('drives', 'simulated', f'Drives of the axes. {CHOICE}.'),
     ('setup', '', 'File in which offsets and tools of the machine are kept.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),

@@ -6,28 +6,13 @@ import argparse
 import difflib
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from cnc_interp.machine.drive_kinds import CHOICE, KINDS
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings
-
-Reader = Callable[[str], str]
-#: Kinds of drives; the parameters of machine_node that may follow them, and how each is read.
-LIMITS: dict[str, Reader] = {'following_error_limit': str, 'following_angle_limit': str}
-DRIVES: dict[str, dict[str, Reader]] = {
-    'simulated': {},
-    'hal': {'hal_depth': str, **LIMITS},
-    'trajectory': {
-        'controller': lambda name: f"'{name}'",
-        'controller_feedback': lambda name: f"'{name}'",
-        'controller_joints': lambda names: str(names.split()),
-        'controller_delay': str,
-        'controller_silence': str,
-        **LIMITS,
-    },
-}
 
 #: Exit codes: done, a failed run or an unproven plan, bad input.
 FINE, FAILED, BAD_INPUT = 0, 1, 2
@@ -110,8 +95,7 @@ def drives_option(added: argparse.ArgumentParser) -> None:
         type=drives,
         default={},
         metavar='KIND[,PARAMETER=VALUE ...]',
-        help="drives of the machine: simulated, hal (those in LinuxCNC's HAL) or trajectory (a "
-        'controller of ros2_control), with their parameters of machine_node (simulated)',
+        help=f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)',
     )
 
 
@@ -125,19 +109,18 @@ def drives(text: str) -> dict[str, str]:
     {'drives': 'trajectory', 'controller': "'/arm_controller'", 'controller_joints': "['a', 'b']"}
 
     """
-    kind, *pairs = text.split(',')
-    if kind not in DRIVES:
-        raise argparse.ArgumentTypeError(f'{kind!r} is unknown; choose {", ".join(DRIVES)}')
-    given = {'drives': kind}
+    name, *pairs = text.split(',')
+    if name not in KINDS:
+        raise argparse.ArgumentTypeError(f'{name!r} is unknown; choose {", ".join(KINDS)}')
+    known = {each.name: each for each in KINDS[name].parameters}
+    given = {'drives': name}
     for pair in pairs:
-        name, _, value = (part.strip() for part in pair.partition('='))
-        reader = DRIVES[kind].get(name)
-        if reader is None or not value or set(value) & set('\'"'):
-            known = ', '.join(DRIVES[kind]) or 'none'
+        key, _, value = (part.strip() for part in pair.partition('='))
+        if key not in known or not value or set(value) & set('\'"'):
             raise argparse.ArgumentTypeError(
-                f'{pair!r} is no parameter of {kind} drives ({known})'
+                f'{pair!r} is no parameter of {name} drives ({", ".join(known) or "none"})'
             )
-        given[name] = reader(value)
+        given[key] = known[key].value_text(value)
     return given
 
 

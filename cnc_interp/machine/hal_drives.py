@@ -177,9 +177,9 @@ CAUSES = {
 class HalOptions:
     """How drives in HAL are used."""
 
-    depth: int = 8  #: Setpoints that wait in HAL's FIFO.
-    following_error: float = 1.0 * MM  #: Largest following error of a linear axis [m].
-    following_angle: float = 1.0 * DEG  #: Largest following error of a rotary axis [rad].
+    depth: int  #: Setpoints that wait in HAL's FIFO.
+    following_error: float  #: Largest following error of a linear axis [m].
+    following_angle: float  #: Largest following error of a rotary axis [rad].
 
 
 class HalDrives:

@@ -90,10 +90,10 @@ class TrajectoryOptions:
     """How the controller is used."""
 
     #: Time from a setpoint in the cycle to its execution by the controller [s].
-    delay: float = 0.2
-    following_error: float = 1.0 * MM  #: Largest following error of a linear axis [m].
-    following_angle: float = 1.0 * DEG  #: Largest following error of a rotary axis [rad].
-    silence: float = 1.0  #: Silence of the controller after which its feedback counts as lost [s].
+    delay: float
+    following_error: float  #: Largest following error of a linear axis [m].
+    following_angle: float  #: Largest following error of a rotary axis [rad].
+    silence: float  #: Silence of the controller after which its feedback counts as lost [s].
 
 
 class TrajectoryDrives:

@@ -9,10 +9,11 @@ from cnc_interp_msgs.msg import Jog
 from rclpy.node import Node
 from sensor_msgs.msg import Joy
 
+from cnc_interp.machine.drive_kinds import Declared
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
-from cnc_interp.nodes.parameters import MACHINE, Declared
+from cnc_interp.nodes.parameters import MACHINE
 from cnc_interp.nodes.qos import BEATS
 
 #: Name by which the tool stands among the axes in the names of parameters.

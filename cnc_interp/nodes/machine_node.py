@@ -12,11 +12,11 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.machine.cycle import MachineClock
+from cnc_interp.machine.drive_kinds import drives_of
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.chosen_drives import chosen_drives
 from cnc_interp.nodes.controls import Controls, JogCommands, Overrides
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_machine
@@ -64,7 +64,7 @@ class MachineNode(LifecycleNode):
         # The other threads have the priority just below the clock, because a hold waits for them.
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
-        drives = chosen_drives(self, values, machine, self._period)
+        drives = drives_of(machine, self._period, values, self._link)
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
@@ -84,6 +84,11 @@ class MachineNode(LifecycleNode):
         )
         self._controls = Controls(self, self._playback, self._give_up, self._pace.wake)
         self.create_timer(CLOCK_PERIOD, self._report_clock)
+
+    def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:
+        from cnc_interp.nodes.controller_link import ControllerLink
+
+        return ControllerLink(self.get_namespace(), controller, feedback, joints)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         """Start the clock and switch the drives on."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -14,20 +13,10 @@ from rcl_interfaces.msg import (
 )
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.machine.drive_kinds import Declared, parameters_of_drives
 from cnc_interp.nodes.qos import DEPTH
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.settings.declaration import Choice, Stage, choices
-
-
-@dataclass(frozen=True)
-class Declared:
-    """A parameter with its default and range; all are fixed once the node has started."""
-
-    name: str
-    default: float | int | bool | str | list[str]
-    description: str
-    low: float | None = None
-    high: float | None = None
 
 
 def of_settings(*stages: Stage) -> tuple[Declared, ...]:
@@ -83,35 +72,7 @@ MACHINE_NODE = (
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
-    Declared('drives', 'simulated', 'Drives of the axes: simulated, hal or trajectory'),
-    Declared('hal_depth', 8, "Setpoints that wait in the FIFO of LinuxCNC's HAL", 2, 1000),
-    Declared(
-        'following_error_limit', 1e-3, 'Largest following error of linear axes [m]', 1e-6, 1.0
-    ),
-    Declared(
-        'following_angle_limit', 0.02, 'Largest following error of rotary axes [rad]', 1e-6, 7.0
-    ),
-    Declared('controller', '/joint_trajectory_controller', 'Controller of ros2_control: its name'),
-    Declared(
-        'controller_feedback',
-        '/joint_state_broadcaster/joint_states',
-        'Topic on which ros2_control reports the joints',
-    ),
-    Declared('controller_joints', [''], 'Joint of each axis; as the axes are named if empty'),
-    Declared(
-        'controller_delay',
-        0.2,
-        'Time from a setpoint to its execution by the controller [s]',
-        0.05,
-        2.0,
-    ),
-    Declared(
-        'controller_silence',
-        1.0,
-        'Silence of the controller that stops the machine [s]',
-        0.1,
-        60.0,
-    ),
+    *parameters_of_drives(),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
 )

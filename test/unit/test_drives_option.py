@@ -4,7 +4,8 @@ import argparse
 
 import pytest
 
-from cnc_interp.commands.options import DRIVES, drives
+from cnc_interp.commands.options import drives
+from cnc_interp.machine.drive_kinds import KINDS
 
 
 def test_drives_with_their_parameters():
@@ -27,5 +28,6 @@ def test_every_parameter_is_one_of_the_machine_node():
     pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
     from cnc_interp.nodes.parameters import MACHINE_NODE
 
-    known = {each.name for each in MACHINE_NODE}
-    assert {name for kind in DRIVES.values() for name in kind} <= known
+    known = [each.name for each in MACHINE_NODE]
+    assert len(set(known)) == len(known)
+    assert {each.name for kind in KINDS.values() for each in kind.parameters} < set(known)

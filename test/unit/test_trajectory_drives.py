@@ -10,20 +10,20 @@ from controller_model import SECOND, ControllerModel
 from test_drives_port import MACHINE, START, TARGET, T, chunks
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.machine.drive_kinds import joints_of
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.trajectory_drives import (
     JointReport,
     TrajectoryDrives,
     TrajectoryOptions,
 )
-from cnc_interp.nodes.chosen_drives import joints_of
 from cnc_interp.nodes.controller_link import joint_report, joint_trajectory
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 
 PERIOD = round(T * SECOND)
-OPTIONS = TrajectoryOptions(delay=0.1)
-LONG = TrajectoryOptions(delay=1.5)
+OPTIONS = TrajectoryOptions(0.1, 1e-3, 0.02, 1.0)
+LONG = TrajectoryOptions(1.5, 1e-3, 0.02, 1.0)
 JOINTS = ['C', 'A', 'Z', 'Y', 'X']  # of the controller, in an order of its own
 
 

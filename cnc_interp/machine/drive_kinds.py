@@ -1,0 +1,149 @@
+"""
+The kinds of drives: what each needs to be told, and how it is made.
+
+The parameters of machine_node and the option ``--drives`` come from this table. A new kind of
+drives is one more entry, and its class behind the port of ``drives.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from cnc_interp.core.errors import InterpError
+
+if TYPE_CHECKING:
+    from cnc_interp.machine.drives import Drives
+    from cnc_interp.machine.trajectory_drives import Controller
+    from cnc_interp.machine_model.machine import Machine
+
+Values = Mapping[str, Any]
+#: Opens the topics of a controller: its name, its feedback, the joint of each axis.
+Link = Callable[[str, str, list[str]], 'Controller']
+
+
+class Declared(NamedTuple):
+    """A parameter of a node with its default and range; fixed once the node has started."""
+
+    name: str
+    default: float | int | bool | str | list[str]
+    description: str
+    low: float | None = None
+    high: float | None = None
+
+    def value_text(self, text: str) -> str:
+        """Return a word of the command line as ROS reads a parameter."""
+        if isinstance(self.default, list):
+            return str(text.split())
+        return f"'{text}'" if isinstance(self.default, str) else text
+
+
+@dataclass(frozen=True)
+class DriveKind:
+    """A kind of drives."""
+
+    what: str  #: What the drives are, for people.
+    parameters: tuple[Declared, ...]  #: Parameters of machine_node that only such drives need.
+    make: Callable[[Machine, float, Values, Link], Drives]
+
+
+def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
+    from cnc_interp.drives.compensation import compensated_model
+    from cnc_interp.drives.learning import learnt_for
+    from cnc_interp.machine.compensated_drives import CompensatedDrives
+    from cnc_interp.machine.simulated_drives import SimulatedDrives
+
+    drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
+    model, learnt = values['compensation'], values['learnt']
+    motion = learnt_for(Path(learnt), values['machine'], model, period) if learnt else None
+    if not model:
+        return drives
+    return CompensatedDrives(drives, compensated_model(model, machine), period, motion)
+
+
+def _hal(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
+    from cnc_interp.machine.hal_drives import HalDrives, HalOptions
+
+    return HalDrives(machine, period, HalOptions(values['hal_depth'], *_limits(values)))
+
+
+def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> Drives:
+    from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions
+
+    options = TrajectoryOptions(
+        values['controller_delay'], *_limits(values), values['controller_silence']
+    )
+    joints = joints_of(values['controller_joints'], machine)
+    controller = link(values['controller'], values['controller_feedback'], joints)
+    return TrajectoryDrives(machine, period, options, controller)
+
+
+def _limits(values: Values) -> tuple[float, float]:
+    return values['following_error_limit'], values['following_angle_limit']
+
+
+LIMITS = (
+    Declared('following_error_limit', 1e-3, 'Largest following error of linear axes [m]', 1e-6, 1),
+    Declared('following_angle_limit', 0.02, 'The same of rotary axes [rad]', 1e-6, 7),
+)
+KINDS = {
+    'simulated': DriveKind('models of the machine file', (), _simulated),
+    'hal': DriveKind(
+        "those in LinuxCNC's HAL",
+        (Declared('hal_depth', 8, "Setpoints in the FIFO of LinuxCNC's HAL", 2, 1000), *LIMITS),
+        _hal,
+    ),
+    'trajectory': DriveKind(
+        'a controller of ros2_control',
+        (
+            Declared('controller', '/joint_trajectory_controller', 'Name of the controller'),
+            Declared('controller_feedback', '/joint_state_broadcaster/joint_states',
+                     'Topic on which ros2_control reports the joints'),
+            Declared('controller_joints', [''], 'Joint of each axis; if empty named as the axes'),
+            Declared('controller_delay', 0.2,
+                     'Time from a setpoint to its execution by the controller [s]', 0.05, 2),
+            Declared('controller_silence', 1.0,
+                     'Silence of the controller that stops the machine [s]', 0.1, 60),
+            *LIMITS,
+        ),
+        _trajectory,
+    ),
+}  # fmt: skip
+#: All kinds in words.
+CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())
+
+
+def parameters_of_drives() -> tuple[Declared, ...]:
+    """Return the parameter that names the kind, and those of all kinds."""
+    every = {each.name: each for kind in KINDS.values() for each in kind.parameters}
+    return Declared('drives', 'simulated', f'Drives of the axes. {CHOICE}'), *every.values()
+
+
+def drives_of(machine: Machine, period: float, values: Values, link: Link) -> Drives:
+    """Make the drives that the parameters of machine_node name."""
+    name = values['drives']
+    if name not in KINDS:
+        raise InterpError(f'drives: {name!r} is unknown; choose {", ".join(KINDS)}')
+    if name != 'simulated':
+        if values['compensation'] or values['learnt']:
+            text = 'are not compensated so far; leave compensation out'
+            raise InterpError(f'drives of {name} {text}')
+        if machine.homing.switches:
+            raise InterpError(
+                'the machine file has reference switches (homing), which only simulated drives '
+                'have; real drives must know their positions: remove homing from the machine file'
+            )
+    return KINDS[name].make(machine, period, values, link)
+
+
+def joints_of(names: list[str], machine: Machine) -> list[str]:
+    """Return the joint of each axis; without names, the axes' own names."""
+    given = [name for name in names if name]
+    if given and (len(set(given)) != len(given) or len(given) != len(machine.axis_names)):
+        axes = ' '.join(machine.axis_names)
+        raise InterpError(f'controller_joints: one joint for each of {axes} is needed')
+    return given or list(machine.axis_names)

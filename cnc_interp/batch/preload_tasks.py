@@ -7,7 +7,7 @@ Importing this module is its purpose: libraries and compiled kernels are in memo
 import gc
 
 from cnc_interp.batch.task import Model, Verdict
-from cnc_interp.batch.work import carry_out, tiny_task
+from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 

@@ -385,7 +385,7 @@ class IsoScallopOptions:
     stepover: float | None = None
     #: Tilt of a first pass with constant tilt. Without a stepover, the tilt that determines the
     #: distance of the planes [rad].
-    tilt: float = 5.0 * DEG
+    tilt: float = 3.0 * DEG
     tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)  #: Smallest and largest tilt [rad].
     yaw: float = 0.0  #: Yaw of all passes; the first guess if the yaw is the free angle [rad].
     freedom: Freedom = 'tilt'  #: The angle that determines the width.

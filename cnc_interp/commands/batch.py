@@ -65,7 +65,7 @@ def batch_command(options: argparse.Namespace) -> int:
     import json
 
     from cnc_interp.batch.batch_page import write_page
-    from cnc_interp.batch.run import Progress, Store, run_batch, workers_of
+    from cnc_interp.batch.batch_run import Progress, Store, run_batch, workers_of
     from cnc_interp.batch.table import write_tables
     from cnc_interp.batch.task import Jobs, Verdict
     from cnc_interp.core.progress_bar import ProgressBar
@@ -130,7 +130,7 @@ def add_cluster_command(commands: Any) -> None:
 
 def cluster_command(options: argparse.Namespace) -> int:
     """Be a part of a cluster until the process is interrupted."""
-    from cnc_interp.batch.run import dask_workers
+    from cnc_interp.batch.batch_run import dask_workers
     from cnc_interp.core.errors import InterpError
 
     if options.workers < (1 if options.join else 0):

@@ -186,7 +186,7 @@ LONGEST = 24.0 * HOUR
 
 def tile_workers(scheduler: str | None, workers: int) -> Any:
     """Return workers that have the kernel in memory, of a cluster or of this computer."""
+    from cnc_interp.batch.batch_run import workers_of
     from cnc_interp.batch.processes import TILES_PRELOADED
-    from cnc_interp.batch.run import workers_of
 
     return workers_of(scheduler, workers, None, LONGEST, TILES_PRELOADED)

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.convert.joins import Joins
-from cnc_interp.convert.splines import SplineMoves
+from cnc_interp.convert.native_joins import Joins, portions
+from cnc_interp.convert.native_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
@@ -29,10 +29,10 @@ from cnc_interp.program.writer import (
     gcode,
     siemens,
 )
-from cnc_interp.proof.programmed_splines import chords, portions
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import ROTATION
 
@@ -74,7 +74,7 @@ def convert(
     fit_tolerance : float
         Largest distance of cubic curves from the smooth path [m].
     slide : bool
-        Whether native curves are first joined by parametrization splines (``convert/joins.py``).
+        Whether native curves are first joined by parametrization splines (``convert/native_joins.py``).
 
     Raises
     ------
@@ -172,32 +172,38 @@ def with_chords(blocks: Blocks, height: float) -> Blocks:
     """
     Replace native splines by chords within a share of the contour tolerance.
 
-    Parameters
-    ----------
-    height : float
-        Flank height, at which the tool axis counts for the chords [m].
-
-    Returns
-    -------
-    Blocks
-        Linear blocks.
-
+    ``height`` is the flank height, at which the tool axis counts for the chords [m].
     """
-    if not blocks.on_spline.any():
-        return blocks
-    columns = blocks.columns() | {'line': blocks.line_number}
     parts = []
-    for first, last in portions(blocks.on_spline, blocks.exact_stop):
-        if blocks.on_spline[first]:
-            chord = CHORD_SHARE * float(blocks.contour_tolerance[first:last].min())
-            rows, _ = chords(columns, first, last, height, chord)
-            rows.pop('line')
-            waits = np.zeros(len(rows['tip']), dtype=np.int64)
-            waits[-1] = blocks.program_stop[last - 1]
-            parts.append(Blocks(**rows | {'program_stop': waits}))
-        else:
-            parts.append(blocks[first:last])
+    for first, last in portions(blocks):
+        rows = blocks[first:last]
+        parts.append(_chords(rows, height) if rows.on_spline[0] else rows)
     return Blocks.concatenate(parts)
+
+
+def _chords(rows: Blocks, height: float) -> Blocks:
+    """Return the chords of one curve, given its control points."""
+    portion = Portion(rows.tip, rows.top, rows.knot_interval)
+    curve, spans = portion.curve, np.flatnonzero(rows.knot_interval)
+
+    def poses(span: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        row = spans[span]
+        both = curve(portion.knots[row + 2] + u * rows.knot_interval[row])
+        tool = both[:, 3:] - both[:, :3]
+        return both[:, :3], tool / norm(tool)[:, None]
+
+    allowed = np.full(len(spans), CHORD_SHARE * float(rows.contour_tolerance.min()))
+    turned = np.full(len(spans), np.pi / 4.0)  # several pieces for the first trial
+    counts = piece_counts(poses, turned, allowed, allowed / height)
+    span, piece = ragged(counts)
+    columns = {name: values[spans[span]] for name, values in rows.columns().items()}
+    columns['tip'], columns['axis'] = poses(span, (piece + 1.0) / counts[span])
+    columns['top'] = np.full((len(span), 3), np.nan)
+    columns['knot_interval'] = np.full(len(span), np.nan)
+    last = np.arange(len(span)) == len(span) - 1
+    columns['exact_stop'] = last & rows.exact_stop[-1]
+    columns['program_stop'] = np.where(last, rows.program_stop[-1], GO_ON)
+    return Blocks(**columns)
 
 
 def _gcode(blocks: Blocks, transform: Transform) -> Converted:

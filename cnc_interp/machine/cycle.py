@@ -26,6 +26,7 @@ from cnc_interp.core.native import publish
 from cnc_interp.machine.cycle_kernels import (
     CHUNK,
     COLUMNS,
+    COUNT,
     FIRST,
     FORGET,
     HALT,
@@ -38,6 +39,7 @@ from cnc_interp.machine.cycle_kernels import (
     RECORDED,
     REST,
     RESTS,
+    ROW,
     SERIAL,
     SOURCE,
     START,
@@ -52,6 +54,8 @@ from cnc_interp.run.chunk import Chunk
 
 #: Time for which records are kept until they are read [s]; longer than any buffer and stop tail.
 KEPT = 10.0
+#: A clock that is late by more stands [s]; no service of the operator waits longer for it.
+STANDS = 0.5
 
 
 class Records(NamedTuple):
@@ -158,15 +162,27 @@ class Cycle:
         """
         Let one chunk come after another, in place of those between; False where it is too late.
 
-        The cycle reads the link when it leaves a chunk. It is certain to take the new one where it
-        had not begun the chunk after the link was written.
+        The cycle reads the link when it leaves the last row of a chunk. Where it is there just
+        after the link was written, only its next period tells which link it took. A clock that
+        does not come to its next period stands: then the drives get no further setpoint.
+
+        Raises
+        ------
+        StreamError
+            If the clock stands.
+
         """
         control = self._control
         if control[SOURCE] != REST and control[SERIAL] >= after:
             return False
         self.link(after, serial)
-        while control[SOURCE] == CHUNK and control[SERIAL] == after:
-            time.sleep(1e-9 * self._period)  # it began that chunk meanwhile: see what it took
+        last = self._memory.chunks[after % len(self._memory.chunks)][COUNT] - 1
+        deadline = time.monotonic() + STANDS
+        while control[SOURCE] == CHUNK and control[SERIAL] == after and control[ROW] >= last:
+            if time.monotonic() > deadline:
+                self.halt()
+                raise StreamError('the clock of the machine stands; activate machine_node again')
+            time.sleep(1e-9 * self._period)
         return bool(control[SOURCE] == REST or not after < control[SERIAL] < serial)
 
     def start(self, serial: int) -> None:

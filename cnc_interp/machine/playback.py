@@ -78,7 +78,7 @@ class Executed(NamedTuple):
     ends: bool
 
 
-class Place(NamedTuple):
+class Reached(NamedTuple):
     """Where a setpoint lies in the program: block, source line and path length [m]."""
 
     block: int
@@ -212,7 +212,7 @@ class Playback:
         """Reset everything that is counted through a run."""
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
-        self.last: Place | None = None
+        self.last: Reached | None = None
         #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
         self.away: FloatArray = np.zeros(0)
         self._empty()
@@ -601,7 +601,7 @@ class Playback:
         if not len(self.away):
             if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
                 self.least_buffered = min(self.least_buffered, self.buffer.count + left)
-            self.last = Place(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+            self.last = Reached(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
         at_end = not on_tail and not left
         ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
         actual = self.feedback.position

@@ -16,8 +16,8 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
 from cnc_interp.batch.batch_page import write_page
+from cnc_interp.batch.batch_run import Progress, Store, run_batch
 from cnc_interp.batch.processes import Processes, total_memory
-from cnc_interp.batch.run import Progress, Store, run_batch
 from cnc_interp.batch.table import write_tables
 from cnc_interp.batch.task import Jobs, Verdict
 from cnc_interp.core.errors import InterpError

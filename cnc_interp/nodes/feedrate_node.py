@@ -40,7 +40,7 @@ from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
-from cnc_interp.wire.machine_report import machine_report
+from cnc_interp.wire.machine_state import machine_report
 from cnc_interp.wire.message_checks import check_segment
 from cnc_interp.wire.path_messages import segments_from
 from cnc_interp.wire.run_messages import run_id_of

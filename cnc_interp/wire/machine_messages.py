@@ -13,7 +13,7 @@ from cnc_interp.machine.axis_motion import Recording
 from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.wire.machine_report import NUMBERS
+from cnc_interp.wire.machine_state import NUMBERS
 from cnc_interp.wire.path_messages import packed
 
 

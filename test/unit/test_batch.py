@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from cnc_interp.batch import processes
+from cnc_interp.batch.batch_run import Store, run_batch
 from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
-from cnc_interp.batch.run import Store, run_batch
 from cnc_interp.batch.task import Jobs, Outcome, Row, Task, Verdict, programs_of
-from cnc_interp.batch.work import carry_out, tiny_task
+from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
@@ -259,7 +259,7 @@ def test_faults_of_a_program_are_its_row(monkeypatch, programs):
         raise ZeroDivisionError('no')
 
     job = next(iter(Jobs([programs / 'line 0.ngc'], ['xyzac'], Settings())))
-    monkeypatch.setattr('cnc_interp.batch.work.plan_to_files', crash)
+    monkeypatch.setattr('cnc_interp.batch.task_work.plan_to_files', crash)
     row = carry_out(tiny_task(job.model)).row
     assert row.verdict is Verdict.CRASHED
     assert row.message.startswith('ZeroDivisionError in test_batch.py:')
@@ -274,7 +274,7 @@ def test_a_worker_has_no_more_memory_than_it_may(programs):
 
 def eat(task: Task) -> Outcome:
     """A task that asks for more memory than its worker has."""
-    from cnc_interp.batch import work
+    from cnc_interp.batch import task_work as work
 
     work.plan_to_files = greedy_plan
     return work.carry_out(task)

@@ -158,7 +158,7 @@ def test_all_passes_cover_the_surface_and_share_their_scallops():
 
 
 def test_constant_tilt_on_a_plane_alternates_for_ever():
-    options = IsoScallopOptions(stepover=2.5 * MM, start='tilt', stray=None)
+    options = IsoScallopOptions(stepover=2.5 * MM, tilt=5 * DEG, start='tilt', stray=None)
     paths = iso_scallop_paths(Plane((0.03, 0.02)), MILL, Y, options)
     tilts = [float(np.median(p.postures.tilt)) / DEG for p in paths.passes]
     np.testing.assert_allclose(tilts[0::2], 5.0, rtol=1e-3)

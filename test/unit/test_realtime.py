@@ -2,14 +2,19 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numba import carray, cfunc, types
 
+from cnc_interp.core.errors import StreamError
 from cnc_interp.core.native import pointer, time_now
 from cnc_interp.machine.cycle import Cycle
+from cnc_interp.machine.cycle_kernels import REST, SOURCE
 from cnc_interp.machine.realtime import CLASS, CLASSES, RECORD, Lateness, note_lateness
+from cnc_interp.nodes.kernel_warmup import resting_chunk
+from cnc_interp.run.chunk import Wait
 
 NANO = 1e-9
 
@@ -67,3 +72,31 @@ def test_a_clock_that_is_held_up_catches_up_and_counts_that_apart():
     assert lateness.largest >= 4e-3, 'it was held up while it ran, not while it slept'
     # No period is lost: catching up, it executes as many as time has passed.
     assert lateness.count + lateness.caught_up >= 0.9 * elapsed / 1e-3
+
+
+class StandingClock(Cycle):
+    """A cycle that plays some periods just after a plan has joined."""
+
+    def link(self, after, serial):
+        super().link(after, serial)
+        for _ in range(self.periods):
+            self.step()
+
+
+@pytest.mark.parametrize(('periods', 'stands'), [(4, False), (6, False), (7, True)])
+def test_a_plan_that_joins_does_not_wait_for_ever_for_a_clock_that_stands(periods, stands):
+    travel = np.array([[-1.0, 1.0]])
+    cycle = StandingClock(1e-3, travel, np.ones(1), 4, hesitate.address, np.zeros(1))
+    cycle.periods, chunk = 0, replace(resting_chunk(np.zeros(1), 1e-3), wait=Wait.NOTHING)
+    first, second, joins = (cycle.push(chunk) for _ in range(3))
+    cycle.link(first, second)
+    cycle.start(first)
+    cycle.step()
+    cycle.periods = periods  # until the first setpoint of the second chunk, its third, its last
+    if not stands:
+        assert cycle.relink(second, joins)
+        return
+    with pytest.raises(StreamError, match='clock of the machine stands'):
+        cycle.relink(second, joins)
+    cycle.step()
+    assert cycle._control[SOURCE] == REST

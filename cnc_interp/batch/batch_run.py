@@ -11,7 +11,7 @@ from typing import Protocol
 
 from cnc_interp.batch.processes import PRELOADED, Ended, Loss, Processes, total_memory
 from cnc_interp.batch.task import Job, Jobs, Outcome, Row, Task, Verdict
-from cnc_interp.batch.work import carry_out
+from cnc_interp.batch.task_work import carry_out
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 

@@ -8,6 +8,7 @@ it continues the line or curve beside it. ``smoothing/native/linking.py`` has th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from cnc_interp.core.arrays import IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.proof.programmed_splines import portions
 from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.native.joining import Jets, joins_gently, line_between, same_jets
 from cnc_interp.smoothing.native.linking import Linked, linked
@@ -23,6 +23,13 @@ from cnc_interp.smoothing.orientation import norm
 
 #: Points at which the slide of the tool axis is measured.
 PROBES = 501
+
+
+def portions(blocks: Blocks) -> list[tuple[int, int]]:
+    """Return first row and last row (exclusive) of each native curve and of the lines between."""
+    spline = blocks.on_spline
+    changes = (spline[1:] != spline[:-1]) | (spline & blocks.exact_stop)[:-1]
+    return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(blocks)]))
 
 
 @dataclass
@@ -40,7 +47,7 @@ class Joins:
     def joined(self, blocks: Blocks) -> Blocks:
         """Return blocks in which every curve continues its neighbours."""
         parts = []
-        for first, last in portions(blocks.on_spline, blocks.exact_stop):
+        for first, last in portions(blocks):
             rows = blocks[first:last]
             parts.append(self._curve(blocks, first, last) if blocks.on_spline[first] else rows)
         return Blocks.concatenate(parts)

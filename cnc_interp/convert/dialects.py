@@ -74,7 +74,7 @@ def convert(
     fit_tolerance : float
         Largest distance of cubic curves from the smooth path [m].
     slide : bool
-        Whether native curves are first joined by parametrization splines (``convert/native_joins.py``).
+        Whether native curves are first joined by parametrization splines (``native_joins.py``).
 
     Raises
     ------

@@ -161,9 +161,9 @@ class RecordedRun:
         return 1
 
 
-def recorded_run(bag: Bag) -> RecordedRun:
+def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     """
-    Find the last run in a bag in which the machine moved.
+    Find a run in a bag by its id, or the last one in which the machine moved.
 
     Raises
     ------
@@ -174,6 +174,8 @@ def recorded_run(bag: Bag) -> RecordedRun:
     executed = bag.spooled('executed_setpoints')
     if not executed:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
+    if program_id:
+        executed = executed.where(lambda message: message.program_id == program_id)
     last = run_id_of(executed[-1])
     names = {m.program_id: m.name for m in bag.messages('loaded_program')}
     tables: dict[str, str] = {}

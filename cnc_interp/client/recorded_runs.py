@@ -25,7 +25,12 @@ def run_recorded(
     children: Children,
     started: float,
 ) -> list[RunResult]:
-    """Run programs, record them where that is asked for, and write the plan files of ``out``."""
+    """
+    Run programs, record them where that is asked for, and write the plan files of ``out``.
+
+    A limit of the error at the tool is judged by the executed setpoints, so they are recorded.
+    """
+    judged = request.settings.tool_error is not None
     with bag_folder(request) as folder:
         with ExitStack() as records:
             recorder = None
@@ -35,16 +40,29 @@ def run_recorded(
                 records.callback(recorder.finish, client)
             with RunConsole(client, children, request, recorder) as console:
                 results = console.run(machine, started)
-        if request.out is not None and folder is not None and results[0].ok:
+        if folder is not None and (request.out is not None or judged):
             with Bag(folder) as bag:
-                run = replace(recorded_run(bag), name=results[0].program)
-            write_run(run, machine, request.out)
+                results = [written(bag, result, machine, request.out) for result in results]
     return results
+
+
+def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> RunResult:
+    """Write the plan files of a run that has ended well; return its result with their figures."""
+    if not result.ok:
+        return result
+    run = replace(recorded_run(bag, result.program_id), name=result.program)
+    with TemporaryDirectory(prefix='cnc_interp_') as folder:
+        summary = write_run(run, machine, out or Path(folder))
+    return replace(result, tool_error=summary['tool_error'], flank_height=summary['flank_height'])
 
 
 @contextmanager
 def bag_folder(request: RunRequest) -> Iterator[Path | None]:
-    """Yield the bag of a run: as asked for, or one for the plan files alone, or none."""
+    """Yield the bag of a run: as asked for, or one for what is computed of it, or none."""
+    if request.record is None and request.out is None and request.settings.tool_error is not None:
+        with TemporaryDirectory(prefix='cnc_interp_') as folder:
+            yield Path(folder) / 'bag'
+        return
     if request.record is not None or request.out is None:
         yield request.record
         return

@@ -20,10 +20,12 @@ from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.session import RunRequest, RunResult
+from cnc_interp.command_options import tell
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
+from cnc_interp.program.notices import warnings_of
 from cnc_interp.wire.settings_messages import goal_of
 
 Result = RunProgram.Result
@@ -64,6 +66,7 @@ class RunConsole:
         self._restarted = False  # a node, and the run has not gone on since
         self._forgotten = False  # the programs, because program_node was killed
         self._stop_told = False
+        self._warned = ''  # the run whose warnings were told last
         self._pressed: Future[Answer] | None = None  # cycle_start after a restart
         self._passed: Future[Answer] | None = None  # cycle_start after a program stop
         self._previous = {
@@ -193,6 +196,7 @@ class RunConsole:
                     file=sys.stderr,
                 )
             self._see_motion()
+            self._tell_warnings()
             self._bring_back_lost_nodes()
             self._pass_program_stop()
             self._show_progress(sent)
@@ -204,9 +208,16 @@ class RunConsole:
         if result is None:
             return self._forgotten_result()
         if not self._request.quiet:
-            for notice in result.notices:
-                print(f'note: {notice}', file=sys.stderr)
+            told = warnings_of(result.notices)
+            tell([notice for notice in result.notices if notice not in told])
         return result
+
+    def _tell_warnings(self) -> None:
+        """Tell what somebody must do before the tool cuts."""
+        program = self._client.program
+        if program is not None and program.program_id != self._warned:
+            self._warned = program.program_id
+            tell(warnings_of(program.start_notes))
 
     def _show_progress(self, sent: SentProgram) -> None:
         """Show the progress of the program's check, then that of its motion."""

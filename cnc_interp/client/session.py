@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from cnc_interp.core.differences import excesses
+from cnc_interp.core.differences import excesses, tool_error_text
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
@@ -115,6 +115,10 @@ class RunResult:
     #: Where the axes stand at the end [m, rad].
     position: dict[str, float] = field(default_factory=dict)
     notices: tuple[str, ...] = ()  #: What of the program had no effect or was simplified.
+    #: Where it is limited: errors that the drives of the machine file leave at the tool, ``tip``
+    #: and ``axis``, and their ``limit`` [m]; the flank height at which the axis is measured [m].
+    tool_error: dict[str, float] | None = None
+    flank_height: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return all fields for machines to read; NaN becomes None."""
@@ -140,6 +144,8 @@ class RunResult:
             use = getattr(self, f'{name}_use')
             values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
             lines.append(f'{name:<15}{values}')
+        if self.tool_error:
+            lines.append(tool_error_text(self.tool_error, self.flank_height))
         if self.excesses:
             lines.append(f'NOT proven     {"; ".join(self.excesses)}')
         elif self.ok:
@@ -150,8 +156,10 @@ class RunResult:
     @property
     def excesses(self) -> list[str]:
         """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
-        kinds = ('velocity', 'acceleration', 'jerk')
-        return excesses({kind: getattr(self, f'{kind}_use') for kind in kinds}, {})
+        uses = {
+            kind: getattr(self, f'{kind}_use') for kind in ('velocity', 'acceleration', 'jerk')
+        }
+        return excesses(uses, {}, self.tool_error)
 
 
 def underruns(count: int) -> str:

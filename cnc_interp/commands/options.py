@@ -171,6 +171,13 @@ def count(text: str) -> int:
 
 
 def tell(notices: Sequence[str]) -> None:
-    """Print what the reader noticed."""
+    """Print what the reader noticed; warnings last, in red where there is a terminal."""
+    from cnc_interp.program.notices import warnings_of
+
+    warnings = warnings_of(notices)
     for notice in notices:
-        print(f'note: {notice}', file=sys.stderr)
+        if notice not in warnings:
+            print(f'note: {notice}', file=sys.stderr)
+    for warning in warnings:
+        red = '\033[1;31m{}\033[0m' if sys.stderr.isatty() else '{}'
+        print(red.format(warning), file=sys.stderr)

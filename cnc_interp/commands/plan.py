@@ -103,21 +103,14 @@ def machine_of(options: argparse.Namespace) -> Machine:
 
 def excesses_of(summary: dict[str, Any]) -> list[str]:
     """Name the limits and tolerances that a plan exceeds."""
-    from cnc_interp.core.differences import ROUNDING, excesses
+    from cnc_interp.core.differences import excesses
 
-    found = excesses(summary['largest_use'], summary['tolerance_used'])
-    if error := summary['tool_error']:
-        share = max(error['tip'], error['axis']) / error['limit']
-        if not share <= ROUNDING:
-            found.append(
-                f'error at the tool {share:.2%}: friction and backlash may need more than '
-                f'{error["limit"] / MM:g} mm at any speed; raise --tool-error, or --compensate'
-            )
-    return found
+    return excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])
 
 
 def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
+    from cnc_interp.core.differences import tool_error_text
     from cnc_interp.run.plan_figures import bound_text, windows_text
 
     notes = summary['start']['notes'] if summary['start'] else []
@@ -144,10 +137,7 @@ def describe(summary: dict[str, Any]) -> str:
         f'{height:g} mm; {used["contour"]:.0%} and {used["orientation"]:.0%} of the tolerances'
     )
     if error := summary['tool_error']:
-        lines.append(
-            f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
-            f'{height:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'
-        )
+        lines.append(tool_error_text(error, summary['flank_height']))
     if curves['blocks']:
         lines.append(
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '

@@ -9,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, largest_between
+from cnc_interp.core.units import MM
 
 #: Setpoints that must be known before the first one whose differences are taken.
 BEFORE = 3
@@ -71,9 +72,28 @@ def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> Fl
 
 
 def excesses(
-    uses: Mapping[str, Mapping[str, float]], tolerances: Mapping[str, float]
+    uses: Mapping[str, Mapping[str, float]],
+    tolerances: Mapping[str, float],
+    tool_error: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """Name limits and tolerances whose largest shares exceed 1 by more than rounding."""
+    """Name limits and tolerances, and a limited error at the tool, that are exceeded."""
     shares = [(f'{kind} of {axis}', use) for kind, of in uses.items() for axis, use in of.items()]
     shares += [(f'{kind} tolerance', use) for kind, use in tolerances.items()]
-    return [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]
+    found = [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]
+    if tool_error:
+        limit = tool_error['limit']
+        share = max(tool_error['tip'], tool_error['axis']) / limit
+        if not share <= ROUNDING:
+            found.append(
+                f'error at the tool {share:.2%}: friction and backlash may need more than '
+                f'{limit / MM:g} mm at any speed; raise --tool-error, or --compensate'
+            )
+    return found
+
+
+def tool_error_text(error: Mapping[str, float], height: float) -> str:
+    """Return the largest errors at the tool in words; the height is that of the flank [m]."""
+    return (
+        f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
+        f'{height / MM:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'
+    )

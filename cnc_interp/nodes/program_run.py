@@ -16,6 +16,7 @@ from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.program import JobSetup
+from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import NO_RUN, RunId
@@ -255,7 +256,8 @@ class ProgramRun:
             message.start_line, message.start_pass = start.block.line, start.block.which
             message.start_at = start.s
             message.start_positions = start.position.tolist()
-            message.start_notes = list(start.texts)
+        warnings = warnings_of(program.notices)
+        message.start_notes = [*warnings, *(start.texts if start is not None else ())]
         message.mdi = program.line is not None
         return message
 

@@ -26,6 +26,7 @@ from cnc_interp.page.preview import Planner, Preview
 from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, Way, WayAhead
 from cnc_interp.program.job import WORK_OFFSETS
+from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
@@ -308,8 +309,9 @@ class Desk:
         self._drawn = plan.s[drawn]
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
+        warnings = warnings_of(plan.notices)
         for notice in plan.notices:
-            self.nodes.alarms.add('notice', job.name, notice)
+            self.nodes.alarms.add('error' if notice in warnings else 'notice', job.name, notice)
 
     def check(self) -> Answer:
         """Prove the plan of the loaded program."""

@@ -25,6 +25,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.compile_time import COMPILING
 from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.temporary_folder import TemporaryFolder
+from cnc_interp.program.notices import WARNING
 from cnc_interp.run.plan_figures import bound_text
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words
@@ -33,6 +34,8 @@ from cnc_interp.settings.command_line import command_words
 DRAWN = 20000
 #: A line of progress of a command.
 PROGRESS = re.compile(r'\w+ \d+%.*')
+#: A line about the program.
+NOTE = re.compile(r'note: |line \d+: .*' + WARNING)
 #: Niceness of the planning process: lower priority than the nodes.
 NICENESS = 5
 
@@ -173,7 +176,7 @@ class Planner:
             settings = replace(settings, setup=file)
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
         _, said = await self._run([*words, *command_words(settings)], see_progress)
-        notes = [line.removeprefix('note: ') for line in said if line.startswith('note: ')]
+        notes = [line.removeprefix('note: ') for line in said if NOTE.match(line)]
         # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
 

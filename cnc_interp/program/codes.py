@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import job
+from cnc_interp.program.notices import WARNING
 
 # Codes of one modal group set the same attribute, so two of them in one block contradict.
 SETTINGS: dict[str, tuple[str, object]] = {
@@ -53,7 +54,7 @@ CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
 
 _OFF = 'nothing to switch off'
 #: What a start of the spindle is told as, because the tool moves all the same.
-NO_SPINDLE = 'WARNING: the spindle is NOT started; start it by hand before the tool cuts'
+NO_SPINDLE = f'{WARNING}the spindle is NOT started; start it by hand before the tool cuts'
 HARMLESS_G: dict[str, str] = {
     'G15': _OFF,
     'G50': _OFF,

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cnc_interp.core.errors import ProgramError, RefusedLinesError
+
+#: How a notice of something begins that somebody must do before the tool cuts.
+WARNING = 'WARNING: '
+
+
+def warnings_of(notices: Iterable[str]) -> list[str]:
+    """Return the notices that warn."""
+    return [notice for notice in notices if WARNING in notice]
 
 
 class Notices:

@@ -1,5 +1,8 @@
 """A program over ROS on tired drives, with and without compensation."""
 
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.command_options import FAILED
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.drives.tool_error import tool_error
@@ -46,3 +50,19 @@ def test_a_limit_on_the_error_at_the_tool_holds_for_what_was_executed(tmp_path):
     rows = np.load(out / 'setpoints.npz')
     error = tool_error(Machine.load('xyzac_tired'), 1e-3, rows['position'], rows['velocity'])
     assert 0.9 * largest < error.tip.max() <= 1.001 * largest
+
+
+def test_the_run_and_its_plan_have_one_verdict(tmp_path):
+    """Friction and backlash need more than this at any speed; the machine stands at the start."""
+    program = tmp_path / 'part.ngc'
+    program.write_text('G21 G90 G94\nG0 X-40 Y69.85 Z-140\nG1 X-38 F600\nY71\nX-40\nM30\n')
+    words = [str(program), '--machine', 'xyzac_tired', '--tool-error', '0.02']
+    verdicts = []
+    for command in (['plan', *words, '--out', str(tmp_path / 'plan')], ['run', *words]):
+        done = subprocess.run(
+            [sys.executable, '-m', 'cnc_interp', *command], capture_output=True, text=True,
+            stdin=subprocess.DEVNULL, check=False,
+        )  # fmt: skip
+        assert done.returncode == FAILED, done.stderr
+        verdicts.append(re.findall(r'^(?:tool error|NOT proven).*', done.stdout, re.M))
+    assert verdicts[0] == verdicts[1] and len(verdicts[0]) == 2

@@ -19,7 +19,7 @@ from test_leftovers import family
 
 from cnc_interp.client.operator_client import OperatorClient
 
-PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z0\nG1 X5 F3000\nX8\nM0\nX10\nM30\n'
+PROGRAM = 'G21 G90 G94 M3 S1000\nG0 X0 Y0 Z0\nG1 X5 F3000\nX8\nM0\nX10\nM30\n'
 #: How long nothing may happen [s].
 A_WHILE = 3.0
 
@@ -62,6 +62,8 @@ def waits(client, reason):
 def test_without_a_terminal_it_waits_for_cycle_start(program):
     run = start(program, '--from-line', '4')
     try:
+        # before anything moves, and not as a note among others
+        assert any(line.startswith('line 1: M3: WARNING: ') for line in run.stderr)
         with OperatorClient('operator', *place_told(run)) as client:
             waits(client, MachineState.REASON_APPROACH)
             assert client.granted(client.trigger('cycle_start')).ok

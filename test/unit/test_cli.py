@@ -15,6 +15,7 @@ from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
+from cnc_interp.program.codes import NO_SPINDLE
 from cnc_interp.run import chain
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import PlanWriter
@@ -187,6 +188,17 @@ def test_a_file_in_the_place_of_a_folder_is_named(tmp_path, capsys):
         assert capsys.readouterr().err == (
             f'cnc-interp: {out}: a file stands where a folder must be; name another folder\n'
         )
+
+
+def test_a_spindle_that_does_not_turn_is_a_warning(tmp_path, capsys):
+    for name, text in (
+        ('a.ngc', 'G21 M3 S900\nG1 X1 F9\nX0\n'),
+        ('a.apt', 'SPINDL/RPM,900,CLW\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nGOTO/0,0,0\nFINI\n'),
+    ):
+        (tmp_path / name).write_text(text)
+        main(['plan', str(tmp_path / name), '--out', str(tmp_path / 'plan')])
+        said = capsys.readouterr().err.splitlines()
+        assert said[-1].endswith(NO_SPINDLE) and not said[-1].startswith('note')
 
 
 def test_a_tolerance_that_does_not_count_is_told(tmp_path, capsys):

@@ -20,12 +20,11 @@ from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.session import RunRequest, RunResult
-from cnc_interp.command_options import tell
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
-from cnc_interp.program.notices import warnings_of
+from cnc_interp.program.notices import tell, warnings_of
 from cnc_interp.wire.settings_messages import goal_of
 
 Result = RunProgram.Result

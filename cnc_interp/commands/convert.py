@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FINE, command, number, program_options, tell
+from cnc_interp.commands.options import FINE, command, number, program_options
 from cnc_interp.core.units import MM
 from cnc_interp.settings.command_line import settings_from
 
@@ -38,6 +38,7 @@ def convert_command(options: argparse.Namespace) -> int:
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import read_program
+    from cnc_interp.program.notices import tell
 
     machine = Machine.load(options.machine)
     settings = settings_from(options)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -168,16 +166,3 @@ def count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f'must be a whole number, 1 or more, not {text!r}')
     return value
-
-
-def tell(notices: Sequence[str]) -> None:
-    """Print what the reader noticed; warnings last, in red where there is a terminal."""
-    from cnc_interp.program.notices import warnings_of
-
-    warnings = warnings_of(notices)
-    for notice in notices:
-        if notice not in warnings:
-            print(f'note: {notice}', file=sys.stderr)
-    for warning in warnings:
-        red = '\033[1;31m{}\033[0m' if sys.stderr.isatty() else '{}'
-        print(red.format(warning), file=sys.stderr)

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.options import FAILED, FINE, command, count, program_options, tell
+from cnc_interp.commands.options import FAILED, FINE, command, count, program_options
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
@@ -58,6 +58,7 @@ def plan_command(options: argparse.Namespace) -> int:
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import open_program
+    from cnc_interp.program.notices import tell
     from cnc_interp.run.chain import plan_to_files
 
     machine = machine_of(options)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Sequence
 
 from cnc_interp.core.errors import ProgramError, RefusedLinesError
 
@@ -13,6 +14,17 @@ WARNING = 'WARNING: '
 def warnings_of(notices: Iterable[str]) -> list[str]:
     """Return the notices that warn."""
     return [notice for notice in notices if WARNING in notice]
+
+
+def tell(notices: Sequence[str]) -> None:
+    """Print what the reader noticed; warnings last, in red where there is a terminal."""
+    warnings = warnings_of(notices)
+    for notice in notices:
+        if notice not in warnings:
+            print(f'note: {notice}', file=sys.stderr)
+    for warning in warnings:
+        red = '\033[1;31m{}\033[0m' if sys.stderr.isatty() else '{}'
+        print(red.format(warning), file=sys.stderr)
 
 
 class Notices:

@@ -16,12 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import INCH, MM
 
 #: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
-#: Allowed difference of the radii at start and end: least [m], part of the radius [-], most [m].
-RADIUS_ERROR, RADIUS_SHARE, RADIUS_MOST = 0.0127 * MM, 1e-3, 0.5 * MM
+#: Allowed difference of the radii at start and end: part of the radius [-], and least and most of
+#: it [m], by unit, as LinuxCNC takes it. A chord may be longer than its diameter by the shortage.
+RADIUS_SHARE, RADIUS_LEAST = 1e-3, {MM: 0.02 * np.sqrt(2.0) * MM, INCH: 2e-3 * np.sqrt(2.0) * INCH}
+LEAST_TO_MOST = 100.0
+SHORTAGE, SHORTAGE_MOST = 0.0127 * MM, 0.5 * MM
+#: A larger difference is told [m].
+TOLD = 0.0127 * MM
 _SAME_POINT = 1e-12
 #: A centre farther away than this is an error of the program [m].
 _FARTHEST_CENTRE = 1e6
@@ -47,6 +52,7 @@ FAULTS = {
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
 }
+AS_ABSOLUTE = f'{FAULTS[3]}; they fit as absolute centres: write G90.1 before'
 #: Faults that may only follow from a wrong start.
 OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 
@@ -60,6 +66,7 @@ def arcs_of(
     radius: FloatArray,
     absolute: BoolArray | bool = False,
     turns: FloatArray | float = 1.0,
+    unit: float = MM,
 ) -> Arcs:
     """Compute centre and sweep of arcs."""
     a, b, normal = PLANES[plane]
@@ -82,7 +89,11 @@ def arcs_of(
         side = np.where(counter_clockwise, 1.0, -1.0) * np.sign(radius) * height / half
         centre_a = 0.5 * chord[:, a] - side * 0.5 * chord[:, b]
         centre_b = 0.5 * chord[:, b] + side * 0.5 * chord[:, a]
-    fault = np.where(by_radius & (short > allowed_mismatch(np.abs(radius))), 4, fault)
+    fault = np.where(
+        by_radius & (short > np.clip(RADIUS_SHARE * np.abs(radius), SHORTAGE, SHORTAGE_MOST)),
+        4,
+        fault,
+    )
     relative[:, a] = np.where(by_radius, np.nan_to_num(centre_a), relative[:, a])
     relative[:, b] = np.where(by_radius, np.nan_to_num(centre_b), relative[:, b])
     relative[:, normal] = 0.0
@@ -91,7 +102,7 @@ def arcs_of(
     second = np.hypot(chord[:, a] - relative[:, a], chord[:, b] - relative[:, b])
     gap = np.abs(second - first)
     fault = np.where((fault == 0) & (first <= _SAME_POINT), 6, fault)
-    off = ~by_radius & (gap > allowed_mismatch(np.maximum(first, second)))
+    off = ~by_radius & (gap > allowed_mismatch(np.maximum(first, second), unit))
     fault = np.where((fault == 0) & off, 3, fault)
     begin = np.arctan2(-relative[:, b], -relative[:, a])
     finish = np.arctan2(chord[:, b] - relative[:, b], chord[:, a] - relative[:, a])
@@ -105,9 +116,10 @@ def arcs_of(
     return Arcs(start + relative, sweep, fault.astype(np.int64), mismatch)
 
 
-def allowed_mismatch(radius: FloatArray) -> FloatArray:
+def allowed_mismatch(radius: FloatArray, unit: float = MM) -> FloatArray:
     """Return the largest accepted rounding error of a radius."""
-    return np.asarray(np.clip(RADIUS_SHARE * radius, RADIUS_ERROR, RADIUS_MOST))
+    least = RADIUS_LEAST[unit]
+    return np.asarray(np.clip(RADIUS_SHARE * radius, least, LEAST_TO_MOST * least))
 
 
 def points_on(

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
+from cnc_interp.program.dialects import FANUC, LINUXCNC
 from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
@@ -73,12 +74,19 @@ class AxisCodes:
     def _write_setup(self, words: BlockWords) -> None:
         """Process G10: L2 and L20 set a work offset, L1, L10 and L11 a tool."""
         kind, index = words.values.pop('L', 0.0), words.values.pop('P', 0.0)
-        if self._mover.incremental and kind != 20.0:
+        dialect = self._mover.dialect
+        if self._mover.incremental and kind != 20.0 and dialect is not LINUXCNC:
             raise self.fault(codes.G10_CONFLICTS['incremental'], f'G10 L{kind:g}')
-        if kind == 2.0 and index == 0.0:
+        if kind == 2.0 and index == 0.0 and dialect is not LINUXCNC:
             raise self.fault(codes.G10_CONFLICTS['L2 P0'], 'G10 L2 P0')
+        if dialect is FANUC and kind in (10.0, 12.0) and 'R' in words.values:
+            words.values['Z' if kind == 10.0 else 'R'] = words.values.pop('R')
+            kind = 1.0
         if kind in (10.0, 11.0) and 'R' in words.values and 'Z' not in words.values:
             raise self.fault(codes.G10_CONFLICTS['tool R'], f'G10 L{kind:g} R')
+        if dialect is LINUXCNC:
+            for letter in 'IJQ':  # of a lathe
+                words.values.pop(letter, None)
         if kind in (1.0, 10.0, 11.0):
             self._write_tool(int(kind), index, words)
             return
@@ -133,7 +141,7 @@ class AxisCodes:
     def _reference(self, code: str, words: BlockWords) -> None:
         """Process G28 and G30: rapid over the point of the block to the reference point."""
         mover = self._mover
-        mover.refuse_machine_words()
+        word = mover.machine_words(words)
         letters = ('X', 'Y', 'Z', *mover.rotary_letters)
         named = [letter for letter in letters if letter in words.values]
         if named:
@@ -152,3 +160,5 @@ class AxisCodes:
                 rotary[mover.rotary_letters.index(letter)] = home
                 mover.named = 1.0
         mover.go(point, rotary, rapid=True)
+        if word:
+            mover.switch_tcp(word)

@@ -22,6 +22,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.cl_cycles import ClCycle, cycle_of, way_to
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
@@ -35,6 +36,10 @@ _NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:E[-+]?\d+)?'
 _NEXT = rf'(?:\s*,\s*|\s+)({_NUMBER})'
 _GOTO = re.compile(rf'GOTO(?:\s*/)?\s*({_NUMBER}){_NEXT}{_NEXT}(?:{_NEXT}{_NEXT}{_NEXT})?,?')
 _NUMBERS = re.compile(rf'{_NUMBER}(?:\s*,\s*{_NUMBER})*')
+_ALONG_ARC = re.compile(
+    rf'(?:TLON\s*,\s*)?GOFWD\s*/\s*\(\s*CIRCLE\s*/\s*({_NUMBER}){_NEXT * 3}\s*\)\s*,\s*ON\s*,'
+    rf'[^()]*\(\s*LINE\s*/\s*({_NUMBER}){_NEXT * 5}\s*\)'
+)
 _STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 
 #: Stands for a statement that the end of the file cuts off.
@@ -77,6 +82,8 @@ class ClReader:
         self.axis = (0.0, 0.0, 1.0)
         self._point = (nan, nan, nan)
         self._circle: _Circle | None = None
+        self._cycle: ClCycle | None = None
+        self._heading: FloatArray | None = None  # of the next arc, by INDIRV
         self._msys = ''
         self._outputs: dict[str, str] = {}  # the last statement of each output
 
@@ -151,8 +158,14 @@ class ClReader:
         """Join continued lines; yield the number of the first line and the statement."""
         begun, parts = 0, ''
         number = 0
+        in_comment = False
         for number, raw in enumerate(lines, start=1):
             line = raw.strip().upper()
+            # A comment of Creo that ends in $ goes on in the next line.
+            was_comment, in_comment = in_comment, line.endswith('$')
+            in_comment = in_comment and (was_comment or '$$->' in line)
+            if was_comment:
+                continue
             if '$$' in line:
                 line = line[: line.index('$$')].rstrip()
             if line.endswith('$'):
@@ -183,7 +196,24 @@ class ClReader:
         x, y, z = (float(word or nan) * unit for word in words[:3])
         if words[3] is not None:
             self.axis = self._unit_vector([float(word or nan) for word in words[3:]], 'GOTO')
-        self._go(x, y, z)
+        if self._cycle is None:
+            self._go(x, y, z)
+        else:
+            self._drill(self._cycle, np.array([x, y, z]))
+
+    def _drill(self, cycle: ClCycle, place: FloatArray) -> None:
+        """Drill at a point along the tool axis."""
+        axis, kept = np.array(self.axis), self.feedrate
+        self.feedrate = kept if cycle.feed is None else cycle.feed / MINUTE
+        higher = way_to(np.array(self._point), place, axis, cycle.retract)
+        if higher is not None and not self.targets.empty:
+            self.rapid = True
+            self._go(*higher)
+        for level, self.rapid, rests in cycle.levels():
+            self._go(*(place + level * axis))
+            if rests:
+                self.targets.stop_here()
+        self.feedrate, self.rapid = kept, False
 
     def _go(self, x: float, y: float, z: float) -> None:
         """Add a target at a point [m]."""
@@ -243,11 +273,14 @@ class ClReader:
                 'expected three numbers, or six with the tool axis, between commas or spaces',
                 statement,
             )
-        if major in cl_words.REFUSED:
+        if major in cl_words.REFUSED and not _ALONG_ARC.fullmatch(statement):
             raise self._fault(cl_words.REFUSED[major], major)
         if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and self._moves(minor):
             raise self._fault(cl_words.OFF_ONLY[major], statement)
         if statement.startswith(cl_words.TEXT):
+            return
+        if major in ('TLON', 'GOFWD') and (arc := _ALONG_ARC.fullmatch(statement)):
+            self._along_arc([float(word) for word in arc.groups()])
             return
         if major == 'FROM':
             self._from(minor)
@@ -273,6 +306,18 @@ class ClReader:
             self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
         elif major == 'CIRCLE':
             self._begin_circle(minor)
+        elif major == 'INDIRV':
+            self._heading = np.array(self._numbers(minor, 3, 'write INDIRV/i,j,k'))
+        elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
+            units = {k: v for k, v in cl_words.FEED_UNITS.items() if v}
+            self._cycle = cycle_of(minor, units, self.unit, self._fault)
+            if self._cycle.dwell > 0.0:
+                self._notice(major, codes.DWELL)
+        elif major == 'CYCLE':
+            self._cycle = None
+        elif major == 'CUTCOM':
+            self._notice(major, 'the points are tool tips, as CL data have them; the wear of the '
+                         'cutter is not compensated')  # fmt: skip
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
             stands = self.targets.stands
@@ -313,10 +358,17 @@ class ClReader:
 
     def _begin_circle(self, minor: str) -> None:
         """Process CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k through the next points."""
-        remedy = f'only CIRCLE/x,y,z,i,j,k,r is supported; {cl_words.LINEAR}'
-        numbers = self._numbers(minor, 7, remedy)
+        remedy = f'write CIRCLE/x,y,z,i,j,k,r; {cl_words.LINEAR}'
+        words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
+        if len(words) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
+            raise self._fault(remedy, 'CIRCLE')
+        numbers = [float(word) for word in words[:7]]
         if self.targets.empty:
             raise self._fault('a circle before the first point; write FROM or GOTO', 'CIRCLE')
+        if len(numbers) == 6:
+            whole = _Circle(np.array(numbers[:3]) * self.unit,
+                            np.array(self._unit_vector(numbers[3:], 'CIRCLE')), 0.0)  # fmt: skip
+            numbers.append(float(np.linalg.norm(whole.across(np.array(self._point)))) / self.unit)
         if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
             raise self._fault(
                 'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
@@ -332,6 +384,21 @@ class ClReader:
                 'CIRCLE',
             )
         self._circle = circle
+
+    def _along_arc(self, numbers: list[float]) -> None:
+        """Process TLON,GOFWD/(CIRCLE/x,y,z,r),ON,..(LINE/..,end): an arc that INDIRV sets off."""
+        centre, end = np.array(numbers[:3]) * self.unit, np.array(numbers[-3:]) * self.unit
+        if self._heading is None or self.targets.empty:
+            raise self._fault('the direction of the arc is missing; write INDIRV before', 'GOFWD')
+        axis = np.array(self.axis)
+        turn = float(axis @ np.cross(np.array(self._point) - centre, self._heading))
+        if turn == 0.0:
+            raise self._fault('INDIRV points at the centre of the arc; correct it', 'GOFWD')
+        normal = axis * np.copysign(1.0, turn)
+        words = [*(centre / self.unit), *normal, numbers[3]]
+        self._begin_circle(','.join(f'{word:.12f}' for word in words))
+        self._go(*end)
+        self._circle = self._heading = None
 
     def _leave_circle(self) -> None:
         """Leave the circle if at least one point was reached along it."""

@@ -15,7 +15,7 @@ HARMLESS = {
     'AUTOPS', 'AUXFUN', 'CAMERA', 'CLAMP', 'CLEARP', 'COOLNT', 'DISPLY', 'LEADER', 'LINTOL',
     'LOAD', 'LOADTL', 'MAXDP', 'MCHTOL', 'MFG', 'NUMPTS', 'OPSKIP', 'OPTOOL', 'PAINT', 'PLABEL',
     'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
-    'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TRNTYP', 'TURRET',
+    'SETUP', 'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TRNTYP', 'TURRET',
 }  # fmt: skip
 #: Words with this beginning are information of a CAM system.
 INFORMATION = 'CSI_'
@@ -50,13 +50,11 @@ REFUSED = {
     'CALL': f'macros are not supported; {LINEAR}',
     'PROBE': f'probing is not supported; {LINEAR}',
     **dict.fromkeys(
-        ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRV', 'INDIRP', 'TLON',
+        ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRP', 'TLON',
          'TLLFT', 'TLRGT', 'PSIS', 'DNTCUT'), _DRIVEN),
 }  # fmt: skip
 #: Words that are refused unless they switch something off or contain only zeros.
 OFF_ONLY = {
-    'CUTCOM': 'cutter compensation is not supported; output the tool centre',
-    'CYCLE': f'drilling cycles are not supported; {LINEAR}',
     'ORIGIN': _FRAME,
     'TRANS': _FRAME,
     'TRACUT': _FRAME,

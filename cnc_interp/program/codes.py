@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import job
 from cnc_interp.program.notices import WARNING
@@ -45,12 +47,12 @@ WORK_OFFSETS = set(job.WORK_OFFSETS)
 #: Codes with their own meaning of the axis words in their block.
 TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
-    'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
+    'G33', 'G33.1', 'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
 }  # fmt: skip
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 #: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
-CYCLES = {'G73', 'G74', 'G81', 'G82', 'G83', 'G84', 'G85', 'G86', 'G89'}
+CYCLES = {'G73', 'G74', 'G76', *(f'G{number}' for number in range(81, 90))}
 
 _OFF = 'nothing to switch off'
 #: What a start of the spindle is told as, because the tool moves all the same.
@@ -58,7 +60,17 @@ NO_SPINDLE = f'{WARNING}the spindle is NOT started; start it by hand before the 
 HARMLESS_G: dict[str, str] = {
     'G15': _OFF,
     'G50': _OFF,
+    'G50.1': _OFF,
+    'G13.1': _OFF,
+    'G40.1': _OFF,
+    'G54.2': _OFF,
+    'G62': 'no effect, F is kept in corners, too',
+    'G103': 'no effect, the whole program is looked through',
+    'G187': 'no effect, the path is always smoothed within the tolerances',
+    'G96': 'no effect, the spindle is not driven',
     'G97': 'no effect',
+    'G450': 'outer corners are rolled about',
+    'G451': 'outer corners are rolled about',
     'G255': _OFF,
     'G601': 'every exact stop is exact',
     'G602': 'every exact stop is exact',
@@ -71,6 +83,8 @@ OTHER_MEANING: dict[str, tuple[str, str]] = {
     'G15': ('H', 'with H it is the work offset of Okuma; write G54 to G59'),
     'G50': (_AXES, 'with axis words it presets coordinates on lathes; write G50 alone, or G92'),
     'G255': ('H', 'with H it is not known; write G255 alone'),
+    'G50.1': (_AXES, 'no mirroring was on; write G50.1 alone'),
+    'G40.1': (_AXES, 'write G40.1 in a block of its own'),
 }
 #: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
 OKUMA_LENGTH = 'with H it is a tool length of Okuma; write G43 H, or H in another block'
@@ -100,18 +114,11 @@ REFUSED_G: dict[str, str] = {
     'G5.3': f'spline moves are not supported; {_LINEAR}',
     'G7': 'diameter programming is not supported; post with radii',
     'G16': 'polar coordinates are not supported; post with X and Y',
-    'G33': 'thread cutting is not supported',
-    'G33.1': 'thread cutting is not supported',
     'G38.2': 'probing is not supported',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
     'G51': 'scaling is not supported; post at full size',
-    'G54.1': _FRAME,
-    'G54.2': _FRAME,
     'G66': 'modal macro calls are not supported; call with G65',
-    'G76': 'this cycle is not supported; post it as G0 and G1 moves',
-    'G87': 'this cycle is not supported; post it as G0 and G1 moves',
-    'G88': 'this cycle is not supported; post it as G0 and G1 moves',
-    'G96': 'constant surface speed is not supported; give S in rev/min with G97',
+    'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',
     'G110': f'polar coordinates are not supported; {_LINEAR}',
     'G111': f'polar coordinates are not supported; {_LINEAR}',
 }
@@ -131,24 +138,18 @@ OUTPUTS: dict[str, dict[str, str]] = {
     'M8': {'coolant': 'M8'},
     'M9': {'mist': '', 'coolant': 'M9'},
 }
+STATE_M = {'M70', 'M71', 'M72', 'M73'}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),
-    **dict.fromkeys(('M70', 'M71', 'M72', 'M73'), 'restoring modal state is not supported'),
     'M430': 'these kinematics are not supported; use M428 (TCP) or M429',
 }
 
 _SIEMENS_CYCLE = 'cycles are not supported in this form; post the cycle as G0 and G1 moves'
-_LOOP = (
-    'loops are supported as WHILE [...] DO1 ... END1 or O1 WHILE [...]; post with plain numbers'
-)
 # Reasons by the beginning of the word; the first match counts.
 REFUSED_KEYS: dict[str, str] = {
     'CUT2': 'write CUT2D; the compensation turns with the frame',
     'CUT3': 'of compensation in space only CUT3DF with normals A5= B5= C5= is supported',
-    'CYCLE': _SIEMENS_CYCLE,
-    'MCALL': _SIEMENS_CYCLE,
-    'HOLES': _SIEMENS_CYCLE,
-    'POCKET': _SIEMENS_CYCLE,
+    **dict.fromkeys(('POCKET', 'SLOT', 'LONGHOLE', 'CYCLE'), _SIEMENS_CYCLE),
     'SCALE': 'scaling is not supported; post at full size',
     'ASCALE': 'scaling is not supported; post at full size',
     'MIRROR': 'mirroring is not supported; post the mirrored path',
@@ -160,27 +161,26 @@ REFUSED_KEYS: dict[str, str] = {
     'POLY': 'native polynomials are not supported; post with linear moves',
     'CIP': 'arcs by three points are not supported; give I, J, K',
     'CT': 'tangential arcs are not supported; give I, J, K',
-    'CALL': 'subprograms are supported by M98, G65 and O- CALL',
-    'PROC': 'subprograms are supported by M98, G65 and O- CALL',
-    'SUB': 'subprograms are supported by M98, G65 and O- CALL',
-    'DEF': 'only DEF REAL, DEF INT and DEF BOOL are supported',
-    'GOTO': 'write GOTO with a line number',
+    'CALL': 'subprograms are called by M98, G65, O- CALL, or their name',
+    'SUB': 'subprograms are called by M98, G65, O- CALL, or their name',
+    'DEF': 'write DEF REAL NAME=VALUE',
+    'GOTO': 'write GOTO with a line number or a label',
     'IF': 'write IF [...] GOTO number, or IF [...] THEN #1=value',
-    'ELSE': _LOOP,
-    'ENDIF': _LOOP,
-    'WHILE': _LOOP,
-    'ENDWHILE': _LOOP,
-    'FOR': _LOOP,
-    'REPEAT': _LOOP,
-    'LOOP': _LOOP,
-    'CASE': _LOOP,
+    'WHILE': 'write WHILE [...] DO1, WHILE condition, or O1 WHILE [...]',
+    'FOR': 'write FOR NAME = first TO last',
+    'REPEATB': 'a section is repeated by a label; write REPEAT and UNTIL',
 }
 HARMLESS_KEYS = {
-    'MSG', 'STOPRE', 'COMPON', 'COMPOF', 'COMPCAD', 'COMPCURV', 'FFWON', 'FFWOF', 'SOFT', 'BRISK',
-    'DRIVE', 'FNORM', 'DIAMOF', 'CFC', 'CFTCP', 'CFIN', 'ORIWKS', 'SPOS', 'RTLION', 'RTLIOF',
-    'COMPSURF', 'DYNNORM', 'DYNROUGH', 'DYNSEMIFIN', 'DYNFINISH', 'DYNPOS', 'UPATH', 'SPATH',
-    'FGROUP', 'WALIMON', 'WALIMOF', 'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON',
+    'ADISPOS', 'BRISK', 'CDOF', 'CDOF2', 'CDON', 'CFC', 'CFIN', 'CFTCP', 'COMPCAD', 'COMPCURV',
+    'COMPOF', 'COMPON', 'COMPSURF', 'CUTCONOF', 'CUTCONON', 'DIAMOF', 'DISPLOF', 'DRIVE',
+    'DYNFINISH', 'DYNNORM', 'DYNPOS', 'DYNROUGH', 'DYNSEMIFIN', 'EXTERN', 'FCUB', 'FFWOF',
+    'FFWON', 'FGROUP', 'FIFOCTRL', 'FLIN', 'FNORM', 'G0RT', 'KONT', 'MMC', 'MSG', 'NORM',
+    'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON', 'ORIWKS', 'PROC', 'RTLIOF', 'RTLION', 'SAVE',
+    'SETMS', 'SOFT', 'SPATH', 'SPCOF', 'SPCON', 'SPOS', 'STARTFIFO', 'STOPFIFO', 'STOPRE',
+    'UPATH', 'WALIMOF', 'WALIMON', 'WORKPIECE',
 }  # fmt: skip
+#: Harmless codes with letters of their own, which move nothing.
+IDLE_LETTERS = {'G187': 'PE', 'G103': 'P', 'G54.2': 'P'}
 #: Names of Siemens that are set in a block and do not move the tool; so are S1= and M1=.
 HARMLESS_NAMES = {'SPOS', 'SPOSA', 'LIMS', 'ADIS', 'ADISPOS', 'STOLF', 'DISCL', 'FGREF'}
 #: Names of Siemens that change path or feed, with what to do.
@@ -203,8 +203,11 @@ INTERPOLATION_KEYS = {
 }  # fmt: skip
 
 
+_CYCLE = re.compile(r'CYCLE(?:8\d|840|800|832)')
+
+
 def refused_key(key: str) -> str:
     """Return the reason why a word of several letters is refused; empty if it is not."""
-    if key in RADIUS_KEYS or key in ('ROT', 'AROT', 'CYCLE832', 'CYCLE800'):
+    if key in RADIUS_KEYS or key in ('ROT', 'AROT', 'HOLES1', 'HOLES2') or _CYCLE.fullmatch(key):
         return ''
     return next((why for head, why in REFUSED_KEYS.items() if key.startswith(head)), '')

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from cnc_interp.program.files import subprogram_file
 from cnc_interp.program.source import Place, Source
 
 _DEEPEST_CALL = 20
+_PERCENT = re.compile(rb'(?m)^[ \t]*%')
 
 
 @dataclass
@@ -39,6 +41,9 @@ class _Call:
     rounds: int
     own_variables: bool
     loops: list[Loop]
+    #: What M70 or M73 saved, and whether the end of the subprogram restores it.
+    saved: Any = None
+    restores: bool = False
 
 
 class Cursor:
@@ -52,6 +57,11 @@ class Cursor:
         self._seen: tuple[Any, tuple[Any, ...]] = None, ()  # control and variables at a jump
         self._calls: list[_Call] = []
         self.loops: list[Loop] = []
+        self.saved: Any = None  # what M70 saved in the main program
+        self.ran_out = False  # whether the text ended before the program did
+        self.restoring: Any = None  # what the last subprogram saved by M73
+        self.has_o_words = False  # whether a flow word of LinuxCNC was executed
+        self.returned = 0.0, 0.0  # the value of the last O- RETURN, and whether it gave one
         self.row, self.window, self._window_of = 0, source.window(source.start), source
 
     def go(self, place: Place) -> None:
@@ -72,7 +82,7 @@ class Cursor:
             elif self._calls:
                 self.leave()
             else:
-                self.ended = True
+                self.ended = self.ran_out = True
         return False
 
     @property
@@ -140,6 +150,7 @@ class Cursor:
         rounds: int,
         arguments: dict[int, float],
         own_variables: bool,
+        vacant: bool = False,
     ) -> None:
         """Run a subprogram of this file, or of a separate file in the same folder."""
         if rounds < 1:
@@ -153,7 +164,7 @@ class Cursor:
         back, line = self.window.place(self.row + 1), self.line_number
         search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
         source, begin = self.source, self.source.find(search, self.source.start)
-        if begin is None:
+        if begin is None or begin.offset > self._last_percent(source):
             source = self._file_beside(stem)
             begin = source.find(search, source.start) or Place(0, 0)
         begin = source.after(begin) if begin.line else source.start
@@ -162,13 +173,40 @@ class Cursor:
         )
         self.loops = []
         if own_variables:
-            self.variables.enter(arguments)
+            self.variables.enter(arguments, vacant=vacant)
         self.source = source
         self.go(begin)
 
+    def _last_percent(self, source: Source) -> float:
+        """Return the offset of the second % of a text, after which nothing belongs to it."""
+        first = source.find(_PERCENT, source.start)
+        second = first and source.find(_PERCENT, source.after(first))
+        return inf if second is None else second.offset
+
+    def save(self, state: Any, restores: bool) -> None:
+        """Keep a state for this subprogram, or for the main program (M70, M73)."""
+        if not self._calls:
+            self.saved = state
+        else:
+            self._calls[-1].saved, self._calls[-1].restores = state, restores
+
+    @property
+    def saved_state(self) -> Any:
+        """What M70 or M73 saved in this subprogram."""
+        return self._calls[-1].saved if self._calls else self.saved
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the program."""
+        return Path(self.main.name).parent
+
+    def call_file(self, stem: str, rounds: int) -> None:
+        """Run the whole of a file beside the program."""
+        self.call(stem, rb'(?!)', rounds, {}, own_variables=False)
+
     def _file_beside(self, stem: str) -> Source:
         """Open the separate file of a subprogram."""
-        path = subprogram_file(Path(self.main.name).parent, stem)
+        path = subprogram_file(self.folder, stem)
         if path is None:
             raise self.fault(
                 f'the subprogram {stem} is not in this file or its folder; add it', stem
@@ -185,6 +223,8 @@ class Cursor:
             self.go(call.begin)
             return
         self._calls.pop()
+        if call.restores:
+            self.restoring = call.saved
         if call.own_variables:
             self.variables.leave()
         if self.source is not call.source:
@@ -193,6 +233,6 @@ class Cursor:
         self.go(call.back)
 
     @property
-    def in_subprogram(self) -> bool:
-        """Whether a subprogram is running."""
-        return bool(self._calls)
+    def depth(self) -> int:
+        """Number of subprograms that are running."""
+        return len(self._calls)

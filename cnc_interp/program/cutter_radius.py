@@ -6,6 +6,10 @@ the plane of the contour each element is offset by d (left is positive): a line 
 an arc to the radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool
 rolls about the vertex, at an inner corner the offsets are cut where they meet. A row of targets
 waits until the next one is known. Points in the plane are complex numbers.
+
+The first line leads to the contour: beside the start of the next element, or beside its own end,
+as LinuxCNC has it. There an arc may lead, too; it keeps its direction at its end. Where a contour
+comes back to its beginning, the elements before and behind are leads, into which the tool may cut.
 """
 
 from __future__ import annotations
@@ -38,6 +42,10 @@ SMOOTH = 1e-6
 SHORTEST, ROUNDING = 1e-9, 1e-9
 #: A cutter can touch the contour again within so many elements; more are not compared.
 COMPARED = 60
+#: So many elements before and behind a closed contour can be leads; how near it closes [m].
+LEADS, CLOSED = 4, 0.01 * MM
+#: Offsets that do not meet at a smaller inner turn are joined as they are [rad].
+NEARLY_SMOOTH = 0.05
 #: Shares of an element at which its distance from others is compared.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the contour'
@@ -52,6 +60,12 @@ class Element:
     end: complex
     centre: complex = 0j  #: Centre of an arc [m].
     sweep: float = nan  #: Angle of an arc, counter-clockwise positive [rad]; NaN of a line.
+    along: complex = 0j  #: Direction of a line, also of one that was cut down to a point.
+
+    @staticmethod
+    def line(start: complex, end: complex) -> Element:
+        """Return a line between two different points."""
+        return Element(start, end, along=(end - start) / abs(end - start))
 
     @property
     def is_arc(self) -> bool:
@@ -66,7 +80,7 @@ class Element:
     def direction(self, point: complex) -> complex:
         """Return the direction of motion at a point of the element, of length 1."""
         if not self.is_arc:
-            return (self.end - self.start) / abs(self.end - self.start)
+            return self.along
         away = (point - self.centre) * (1j if self.sweep > 0.0 else -1j)
         return away / abs(away)
 
@@ -145,15 +159,25 @@ def crossings(first: Element, second: Element) -> list[complex]:
 class CutterRadius:
     """One stretch of compensation, from G41 or G42 to G40."""
 
-    def __init__(self, distance: float, frame: FloatArray, before: FloatArray, source: str):
+    def __init__(
+        self, distance: float, frame: FloatArray, before: FloatArray, source: str, own_entry: bool
+    ):
         self._distance, self._frame, self._source = distance, frame, source
+        self._own_entry = own_entry
         self._rotary = before[ROTARY].copy()
         self._here = self._flat(before[POINT])
         self._last: Element | None = None  # offset, from where the one before it ends
+        self._before: Element | None = None  # the last one, as programmed
+        self._stood: complex | None = None  # where the line began that leads to the contour
+        self._count = 0  # elements of the contour so far
+        self._closed = (0, -1)  # its first and last element, if it is closed
+        self._pending: list[tuple[int, int, ProgramError]] = []  # cuts into what may be a lead
         # The row of the last element, and moves along the normal.
         self._rows: list[FloatArray] = []
-        self._parts: deque[Element] = deque(maxlen=COMPARED)  # of the contour, as programmed
-        self._path: deque[Element] = deque(maxlen=COMPARED)
+        # Of the contour, as programmed, and of the path, each with its number.
+        self._parts: deque[tuple[int, Element]] = deque(maxlen=COMPARED)
+        self._path: deque[tuple[int, Element]] = deque(maxlen=COMPARED)
+        self._first: list[complex] = []  # where the first elements begin
 
     def _flat(self, point: FloatArray) -> complex:
         """Return a point in the plane."""
@@ -209,23 +233,42 @@ class CutterRadius:
             return [row]
         self._here = element.end
         if not (self._parts or self._rows):
-            if element.is_arc:
-                raise self._fault('G41 and G42 begin with a line; write one before the arc', row)
-            self._rows = [row]
+            if element.is_arc or self._own_entry:
+                self._enter(element, row)
+            self._rows, self._before = [row], element
             return []
         offset = element.offset(self._distance)
         if offset is None:
             raise self._fault(_NO_FIT, row)
         ready = self._corner(element, offset, row)
         self._compare(element, row)
-        self._rows = [row]
+        self._rows, self._before = [row], element
         return ready
+
+    def _enter(self, element: Element, row: FloatArray) -> None:
+        """Begin with a line that ends beside its own end, or with an arc that does."""
+        left, stands = 1j * self._distance, element.start
+        if not element.is_arc:
+            if abs(element.end - element.start) <= abs(self._distance):
+                raise self._fault('the line to the contour must be longer than the radius of the '
+                                  'cutter', row)  # fmt: skip
+            self._stood, self._last = stands, element.offset(self._distance)
+            return
+        end = element.end + left * element.direction(element.end)
+        inward = (element.centre - element.end) / abs(element.centre - element.end)
+        beside = ((stands - end) * inward.conjugate()).real
+        if element.offset(self._distance) is None or beside < SHORTEST:
+            raise self._fault(_NO_FIT, row)
+        centre = end + abs(stands - end) ** 2 / (2.0 * beside) * inward
+        turn = float(np.angle((end - centre) / (stands - centre)))
+        sense = float(np.copysign(1.0, element.sweep))
+        self._last = Element(stands, end, centre, sense * (sense * turn % (2.0 * pi)))
 
     def _element(self, row: FloatArray) -> Element | None:
         """Return the motion to a row in the plane; None if it runs along the normal only."""
         end = self._flat(row[POINT])
         if not isfinite(row[SWEEP]):
-            return Element(self._here, end) if abs(end - self._here) > SHORTEST else None
+            return Element.line(self._here, end) if abs(end - self._here) > SHORTEST else None
         turn = float(row[NORMAL] @ self._frame[:, 2])
         if abs(abs(turn) - 1.0) > SMOOTH:
             raise self._fault('an arc in another plane in cutter compensation', row)
@@ -238,7 +281,8 @@ class CutterRadius:
             # The line to the contour ends beside its first element.
             self._last = offset
             return [self._moved(waiting, offset.start) for waiting in self._rows]
-        leaves = self._parts[-1].direction(self._parts[-1].end)
+        assert self._before is not None
+        leaves = self._before.direction(self._before.end)
         turn = float(np.angle(element.direction(element.start) / leaves))
         if abs(abs(turn) - pi) < SMOOTH:
             turn = -float(np.copysign(pi, self._distance))  # back along itself: about its end
@@ -248,7 +292,7 @@ class CutterRadius:
         elif turn * self._distance < 0.0:
             ready = self._to(vertex + 1j * self._distance * leaves, row)
             about = Element(self._flat(ready[-1][POINT]), offset.start, vertex, turn)
-            self._path.append(about)
+            self._path.append((self._count - 1, about))
             around = self._row_of(about, ready[-1])
             around[EXACT_STOP] = float(ready[-1][EXACT_STOP] == 1.0)  # nobody waits at its end
             ready.append(around)
@@ -261,7 +305,11 @@ class CutterRadius:
                     ready, self._last = self._to(point, row), after
                     break
             else:
-                raise self._fault(_NO_FIT, row)
+                ready = self._to(vertex + 1j * self._distance * leaves, row)
+                joined = offset.between(self._flat(ready[-1][POINT]), offset.end)
+                if abs(turn) > NEARLY_SMOOTH or joined is None:
+                    raise self._fault(_NO_FIT, row)
+                self._last = joined
         return ready
 
     def _to(self, end: complex, row: FloatArray) -> list[FloatArray]:
@@ -270,10 +318,14 @@ class CutterRadius:
         part = self._last.between(self._last.start, end)
         if part is None:
             raise self._fault(_NO_FIT, row)
-        self._path.append(part)
-        for vertex in self._parts:
-            for share in SHARES:
-                self._check(vertex.distance(part.at(share)), self._rows[0])
+        if self._stood is not None:
+            part, self._stood = replace(part, start=self._stood), None
+        elif self._parts:
+            self._path.append((self._count - 1, part))
+            for number, element in self._parts:
+                for share in SHARES:
+                    self._check(element.distance(part.at(share)), self._rows[0], number,
+                                self._count - 1)  # fmt: skip
         first, *others = self._rows
         return [self._row_of(part, first), *(self._moved(other, end) for other in others)]
 
@@ -290,20 +342,51 @@ class CutterRadius:
 
     def _compare(self, element: Element, row: FloatArray) -> None:
         """Raise if the path so far comes too near to an element of the contour."""
-        self._parts.append(element)
-        for part in list(self._path)[:-1]:
+        number = self._count
+        self._parts.append((number, element))
+        self._count += 1
+        if number <= LEADS:
+            self._first.append(element.start)
+        closes = [
+            first
+            for first, begin in enumerate(self._first[:number])
+            if element.distance(begin) < CLOSED < abs(element.start - begin)
+        ]
+        if element.is_arc and abs(element.sweep) > 2.0 * pi - SMOOTH:
+            closes = [number]
+        if closes:
+            self._closed = closes[0], number
+            for before, after, fault in self._pending:
+                if before >= closes[0] and after <= number:
+                    raise fault
+            self._pending.clear()
+        for other, part in list(self._path)[:-1]:
             for share in SHARES:
-                self._check(part.distance(element.at(share)), row)
+                self._check(part.distance(element.at(share)), row, other, number)
 
-    def _check(self, distance: float, row: FloatArray) -> None:
-        """Raise if the tool centre is nearer to the contour than its radius and the tolerance."""
-        if distance < abs(self._distance) - row[CONTOUR]:
-            short = (abs(self._distance) - distance) / MM
-            raise self._fault(f'{_NO_FIT}; it would cut {short:.3g} mm into the contour', row)
+    def _check(self, distance: float, row: FloatArray, one: int, other: int) -> None:
+        """
+        Raise if the tool centre is nearer to the contour than its radius and the tolerance.
+
+        What may be a lead, before or behind a closed contour, is judged when that is known.
+        """
+        if distance >= abs(self._distance) - row[CONTOUR]:
+            return
+        before, after = sorted((one, other))
+        begin, end = self._closed
+        if before < begin or (end >= 0 and end < after <= end + LEADS):
+            return
+        short = (abs(self._distance) - distance) / MM
+        fault = self._fault(f'{_NO_FIT}; it would cut {short:.3g} mm into the contour', row)
+        if before >= LEADS or end >= 0 or after - before < 2:
+            raise fault
+        self._pending.append((before, after, fault))
 
     def end(self) -> Iterable[FloatArray]:
         """Return the rows that wait; the tool stands beside the end of the contour then."""
         rows, self._rows = self._rows, []
+        if self._pending:
+            raise self._pending[0][2]
         if not rows or self._last is None:
             return rows
         self._rows = rows

@@ -2,30 +2,91 @@
 Canned cycles: drilling, tapping and boring as rapid and feed moves.
 
 G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
-G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. Z, R, Q and
-P stay valid for the next holes. G98 retracts to the start level of the cycle, G99 to R.
+G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. G76 and G87
+of Fanuc shift the tool by I and J at the bottom, G88 waits there. Z, R, Q and P stay valid for the
+next holes. G98 retracts to the start level of the cycle, G99 to R. ``siemens_cycles.py`` has those
+of the 840D; both make their holes here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import INCH, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
+from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
+from cnc_interp.program.targets import AT_M0
 from cnc_interp.program.words import BlockWords
 
-#: Clearance above the last peck, and retract distance of G73 [m].
-_CLEARANCE = 0.25 * MM
+#: Clearance above the last peck, and retract distance of G73, by unit [m].
+_CLEARANCE = {MM: 0.254 * MM, INCH: 0.01 * INCH}
 _MOST_PECKS, _MOST_REPEATS = 10_000, 10_000
 _PECKING = {'G73', 'G83'}
-_FEED_OUT = {'G74', 'G84', 'G85', 'G89'}
-_RESTING = {'G82', 'G86', 'G89'}
+_TAPPING = {'G74', 'G84'}
+_FEED_OUT = {*_TAPPING, 'G85', 'G89'}
+_RESTING = {'G76', 'G82', 'G86', 'G87', 'G89'}
+_SHIFTING = {'G76', 'G87'}
+
+
+@dataclass(frozen=True)
+class Hole:
+    """How a hole is made, at the place where the tool stands on the level ``retract``."""
+
+    retract: float  #: Level at which the feed begins [m].
+    bottom: float
+    clear: float  #: Level on which the tool leaves the hole.
+    pecks: Sequence[float] = ()  #: Levels at which the tool turns back before the bottom.
+    #: Whether it retracts a little after each peck only, and by how much; where it comes back, it
+    #: stops short of the last peck by ``gap``.
+    breaks: bool = False
+    gap: float = 0.0
+    feeds_back: bool = False  #: Whether it comes back from each peck by feed.
+    rests: bool = False
+    waits: bool = False  #: Whether an operator retracts the tool.
+    feeds_out: bool = False
+    shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
+    #: Feed out of the hole [m/s]; None: that into it.
+    feed_out: float | None = None
+
+
+def make_hole(mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given: bool) -> None:
+    """Drill at a place in program coordinates, shape (5,) [m, rad]."""
+
+    def go(along: float, rapid: bool, aside: FloatArray | float = 0.0) -> None:
+        target = place.copy()
+        target[axis] = along
+        rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+        point = mover.frames.point(target[:3] + aside)
+        mover.go(point, rotary, feed_given=feed_given, rapid=rapid)
+
+    for peck in hole.pecks:
+        go(peck, False)
+        if hole.breaks:
+            go(min(peck + hole.gap, hole.retract), True)
+            continue
+        go(hole.retract, not hole.feeds_back)
+        if not hole.feeds_back:
+            go(min(peck + hole.gap, hole.retract), True)
+    go(hole.bottom, False)
+    if hole.rests or hole.waits:
+        mover.targets.stop_here(AT_M0 if hole.waits else 1.0)
+    if hole.feeds_out:
+        mover.targets.stop_here()
+        kept = mover.feedrate
+        mover.feedrate = kept if hole.feed_out is None else hole.feed_out
+        go(hole.retract, False)
+        mover.feedrate = kept
+    elif hole.shift is not None:
+        go(hole.bottom, True, hole.shift)
+        go(hole.clear, True, hole.shift)
+    go(hole.clear, True)
 
 
 class CannedCycle:
@@ -40,9 +101,9 @@ class CannedCycle:
         axis = PLANES[mover.plane][2]
         drilling = 'XYZ'[axis]
         values = words.values
-        if mover.by_axes and mover.rotary.any() and mover.frames.rotated:
-            raise mover.fault('a cycle in a rotated frame without tool-tip programming', self.code)
-        for letter in (drilling, 'R', 'Q', 'P'):
+        self._refuse(mover, words)
+        kept = (drilling, 'R', 'Q', 'P', *('IJK' if self.code in _SHIFTING else ''))
+        for letter in kept:
             if letter in values:
                 self._sticky[letter] = values.pop(letter)
         repeats = values.pop('L', None)
@@ -60,7 +121,22 @@ class CannedCycle:
         for letter in ('X', 'Y', 'Z', *mover.rotary_letters):
             values.pop(letter, None)
 
-    def _hole(self, mover: Mover, hole: FloatArray, axis: int, feed_given: bool) -> None:
+    def _refuse(self, mover: Mover, words: BlockWords) -> None:
+        """Raise for a cycle that this control does not have, or that is not sure."""
+        if mover.by_axes and mover.rotary.any() and mover.frames.rotated:
+            raise mover.fault('a cycle in a rotated frame without tool-tip programming', self.code)
+        turns = not words.values.keys().isdisjoint(mover.rotary_letters)
+        if turns and not mover.dialect.turns_in_cycles:
+            raise mover.fault('LinuxCNC takes no rotary words in a canned cycle; turn in a block '
+                              'before, or choose --dialect fanuc', self.code)  # fmt: skip
+        if self.code in (*_SHIFTING, 'G88') and mover.dialect is LINUXCNC:
+            threads = 'G76 cuts threads on LinuxCNC' if self.code == 'G76' else 'LinuxCNC has none'
+            raise mover.fault(f'{threads}; post the cycle as G0 and G1 moves', self.code)
+        if self.code in _SHIFTING and words.values.get('Q', 0.0):
+            raise mover.fault('Q shifts the tool in a direction that a parameter of the control '
+                              'gives; write the shift as I and J', words.texts['Q'])  # fmt: skip
+
+    def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
         """Drill one hole at a position in program coordinates, shape (5,) [m, rad]."""
         depth, retract = (self._sticky['XYZ'[axis]], self._sticky['R'])
         here = mover.here()
@@ -70,56 +146,67 @@ class CannedCycle:
             bottom = retract + depth * mover.unit
         else:
             retract, bottom = retract * mover.unit, depth * mover.unit
-        if retract < bottom:
-            raise mover.fault('the retract plane R lies below the depth', self.code)
-        clear = max(self.start, retract) if mover.retract_to_start else retract
-
-        def go(along: float, rapid: bool, place: FloatArray) -> None:
-            # Move to a level on the drilling axis at a position.
-            target = place.copy()
-            target[axis] = along
-            rotary = (
-                target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+        if retract < bottom and self.code != 'G87':
+            if mover.dialect is not FANUC:
+                raise mover.fault('the retract plane R lies below the depth', self.code)
+            mover.notice(
+                f'{self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
             )
-            mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=rapid)
-
+        clear = max(self.start, retract) if mover.retract_to_start else retract
+        if self.code == 'G87':
+            clear = max(self.start, retract)
+        hole = Hole(
+            retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
+            _CLEARANCE[mover.unit], self.code in _TAPPING, self.code in _RESTING,
+            self.code == 'G88', self.code in _FEED_OUT, self._shift(mover),
+        )  # fmt: skip
+        if self.code in _RESTING and self._sticky.get('P'):
+            mover.notice(self.code, DWELL)
+        if self.code == 'G88':
+            mover.notice('G88', 'waits at the bottom; the retract after cycle start is a rapid')
+        start = place
+        if self.code == 'G87':
+            if hole.shift is None and retract < bottom:
+                raise mover.fault('back boring needs its shift; write I and J', 'G87')
+            if hole.shift is not None:
+                start = place.copy()
+                start[:3] += hole.shift
+        levels = [level, retract]
         if level < retract:
-            go(retract, True, here)
-            level = retract
-        go(level, True, hole)
-        go(retract, True, hole)
-        if self.code in _PECKING or ('Q' in self._sticky and self.code in ('G74', 'G84')):
-            self._peck(mover, retract, bottom, lambda along, rapid: go(along, rapid, hole))
-        else:
-            go(bottom, False, hole)
-        if self.code in _RESTING:
-            mover.targets.stop_here()
-            if self._sticky.get('P'):
-                mover.notice(self.code, DWELL)
-        if self.code in _FEED_OUT:
-            mover.targets.stop_here()
-            go(retract, False, hole)
-        go(clear, True, hole)
+            levels = [retract]
+            _rapid(mover, here, axis, retract, feed_given)
+        for along in levels:
+            _rapid(mover, start, axis, along, feed_given)
+        if start is not place:
+            _rapid(mover, place, axis, retract, feed_given)
+        make_hole(mover, hole, place, axis, feed_given)
 
-    def _peck(
-        self, mover: Mover, retract: float, bottom: float, go: Callable[[float, bool], None]
-    ) -> None:
-        """Feed down in steps of Q, with a retract after each step."""
+    def _shift(self, mover: Mover) -> FloatArray | None:
+        """Return how G76 and G87 move the tool aside, shape (3,) [m]; None: not at all."""
+        if self.code not in _SHIFTING or not {'I', 'J', 'K'} & self._sticky.keys():
+            return None
+        return np.array([self._sticky.get(letter, 0.0) * mover.unit for letter in 'IJK'])
+
+    def _pecks(self, mover: Mover, retract: float, bottom: float) -> list[float]:
+        """Return the levels at which the tool turns back before the bottom."""
+        if self.code not in _PECKING and not ('Q' in self._sticky and self.code in _TAPPING):
+            return []
         step = self._sticky.get('Q', 0.0) * mover.unit
+        if step == 0.0 and mover.dialect in (FANUC, PLAIN):
+            mover.notice(f'WARNING: {self.code} without a peck Q',
+                         'drilled in one stroke; Fanuc and LinuxCNC refuse it')  # fmt: skip
+            return []
         if not 0.0 < step < FARTHEST:
             raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)
         count = np.ceil((retract - bottom) / step - 1e-9)
         if not count <= _MOST_PECKS:
             raise mover.fault(f'more than {_MOST_PECKS} pecks; enlarge Q', self.code)
-        tapping = self.code in ('G74', 'G84')
-        for peck in range(1, int(count) + 1):
-            along = max(retract - peck * step, bottom)
-            go(along, False)
-            if along == bottom:
-                return
-            if tapping:
-                go(retract, False)
-                continue
-            go(min(along + _CLEARANCE, retract) if self.code == 'G73' else retract, True)
-            if self.code == 'G83':
-                go(min(along + _CLEARANCE, retract), True)
+        return [max(retract - peck * step, bottom) for peck in range(1, int(count))]
+
+
+def _rapid(mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool) -> None:
+    """Go to a level above a place in a rapid."""
+    target = place.copy()
+    target[axis] = along
+    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=True)

@@ -25,6 +25,7 @@ condition: expression
 ?item: ADDRESS signed                          -> word
      | ADDRESS "=" expression                  -> word
      | (NAME | INDEXED) "=" expression         -> set_name
+     | NAME "[" expression ("," expression)* "]" "=" expression -> set_element
      | "#" index "=" expression                -> set_parameter
      | NAME                                    -> key
      | NAME "(" [given ("," given)*] ")"       -> key
@@ -58,6 +59,8 @@ given: [expression | STRING]
 ?index: NUMBER                                 -> number
       | "#" index                              -> parameter
       | "[" expression "]"                     -> group
+      | NAME "[" expression "]"                -> call
+      | NAME "[" expression "]" "/" bracketed  -> quotient
       | OWN_NAME                               -> own_name
 
 SIGN: /[-+]/
@@ -95,6 +98,9 @@ class Variables(Protocol):
 
     def exists(self, name: str) -> bool:
         """Tell whether a name is known."""
+
+    def is_vacant(self, index: int) -> bool:
+        """Tell whether ``#index`` has no value."""
 
 
 class _Nodes(Transformer):  # type: ignore[type-arg]
@@ -161,11 +167,23 @@ def _value(node: Node, variables: Variables) -> float:
         return float(not value) if node[1] == 'NOT' else -value if node[1] == '-' else value
     if kind == 'call':
         return _call(str(node[1]), node[2:], variables)
+    if kind == 'quotient':  # #ATAN[..]/[..]
+        node = ('operation', ('call', node[1], node[2]), '/', node[3])
     left, operator, right = node[1], str(node[2]), node[3]
     if operator == '/' and left[0] == 'call' and left[1] == 'ATAN' and right[0] == 'group':
         x = _value(right, variables)
         return math.degrees(math.atan2(_value(left[2], variables), x))
+    if operator in _EQUAL and NOTHING in (left, right):
+        # Fanuc: #0 is equal to what has no value, and to nothing else.
+        other = right if left == NOTHING else left
+        vacant = other[0] == 'parameter' and other[1][0] != 'own_name'
+        vacant = vacant and variables.is_vacant(parameter_index(other[1], variables))
+        return float(vacant is (operator in ('EQ', '==')))
     return float(_OPERATORS[operator](_value(left, variables), _value(right, variables)))
+
+
+NOTHING = ('parameter', ('number', '0'))
+_EQUAL = ('EQ', 'NE', '==', '<>')
 
 
 def _parameter(index: Node, variables: Variables) -> float:
@@ -187,13 +205,25 @@ def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float
     """Return the value of a function call."""
     if name == 'EXISTS' and len(arguments) == 1 and arguments[0][0] == 'parameter':
         index = arguments[0][1]
-        return float(index[0] == 'own_name' and variables.exists(str(index[1])))
+        if index[0] == 'own_name':
+            return float(variables.exists(str(index[1])))
+        return float(1 <= parameter_index(index, variables) <= MOST_NUMBER)
+    element = element_name(name, arguments, variables)
+    if variables.exists(element):
+        return variables.named(element)
     if name not in _FUNCTIONS:
         raise ExpressionError(f'the function {name} is not supported; compute it before')
     count, function = _FUNCTIONS[name]
     if len(arguments) not in count:
         raise ExpressionError(f'{name} takes {count[0]} argument(s), not {len(arguments)}')
     return float(function(*(_value(argument, variables) for argument in arguments)))
+
+
+def element_name(name: str, indices: tuple[Node, ...], variables: Variables) -> str:
+    """Return the name of an element of an array of Siemens, as ``A[2,0]``."""
+    if name in _FUNCTIONS:
+        return ''
+    return f'{name}[{",".join(f"{_value(index, variables):g}" for index in indices)}]'
 
 
 _OPERATORS: dict[str, Callable[[float, float], float]] = {
@@ -246,6 +276,10 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
 
 #: ``#1`` to this number are local in a subprogram that is called with arguments.
 MOST_LOCAL = 33
+#: The largest number of a parameter of LinuxCNC, for EXISTS.
+MOST_NUMBER = 5602
+_CONSTANTS = {'TRUE': 1.0, 'FALSE': 0.0, '$PI': math.pi, 'PI': math.pi,
+              '_OFF': 0.0, '_FINISH': 1.0, '_SEMIFIN': 2.0, '_ROUGH': 3.0}  # fmt: skip
 _MOST_VARIABLES = 100_000
 
 UNSET = 'is read before it is set; set it in the program'
@@ -254,23 +288,30 @@ UNSET = 'is read before it is set; set it in the program'
 class ProgramVariables:
     """The variables of a program, and the system variables that it can read."""
 
-    def __init__(self, system: Callable[[], Mapping[int, float]]):
-        self._system = system
+    def __init__(
+        self,
+        system: Callable[[], Mapping[int, float]],
+        names: Callable[[], Mapping[str, float]],
+    ):
+        self._system, self._predefined = system, names
         self._numbers: dict[int, float] = {}
         self._names: dict[str, float] = {}
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
+        self._vacant: list[bool] = []  # whether locals that are not set have no value (G65)
 
     def follow(self, before: ProgramVariables) -> None:
         """Take over the global variables of another program."""
         self._numbers, self._names = dict(before._numbers), dict(before._names)
 
-    def enter(self, arguments: Mapping[int, float]) -> None:
-        """Begin a subprogram with its own local variables."""
+    def enter(self, arguments: Mapping[int, float], vacant: bool) -> None:
+        """Begin a subprogram with its own local variables; those not set are vacant, or 0."""
         self._locals.append((dict(arguments), {}))
+        self._vacant.append(vacant)
 
     def leave(self) -> None:
         """Return to the local variables of the caller."""
         self._locals.pop()
+        self._vacant.pop()
 
     def state(self) -> tuple[Any, ...]:
         """Return a copy of all values, for ``stands_as``."""
@@ -282,17 +323,28 @@ class ProgramVariables:
         return now == before[:3] and dict(self._system()) == before[3]
 
     def number(self, index: int) -> float:
-        """Return ``#index``; local variables of a subprogram are 0 until they are set."""
+        """Return ``#index``; local variables of an O- SUB are 0 until they are set."""
         if self._locals and 1 <= index <= MOST_LOCAL:
-            return self._locals[-1][0].get(index, 0.0)
-        if index in self._numbers:
+            found = self._locals[-1][0]
+            if index in found or not self._vacant[-1]:
+                return found.get(index, 0.0)
+        elif index in self._numbers:
             return self._numbers[index]
         if index >= 5000 and index in (system := self._system()):
             return system[index]
         raise ExpressionError(f'#{index} {UNSET}')
 
+    def is_vacant(self, index: int) -> bool:
+        """Tell whether ``#index`` has no value."""
+        if self._locals and 1 <= index <= MOST_LOCAL:
+            return index not in self._locals[-1][0]
+        return index not in self._numbers and (index < 5000 or index not in self._system())
+
     def set_number(self, index: int, value: float) -> None:
-        """Set ``#index`` to a value."""
+        """Set ``#index`` to a value; NaN takes its value away."""
+        if math.isnan(value):
+            (self._locals[-1][0] if self._locals else self._numbers).pop(index, None)
+            return
         if self._locals and 1 <= index <= MOST_LOCAL:
             self._locals[-1][0][index] = value
             return
@@ -305,6 +357,10 @@ class ProgramVariables:
         names = self._table(name)
         if name in names:
             return names[name]
+        if name in _CONSTANTS:
+            return _CONSTANTS[name]
+        if name.startswith('<_') and name in (predefined := self._predefined()):
+            return predefined[name]
         shown = f'#{name}' if name.startswith('<') else name
         raise ExpressionError(f'{shown} {UNSET}')
 
@@ -317,7 +373,7 @@ class ProgramVariables:
 
     def exists(self, name: str) -> bool:
         """Tell whether a name is known."""
-        return name in self._table(name)
+        return name in self._table(name) or (name.startswith('<_') and name in self._predefined())
 
     def _table(self, name: str) -> dict[str, float]:
         """Return the table of a name: local for ``#<name>``, global for the others."""

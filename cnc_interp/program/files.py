@@ -6,7 +6,9 @@ import re
 from pathlib import Path
 
 #: Suffixes of a subprogram in a file of its own, in the order in which they are tried.
-SUBPROGRAM_SUFFIXES = ('.ngc', '.nc', '.tap', '.NC', '.TAP', '')
+SUBPROGRAM_SUFFIXES = (
+    '.ngc', '.nc', '.tap', '.NC', '.TAP', '.spf', '.SPF', '.mpf', '.MPF', '.SUB', '',
+)  # fmt: skip
 #: Suffixes of CL data, in lower case.
 CL_SUFFIXES = frozenset(('.apt', '.cl', '.cls', '.ncl', '.aptsource'))
 #: Suffixes by which programs are found in a folder, in lower case.

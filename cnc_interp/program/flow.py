@@ -2,8 +2,8 @@
 Statements that change the order of lines: jumps, loops, subprograms.
 
 O words of LinuxCNC are ``o100 sub``, ``call``, ``while``, ``if``, ``do`` and ``repeat``. Fanuc
-has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. Siemens has GOTOF, GOTOB
-and IF.
+has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. ``siemens_flow.py`` has the
+words of Siemens.
 """
 
 from __future__ import annotations
@@ -11,30 +11,31 @@ from __future__ import annotations
 import re
 from math import floor, inf
 
-from cnc_interp.program.cursor import Cursor, Loop
+from cnc_interp.program.cursor import Loop
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
+from cnc_interp.program.siemens_flow import SiemensFlow
 from cnc_interp.program.source import Place
 from cnc_interp.program.words import BlockWords
 
 # One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
 _O_WORD = re.compile(
-    r'O\s*(\d+|<[^<>]+>)\s*'
+    r'O\s*(\d+|<[^<>]+>|\[.*?\]|#+(?:\d+|<[^<>]+>|\[.*?\]))\s*'
     r'(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|'
     r'CONTINUE)(?![A-Z_])\s*(.*)'
 )
-_IF = re.compile(r'IF(.*?)(?<![A-Z_])(GOTO[FB]?|THEN)(?![A-Z_])\s*(.*)')
-_WHILE = re.compile(r'WHILE(.*?)(?<![A-Z_])DO\s*(\d+)')
+_IF = re.compile(r'IF(.*?)(?<![A-Z_])(GOTO[FBC]?|THEN)(?![A-Z_])\s*(.*)')
+_WHILE = re.compile(r'WHILE(.*?)(?<![A-Z_])DO\s*(\d+)\s*(.*)')
 _END = re.compile(r'END\s*(\d+)')
-_GOTO = re.compile(r'GOTO([FB]?)(?![A-Z_])\s*(.*)')
+_GOTO = re.compile(r'GOTO([FBC]?)(?![A-Z_])\s*(.*)')
 _LABEL = re.compile(r'([A-Z_][A-Z_]\w*)\s*:(?!=)\s*')
-_DEFINITION = re.compile(r'DEF\s+(REAL|INT|BOOL)\s+(.*)')
+_INNER_SUB = re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?O\s*(?:\d+|<[^<>]+>)\s*SUB(?![A-Z_])')
 #: Letters of G65 arguments and the local variables that they set.
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
 
 
-class Flow(Cursor):
+class Flow(SiemensFlow):
     """A cursor that executes the statements which move it."""
 
     # --- statements ----------------------------------------------------------------------------
@@ -54,44 +55,29 @@ class Flow(Cursor):
             The rest of the line after a label or THEN; None if nothing is left.
 
         """
-        head = line[0]
-        if head == 'O':
-            if match := _O_WORD.fullmatch(line):
-                self._o_word(match[1], match[2], match[3])
+        if ':' in line and (match := _LABEL.match(line)):
+            line = line[match.end() :]
+            if not line:
                 return None
-        elif head == 'I' and line.startswith('IF'):
-            return self._if(line)
-        elif head == 'W' and (match := _WHILE.fullmatch(line)):
+        head = line[0]
+        if head == 'O' and (match := _O_WORD.fullmatch(line)):
+            self._o_word(match[1], match[2], match[3])
+            return None
+        if head == 'I' and (match := _IF.fullmatch(line)):
+            return self._if(match)
+        if head == 'W' and (match := _WHILE.fullmatch(line)):
+            if match[3]:
+                raise self.fault(f'nothing may follow DO{match[2]}; write it into the next line',
+                                 match[3])  # fmt: skip
             self._while(f'DO{match[2]}', match[1], rb'END\s*' + match[2].encode() + rb'(?!\d)')
             return None
-        elif head == 'E' and (match := _END.fullmatch(line)):
+        if head == 'E' and (match := _END.fullmatch(line)):
             self._again(f'DO{match[1]}', line)
             return None
-        elif head == 'G' and (match := _GOTO.fullmatch(line)):
-            self._jump(match[1], match[2])
+        if head == 'G' and (match := _GOTO.fullmatch(line)):
+            self.jump(match[1], match[2])
             return None
-        elif head == 'D' and (match := _DEFINITION.fullmatch(line)):
-            self._define(match[2])
-            return None
-        if ':' in line and (match := _LABEL.match(line)):
-            return line[match.end() :]
-        return line
-
-    def _define(self, names: str) -> None:
-        """Process DEF REAL A=1, B: define variables."""
-        for name in names.split(','):
-            match = re.fullmatch(r'\s*([A-Z_]\w*)\s*(?:=(.*))?', name)
-            if match is None:
-                raise self.fault('write DEF REAL NAME=VALUE', name.strip() or 'DEF')
-            self.variables.set_name(match[1], self._condition(match[2]) if match[2] else 0.0)
-
-    def _condition(self, text: str) -> float:
-        """Return the value of a condition or expression."""
-        try:
-            (node,) = parse(text, 'condition')
-            return evaluate(node, self.variables)
-        except (ExpressionError, ValueError) as problem:
-            raise self.fault(str(problem) or 'a condition is missing', text[:20]) from None
+        return None if self.siemens(line) else line
 
     def _values(self, text: str) -> list[float]:
         """Return the values of ``[...] [...]``."""
@@ -100,38 +86,14 @@ class Flow(Cursor):
         except ExpressionError as problem:
             raise self.fault(str(problem), text[:20]) from None
 
-    def _if(self, line: str) -> str | None:
+    def _if(self, match: re.Match[str]) -> str | None:
         """Process IF [...] GOTO n, IF [...] THEN ... and IF ... GOTOF label."""
-        match = _IF.fullmatch(line)
-        if match is None:
-            raise self.fault('write IF [...] GOTO number, or IF [...] THEN #1=value', 'IF')
-        if not self._condition(match[1]):
+        if not self.condition(match[1]):
             return None
         if match[2] == 'THEN':
             return match[3] or None
-        self._jump(match[2][4:], match[3])
+        self.jump(match[2][4:], match[3])
         return None
-
-    def _jump(self, way: str, target: str) -> None:
-        """Jump to a line number or a label."""
-        if re.fullmatch(r'[A-Z_][A-Z_]\w*', target):
-            pattern = rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:'
-        else:
-            value = self._condition(target.removeprefix('N'))
-            if not 0 <= value < 1e9:
-                raise self.fault('not a line number; write for example GOTO 100', target)
-            pattern = rb'(?mi)^[ \t/]*N[ \t]*0*%d(?!\d)' % round(value)
-        search = re.compile(pattern)
-        after = self.window.place(self.row + 1)
-        place = self.source.find(search, after) if way != 'B' else None
-        if place is None and way != 'F':
-            place = self.source.find(search, self.source.start)
-        if place is None or (way == 'B' and place.offset >= after.offset):
-            raise self.fault(
-                'no line with this number or label; correct the jump target', target or 'GOTO'
-            )
-        self.loops.clear()
-        self.back_or_on(place)
 
     def _skip(self, pattern: bytes, what: str) -> Place:
         """Return the place of the next line that matches; raise if there is none."""
@@ -149,14 +111,14 @@ class Flow(Cursor):
         place = self.window.place(self.row)
         if self.loops and self.loops[-1].label == label and self.loops[-1].begin != place:
             # This is the closing WHILE of O- DO.
-            if self._condition(condition):
+            if self.condition(condition):
                 self.back_or_on(self.loops[-1].begin)
             else:
                 self.loops.pop()
                 self.go(self.window.place(self.row + 1))
             return
         running = bool(self.loops) and self.loops[-1].begin == place
-        if self._condition(condition):
+        if self.condition(condition):
             if not running:
                 self.loops.append(Loop(label, place))
             self.go(self.window.place(self.row + 1))
@@ -175,39 +137,65 @@ class Flow(Cursor):
 
     def _o_word(self, label: str, word: str, rest: str) -> None:
         """Execute an O word of LinuxCNC."""
-        name = rb'O\s*' + re.escape(label.encode()) + rb'\s*'
-        following = self.window.place(self.row + 1)
+        self.has_o_words = True
+        if label[0] in '[#':
+            label = f'{self.condition(label):.0f}'
+        number = label.lstrip('0') if label.isdigit() else ''
+        name = rb'O\s*' + (b'0*' + number.encode() if number else re.escape(label.encode()))
+        name += rb'\s*'
+        shown = f'O{label} {word}'
         if word == 'SUB':
-            self.go(self.source.after(self._skip(name + b'ENDSUB', f'O{label} ENDSUB')))
+            self._pass_sub(name, label)
         elif word == 'CALL':
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
-            if not self._calls:
+            if not self.depth:
                 raise self.fault(
-                    'this subprogram was not called; move it after M2, or call it',
-                    f'O{label} {word}',
+                    'this subprogram was not called; move it after M2, or call it', shown
                 )
+            value = self._values(rest)
             self.leave()
+            self.returned = (value[0], 1.0) if value else (0.0, 0.0)
         elif word == 'WHILE':
             self._while(label, rest, name + b'ENDWHILE')
-        elif word in ('ENDWHILE', 'CONTINUE'):
-            if word == 'ENDWHILE' and rest:
+        elif word == 'ENDWHILE':
+            if rest:
                 raise self.fault('write O- ENDWHILE alone', rest)
-            self._again(label, f'O{label} {word}')
+            self._again(label, shown)
         elif word == 'DO':
-            self.loops.append(Loop(label, following))
-            self.go(following)
+            self.on()
+            self.loops.append(Loop(label, self.window.place(self.row)))
         elif word == 'REPEAT':
             self._repeat(label, rest, name)
         elif word == 'ENDREPEAT':
             self._end_repeat(label)
-        elif word == 'BREAK':
-            while self.loops and self.loops.pop().label != label:
-                pass
-            end = self._skip(name + rb'(?:ENDWHILE|ENDREPEAT|WHILE)', f'the end of O{label}')
-            self.go(self.source.after(end))
+        elif word in ('BREAK', 'CONTINUE'):
+            self._break_or_continue(label, word, name)
         else:
             self._o_if(label, word, rest, name)
+
+    def _pass_sub(self, name: bytes, label: str) -> None:
+        """Go on after a subprogram, which may not contain another."""
+        end = self._skip(name + b'ENDSUB', f'O{label} ENDSUB')
+        inner = self.source.find(_INNER_SUB, self.window.place(self.row + 1))
+        if self.depth or (inner is not None and inner.offset < end.offset):
+            raise self.fault('a subprogram within a subprogram; write one after the other',
+                             f'O{label} SUB')  # fmt: skip
+        self.go(self.source.after(end))
+
+    def _break_or_continue(self, label: str, word: str, name: bytes) -> None:
+        """Process BREAK, and CONTINUE: the next round begins, if there is one."""
+        while self.loops and self.loops[-1].label != label:
+            self.loops.pop()
+        if not self.loops:
+            raise self.fault('this loop was not begun; add its first line', f'O{label} {word}')
+        ends = rb'(?:ENDWHILE|ENDREPEAT|WHILE)(?![A-Z_])'
+        end = self._skip(name + ends, f'the end of O{label}')
+        if word == 'CONTINUE':
+            self.go(end)
+        else:
+            self.loops.pop()
+            self.go(self.source.after(end))
 
     def _repeat(self, label: str, rest: str, name: bytes) -> None:
         """Enter a REPEAT loop with its number of rounds, or skip it."""
@@ -241,7 +229,7 @@ class Flow(Cursor):
             end = self._skip(name + b'ENDIF', f'O{label} ENDIF')
             self.go(self.source.after(end))
             return
-        holds = bool(self._condition(rest))
+        holds = bool(self.condition(rest))
         place = self.window.place(self.row)
         while not holds:
             self.go(place)
@@ -249,7 +237,7 @@ class Flow(Cursor):
             self.go(place)
             line = self.window.line(self.row).upper()
             match = re.search(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)', line)
-            holds = match is None or match[1] != 'ELSEIF' or bool(self._condition(match[2]))
+            holds = match is None or match[1] != 'ELSEIF' or bool(self.condition(match[2]))
         self.go(self.window.place(self.row + 1))
 
     # --- subprograms ---------------------------------------------------------------------------
@@ -257,7 +245,7 @@ class Flow(Cursor):
     def _call_o_word(self, label: str, rest: str) -> None:
         """Call a subprogram of LinuxCNC with positional arguments."""
         if label.startswith('<'):
-            pattern, stem = re.escape(label.encode()), label[1:-1].lower()
+            pattern, stem = re.escape(label.encode()), label[1:-1].lower().replace(' ', '')
         else:
             pattern, stem = rb'0*%d' % int(label), label
         values = dict(enumerate(self._values(rest), start=1))
@@ -269,7 +257,8 @@ class Flow(Cursor):
     ) -> None:
         """Process M98 and G65: run the subprogram that begins with an O number."""
         pattern = rb'[O:]\s*0*%d(?!\d)' % number
-        self.call(f'O{number:04d}', pattern, rounds, arguments or {}, arguments is not None)
+        by_value = arguments is not None
+        self.call(f'O{number:04d}', pattern, rounds, arguments or {}, by_value, vacant=True)
 
     def call_of(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
         """Return number, rounds and arguments of a subprogram call (M98 P, G65 P), or None."""

@@ -8,20 +8,22 @@ other line is split into words. Then flow, settings, motion and stops are execut
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MINUTE
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import codes, scan
+from cnc_interp.program import codes, scan, siemens_cycles
 from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cycles import CannedCycle
+from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, Dialect
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.job import JobSetup, SetupChange
@@ -31,6 +33,7 @@ from cnc_interp.program.motion import Mover
 from cnc_interp.program.named_words import NamedWords
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.runs import SHORTEST, move_along
+from cnc_interp.program.siemens_cycles import SiemensCycle
 from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.start_line import StartLine
@@ -52,15 +55,22 @@ class GcodeReader:
         setup: JobSetup,
         source: Source,
         notices: Notices,
+        dialect: Dialect = PLAIN,
     ):
         self.settings, self.notices = settings, notices
-        self.variables = ProgramVariables(lambda: self.mover.system_variables(self._tool))
+        self.variables = ProgramVariables(
+            lambda: self.mover.system_variables(self._tool),
+            lambda: self.mover.predefined_names(self._tool, self._chosen_tool, self._outputs),
+        )
         self.flow = Flow(source, self.variables, settings.most_jumps)
         self.mover = Mover(geometry, settings, setup, self.flow, notices)
+        self.mover.dialect = dialect
+        self.mover.motion = dialect.starts_with
         self.splines = Splines(self.mover)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
         self._tool = self._chosen_tool = setup.tool
+        self._called: SiemensCycle | None = None  # by MCALL
         self._outputs: dict[str, str] = {}  # the last M code of each output
         self._percent_seen = False
         self._leader = leader_lines(source)
@@ -157,6 +167,8 @@ class GcodeReader:
             parts = targets.take()
             if not refused:
                 yield from parts
+        if flow.ran_out and flow.has_o_words and self.mover.dialect is LINUXCNC:
+            raise self.fault('the program ends without M2, M30 or %; add M2')
         if refused:
             raise refused.error()
         self.splines.end()
@@ -181,6 +193,9 @@ class GcodeReader:
         else:
             flow.jumped = False
             self._line(window.line(row))
+            if flow.restoring is not None:
+                self._restore(flow.restoring)
+                flow.restoring = None
             if not flow.jumped:
                 flow.row = row + 1
 
@@ -211,6 +226,7 @@ class GcodeReader:
         in_main = self.flow.source is self.flow.main
         free = (
             self._cycle is None
+            and self._called is None
             and not self.mover.radius_code
             and not self.splines.open
             and not self._plane.is_incomplete
@@ -235,7 +251,7 @@ class GcodeReader:
         line = without_comments(raw.upper(), self.fault)
         if not line:
             return
-        if line[0] == '%':
+        if line[0] == '%' and line[-1] != '*':
             if self._percent_seen or not self.mover.targets.empty:
                 self.flow.ended = True
             self._percent_seen = True
@@ -250,6 +266,9 @@ class GcodeReader:
         self._in_flow = True
         rest = self.flow.execute(line) if line else None
         self._in_flow = False
+        if rest and rest[-1] == '*':
+            raise self.fault('* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
+                             'blank; post for Fanuc or as plain text', '*')  # fmt: skip
         if rest and not (rest[0] in 'O<' and self.mover.targets.empty and is_name(rest)):
             self._execute(split_words(rest, self.variables, self.fault))
 
@@ -260,6 +279,7 @@ class GcodeReader:
         values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
+        drilling = self._siemens_cycle(words)
         self._named.execute(words)
         changes = bool({'M6', 'M61'} & set(words.m))
         if 'M61' in words.m and 'Q' not in values:
@@ -271,14 +291,22 @@ class GcodeReader:
             self._tool = self._chosen_tool
         if changes:
             mover.change(SetupChange('tool', self._tool))
+        if 'M19' in words.m and 'G64' not in words.g:
+            for letter in 'RPQ':  # where the spindle stops
+                values.pop(letter, None)
+        if words.second_tool is not None:
+            if not changes:
+                raise self.fault('T is written twice in one block; keep one of them', 'T')
+            self._chosen_tool = round(min(abs(words.second_tool), 1e6))
         if 'S' in values:
             mover.spindle_speed = values['S']
+        unit = mover.unit
         self._settings(words)
         for code in words.m:
             self._machine_function(code)
         f = values.pop('F', None) if 'G4' not in words.g and 'G65' not in words.g else None
         if f is not None:
-            mover.set_feed(f, words.texts['F'])
+            mover.set_feed(f, words.texts['F'], unit if mover.dialect.feeds_first else mover.unit)
         mover.targets.state = self._state()
         if mover.radius_code:
             self._modes.stay_beside_contour(words)
@@ -290,12 +318,17 @@ class GcodeReader:
             self._dwell(words)
         elif self._plane.takes(taking):
             self._plane.execute(taking[0], words)
+        elif 'G33' in taking or 'G33.1' in taking:
+            self._thread(taking[0], words)
         elif taking and 'G65' not in taking:
             self._axis_codes.execute(taking[0], words)
         if any(key == 'BSPLINE' for key, _ in words.keys):
             self._cycle = None
             self.splines.begin()
+        moves = not {'X', 'Y', 'Z', *mover.rotary_letters}.isdisjoint(values)
         self._move(words, f is not None)
+        for cycle in drilling or ([self._called] if moves and self._called else []):
+            cycle.make()
         mover.stop_once = False
         for code in words.m:
             if code in codes.STOP_M:
@@ -307,6 +340,33 @@ class GcodeReader:
             self.flow.call_number(*calling)
         elif returning := codes.RETURN_M & set(words.m):
             self._return(min(returning))
+
+    def _siemens_cycle(self, words: BlockWords) -> list[SiemensCycle]:
+        """Take the drilling cycles of Siemens out of a block; return those that it runs."""
+        mover, modal, found = self.mover, False, []
+        for key, given in words.keys:
+            if key == 'MCALL':
+                modal, self._called = True, None
+            elif key in siemens_cycles.CYCLES:
+                found.append(SiemensCycle(key, given, mover))
+            elif key in siemens_cycles.PATTERNS:
+                self._drill_pattern(key, given)
+        own = {'MCALL', 'CYCLE80', *siemens_cycles.CYCLES, *siemens_cycles.PATTERNS}
+        words.keys[:] = [key for key in words.keys if key[0] not in own]
+        if modal and found:
+            self._called = found.pop()
+        return found
+
+    def _drill_pattern(self, key: str, given: Sequence[float | None]) -> None:
+        """Run the modal cycle at the holes of a row or a circle."""
+        mover = self.mover
+        if self._called is None:
+            raise self.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) before', key)
+        for place in siemens_cycles.places_of(key, given, mover):
+            target = mover.here()
+            target[list(PLANES[mover.plane][:2])] = place
+            mover.go(mover.frames.point(target[:3]), mover.rotary, rapid=True)
+            self._called.make()
 
     def _settings(self, words: BlockWords) -> None:
         """Apply the G codes of a block that are settings."""
@@ -335,6 +395,8 @@ class GcodeReader:
                 if 'H' in words.values and not codes.LENGTH_CODES & set(words.g):
                     raise self.fault(codes.OKUMA_LENGTH, code)
                 self._modes.choose_work_offset(code)
+            elif code in ('G54.1', 'G154'):
+                self._modes.choose_extended_offset(code, words)
             elif code in codes.LENGTH or code in codes.TCP_ON or code in codes.TCP_OFF:
                 self._modes.tool_length(code, words, self._tool)
             elif code in codes.RADIUS:
@@ -355,9 +417,21 @@ class GcodeReader:
                 letters, why = codes.OTHER_MEANING.get(code, ('', ''))
                 if found := set(letters) & words.values.keys():
                     raise self.fault(why, f'{code} {words.texts[min(found)]}')
+                if code == 'G54.2' and words.values.get('P'):
+                    raise self.fault('a dynamic offset is not supported; write G54.2 P0', code)
+                for letter in codes.IDLE_LETTERS.get(code, ''):
+                    words.values.pop(letter, None)
+                mover.by_surface_speed = code == 'G96' or (
+                    mover.by_surface_speed and code != 'G97'
+                )
                 self.notice(code, codes.HARMLESS_G[code])
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; post without it', code)
+        if (
+            mover.dialect is FANUC and 'H' in words.values and mover.frames.length
+            and not (codes.LENGTH_CODES | {'G65'}) & set(words.g)
+        ):  # fmt: skip
+            self._modes.tool_length('G43', words, self._tool)
         if 'G64' in words.g:
             self._modes.path_tolerance(words)
         if was != mover.feed_mode:
@@ -369,7 +443,9 @@ class GcodeReader:
         """Execute an M code that does not stop, call or end the program."""
         if code in codes.REFUSED_M:
             raise self.fault(codes.REFUSED_M[code], code)
-        if code in codes.TCP_ON:
+        if code in codes.STATE_M:
+            self._save_or_restore(code)
+        elif code in codes.TCP_ON:
             self._modes.switch_tcp(code)
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
@@ -379,6 +455,25 @@ class GcodeReader:
                 self.notice(code, codes.NO_SPINDLE)
             else:
                 self.notice(code, 'no effect, it does not move the tool')
+
+    def _save_or_restore(self, code: str) -> None:
+        """Process M70 to M73: save the state, forget it, restore it; M73 does so at return."""
+        flow, mover = self.flow, self.mover
+        if code == 'M72':
+            if flow.saved_state is None:
+                raise self.fault('no state is saved here; write M70 before', code)
+            self._restore(flow.saved_state)
+            return
+        state = (mover.saved_values(), dict(self._outputs))
+        flow.save(None if code == 'M71' else state, restores=code == 'M73')
+
+    def _restore(self, state: tuple[dict[str, object], dict[str, str]]) -> None:
+        """Restore a modal state."""
+        values, outputs = state
+        self._outputs = dict(outputs)
+        if str(values['offset']) != self.mover.setup.offset:
+            self._modes.choose_work_offset(str(values['offset']))
+        self.mover.restore_values(values)
 
     def _program_stop(self, code: str) -> None:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
@@ -402,7 +497,7 @@ class GcodeReader:
         elif self._cycle is None and not self.splines.take(words, feed_given):
             mover.move(words, feed_given, machine)
         for letter in list(values):
-            if letter == 'H' and mover.frames.length:
+            if letter == 'H' and mover.frames.length and mover.dialect is not FANUC:
                 raise self.fault('on Fanuc it changes the tool length; write G43 with it, or '
                                  'leave it out', words.texts['H'])  # fmt: skip
             if letter in 'STDHE':
@@ -417,6 +512,21 @@ class GcodeReader:
             elif self._cycle is None or letter not in 'QRPKL':
                 raise self.fault('this word has no meaning here', words.texts[letter])
 
+    def _thread(self, code: str, words: BlockWords) -> None:
+        """Process G33, and G33.1 which comes back: K is the way per turn of the spindle."""
+        mover = self.mover
+        pitch, speed = words.values.pop('K', 0.0), mover.spindle_speed
+        if not pitch * speed > 0.0:
+            raise self.fault('needs K, the way per turn, and S', code)
+        self.notice(code, 'at the feed of K and S; the spindle is not synchronised')
+        start, target = mover.here(), mover.target(words)
+        kept = mover.feed_mode, mover.feedrate
+        mover.feed_mode, mover.feedrate = 'G94', pitch * speed * mover.unit / MINUTE
+        for place in (target, start)[: 2 if code == 'G33.1' else 1]:
+            mover.go(mover.frames.point(place[:3]), mover.rotary, rapid=False)
+            self.splines.stop_here()
+        mover.feed_mode, mover.feedrate = kept
+
     def _dwell(self, words: BlockWords) -> None:
         """Process G4: its P, X, F, S or U is a time."""
         for letter in 'PXFSU':
@@ -430,7 +540,7 @@ class GcodeReader:
 
     def _return(self, code: str) -> None:
         """Process M99 and M17: return from a subprogram; in the main program, end it."""
-        if self.flow.in_subprogram:
+        if self.flow.depth:
             self.flow.leave()
         else:
             self.notice(code, 'in the main program: its end')

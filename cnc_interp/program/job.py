@@ -17,6 +17,8 @@ from cnc_interp.settings.choices import Settings
 
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
+#: Those beyond: G54.1 P1 to P300 of Fanuc, which Haas writes as G154 P1.
+ALL_OFFSETS = (*WORK_OFFSETS, *(f'G54.1 P{number}' for number in range(1, 301)))
 REFERENCE_POINTS = ('G28', 'G30')
 #: Beside the axes of a work offset: its rotation about Z [rad].
 ROTATION = 'R'
@@ -162,7 +164,7 @@ class JobSetup:
         content: dict[str, Any] = {
             'work_offsets': {
                 name: _position_shown(self.work_offsets[name])
-                for name in WORK_OFFSETS
+                for name in ALL_OFFSETS
                 if name in self.work_offsets
             },
             'active': self.active,
@@ -240,12 +242,12 @@ class _Reading:
             for key in ('work_offsets', 'tools', 'reference_points')
         )
         active, g92_on = whole.get('active', ''), whole.get('g92_on', bool(whole.get('g92')))
-        if active not in ('', *WORK_OFFSETS):
+        if active not in ('', *ALL_OFFSETS):
             raise self.fault(f'active: must be one of {", ".join(WORK_OFFSETS)}, not {active!r}')
         if not isinstance(g92_on, bool):
             raise self.fault(f'g92_on: must be true or false, not {g92_on!r}')
         return JobSetup(
-            {k: self._position(offsets[k], k, WORK_OFFSETS) for k in offsets},
+            {k: self._position(offsets[k], k, ALL_OFFSETS) for k in offsets},
             {self._number_of(k, 'tools'): self._tool(tools[k], k) for k in tools},
             {k: self._position(references[k], k, REFERENCE_POINTS) for k in references},
             active,
@@ -269,9 +271,10 @@ class _Reading:
     def _position(self, content: Any, name: Any, known: tuple[str, ...]) -> dict[str, float]:
         """Return one position by axis letters [m, rad], from mm and deg."""
         if name not in known:
-            raise self.fault(f'{name}: unknown; known: {", ".join(known)}')
+            shown = ', '.join(known[: len(WORK_OFFSETS)])
+            raise self.fault(f'{name}: unknown; known: {shown}')
         words = self._mapping(content, str(name))
-        letters = [*LETTERS, ROTATION] if known is WORK_OFFSETS else list(LETTERS)
+        letters = [*LETTERS, ROTATION] if known is ALL_OFFSETS else list(LETTERS)
         for letter in words:
             if letter not in letters:
                 raise self.fault(f'{name}.{letter}: unknown axis; known: {" ".join(letters)}')

@@ -14,9 +14,10 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.contact_normal import ContactPath
+from cnc_interp.program.dialects import PLAIN
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
-from cnc_interp.program.job import WORK_OFFSETS, JobSetup, SetupChange, Tool
+from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.targets import TargetColumns
@@ -128,6 +129,7 @@ class ModalState:
         own = len(geometry.axis_names) - len(self.extra_letters)
         self.rotary_letters = tuple(geometry.axis_names[3:own])
         # Modal settings, with the names of codes.SETTINGS.
+        self.dialect = PLAIN
         self.motion: int | None = None
         self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
         self.feed_mode, self.retract_to_start = 'G94', True
@@ -145,6 +147,7 @@ class ModalState:
         self.blocks_per_minute: float | None = None
         self.feed_changed = False  # whether the feed mode changed after the last F
         self.spindle_speed = 0.0
+        self.by_surface_speed = False  # whether S is a speed of the surface (G96)
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
         # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
@@ -156,6 +159,11 @@ class ModalState:
         self.point = np.zeros(3)
         self.rotary = np.zeros(2) if self.rotary_letters else np.full(2, nan)
         self.named = 0.0
+        #: Shifts of new frames that incremental words still run through [m, rad].
+        self.shifted = np.zeros(5)
+        #: How far the tool stands beside its programmed place after G40 [m]; None: it does not.
+        self.beside: FloatArray | None = None
+        self.leaves_contour = False  # whether the next motion leads away from a contour
         #: Positions of the extra axes U V W, which count from their machine zero [m].
         self.extra = np.zeros(3)
         self._along = np.zeros((3, 3))
@@ -169,6 +177,21 @@ class ModalState:
         for name in (*_SETTINGS, *_VALUES):
             setattr(self, name, getattr(before, name))
         self.frames.follow(before.frames)
+
+    def saved_values(self) -> dict[str, object]:
+        """Return what M70 saves: all settings but the motion, feed, tolerances, offset, length."""
+        names = (*_SETTINGS[1:], *_VALUES)
+        values: dict[str, object] = {name: getattr(self, name) for name in names}
+        return values | {'offset': self.setup.offset, 'length': self.frames.length}
+
+    def restore_values(self, values: Mapping[str, object]) -> None:
+        """Restore the settings, feed, tolerances and tool length that ``saved_values`` gave."""
+        if values['tcp'] != self.tcp:
+            self.switch_tcp(str(values['tcp']))
+        for name in (*_SETTINGS[1:], *_VALUES):
+            setattr(self, name, values[name])
+        self.frames.length = float(str(values['length']))
+        self.frames.update()
 
     def modal_values(self) -> tuple[object, ...]:
         """Return all that the codes, the spindle speed and the tolerances tell, to compare it."""
@@ -320,6 +343,9 @@ class ModalState:
                 raise self.fault(NO_NEW_F if self.feed_changed else NO_F)
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
+            if self.by_surface_speed:
+                raise self.fault('feed per revolution (G95) at a surface speed (G96); write G97 S',
+                                 'G95')  # fmt: skip
             if not self.spindle_speed > 0.0:
                 raise self.fault(
                     'feed per revolution (G95) without a spindle speed; write S first', 'G95'
@@ -331,8 +357,8 @@ class ModalState:
             self.notice('G93', 'a block without F keeps the last one')
         return nan, MINUTE / self.blocks_per_minute, nan
 
-    def set_feed(self, value: float, word: str) -> None:
-        """Set the feed from an F word."""
+    def set_feed(self, value: float, word: str, unit: float) -> None:
+        """Set the feed from an F word in a unit of length [m]."""
         if not 0.0 < value < inf:
             raise self.fault('the feedrate must be greater than zero', word)
         if self.feed_mode == 'G93':
@@ -341,14 +367,14 @@ class ModalState:
                 hours = f'{1.0 / (60.0 * value):.3g} h'
                 self.notice('G93', f'{word} is a block of {hours}; F counts blocks per minute')
         else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
-            self.feedrate, self.turn_rate = value * self.unit / MINUTE, value * DEG / MINUTE
+            self.feedrate, self.turn_rate = value * unit / MINUTE, value * DEG / MINUTE
 
     def system_variables(self, tool: int) -> dict[int, float]:
         """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
         setup = self.setup
         found = {
             5210: float(setup.g92_on),
-            5220: 1.0 + WORK_OFFSETS.index(setup.offset),
+            5220: 1.0 + ALL_OFFSETS.index(setup.offset),
             5400: float(tool),
             5403: self.frames.length / self.unit,
             5410: 2.0 * setup.tools.get(tool, Tool()).radius / self.unit,
@@ -373,6 +399,38 @@ class ModalState:
             for base in (5420, 5001, 5041):
                 found[base + number] = shown
         return found
+
+    def predefined_names(
+        self, tool: int, chosen: int, outputs: Mapping[str, str]
+    ) -> dict[str, float]:
+        """Return the named parameters that LinuxCNC sets itself, as ``<_X>``."""
+        letters = ('X', 'Y', 'Z', *self.rotary_letters)
+        machine = [*(self.point + self.zero).tolist(), *self.rotary.tolist()]
+        motion = self.motion if self.motion is not None else 80
+        found = {
+            'METRIC': self.unit == MM, 'IMPERIAL': self.unit != MM,
+            'ABSOLUTE': not self.incremental, 'INCREMENTAL': self.incremental,
+            'INVERSE_TIME': self.feed_mode == 'G93',
+            'UNITS_PER_MINUTE': self.feed_mode == 'G94', 'UNITS_PER_REV': self.feed_mode == 'G95',
+            'PLANE': 10.0 * int(self.plane[1:]), 'MOTION_MODE': 10.0 * motion,
+            'CCOMP': 10.0 * float(self.radius_code[1:] or 40),
+            'COORD_SYSTEM': 10.0 * float(self.setup.offset[1:].split()[0]),
+            'TOOL_OFFSET': bool(self.frames.length), 'RETRACT_OLD_Z': self.retract_to_start,
+            'RETRACT_R_PLANE': not self.retract_to_start,
+            'IJK_ABSOLUTE_MODE': self.centre_absolute, 'LATHE_DIAMETER_MODE': False,
+            'LATHE_RADIUS_MODE': True, 'SPINDLE_RPM_MODE': True, 'SPINDLE_CSS_MODE': False,
+            'SPINDLE_ON': outputs.get('spindle') in ('M3', 'M4'),
+            'SPINDLE_CW': outputs.get('spindle') == 'M3',
+            'MIST': outputs.get('mist') == 'M7', 'FLOOD': outputs.get('coolant') == 'M8',
+            'FEED': 0.0 if self.feedrate is None else self.feedrate * MINUTE / self.unit,
+            'RPM': self.spindle_speed, 'CURRENT_TOOL': tool, 'SELECTED_TOOL': chosen,
+            'LINE': self.flow.line_number, 'CALL_LEVEL': self.flow.depth, 'TASK': 0.0,
+            'VALUE': self.flow.returned[0], 'VALUE_RETURNED': self.flow.returned[1],
+        }  # fmt: skip
+        for letter, here, there in zip(letters, self.here().tolist(), machine, strict=False):
+            size = self.unit if letter in 'XYZ' else DEG
+            found[letter], found[f'ABS_{letter}'] = here / size, there / size
+        return {f'<_{name}>': float(value) for name, value in found.items()}
 
     def why_not(self, letter: str) -> str:
         """Return why an axis word cannot be executed."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.contact_normal import Cutter
-from cnc_interp.program.job import SetupChange, Tool
+from cnc_interp.program.job import ALL_OFFSETS, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
@@ -153,8 +154,21 @@ class Modes:
             )
         if not frames.known(code):
             self.notice(code, 'taken as the workpiece zero')
-        frames.named = code
+        frames.named, before = code, self._mover.here()
         self._mover.change(SetupChange('active', code))
+        self._shift(before)
+
+    def choose_extended_offset(self, code: str, words: BlockWords) -> None:
+        """Process G54.1 P and G154 P: select a work offset beyond G59.3."""
+        number = words.values.pop('P', 0.0)
+        if f'G54.1 P{number:g}' not in ALL_OFFSETS:
+            raise self.fault('P must be the number of the offset, 1 to 300', code)
+        self.choose_work_offset(f'G54.1 P{number:g}')
+
+    def _shift(self, before: FloatArray) -> None:
+        """Keep the change of the program coordinates, where incremental words run through it."""
+        if self._mover.dialect.runs_shifts and not self._mover.targets.empty:
+            self._mover.shifted += before - self._mover.here()
 
     def path_tolerance(self, words: BlockWords) -> None:
         """Process G64 P: set both tolerances; without P, restore those of the user."""
@@ -189,7 +203,7 @@ class Modes:
     def turn_frame(self, key: str, words: BlockWords) -> None:
         """Process TRANS, ATRANS, ROT and AROT: shift or rotate the program coordinates."""
         mover = self._mover
-        frames = mover.frames
+        frames, before = mover.frames, mover.here()
         if not key.startswith('A'):
             frames.reset_frame()
         taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
@@ -200,3 +214,5 @@ class Modes:
                 taken['XYZ'[PLANES[mover.plane][2]]] = dict(words.sets)['RPL']
             frames.rotate({letter: angle * DEG for letter, angle in taken.items() if angle})
         frames.update()
+        if key.endswith('TRANS'):
+            self._shift(before)

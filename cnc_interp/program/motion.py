@@ -14,8 +14,9 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.arcs import FAULTS, PLANES, arcs_of
+from cnc_interp.program.arcs import AS_ABSOLUTE, FAULTS, PLANES, TOLD, arcs_of
 from cnc_interp.program.contact_normal import ContactPath, Cutter
+from cnc_interp.program.dialects import LINUXCNC
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.targets import NO_ARC
@@ -51,13 +52,15 @@ class Mover(ModalState):
             return
         if self.motion is None:
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
+        if self.leaves_contour and self.motion >= 2:
+            raise self.fault('after G40 a line leads away; write G1 before the arc')
         vector = self._vector_of(words, arc_words)
         if self.contact is not None:
             if arc_words is not None:
                 raise self.fault('arcs have no contact normals; post lines', self.radius_code)
             self.contact.take(words, self.frames.turn, self._contact_fault)
+        by_machine = self.machine_words(words) if machine else ''
         if machine:
-            self.refuse_machine_words()
             target, point = self.here(), self.machine_target(words)
         else:
             target = self.target(words)
@@ -72,6 +75,8 @@ class Mover(ModalState):
         elif self.motion >= 2:
             raise self.fault(FAULTS[1])
         self.go(point, rotary, vector, arc, feed_given)
+        if by_machine:
+            self.switch_tcp(by_machine)
 
     def stand_at(self, q: FloatArray) -> None:
         """Begin where the machine stands: its pose becomes the first target."""
@@ -98,7 +103,7 @@ class Mover(ModalState):
             raise self.fault('the tool does not stand upright on the plane of the contour', code)
         self.radius_code, self.radius_plane = code, self.plane
         if distance:
-            self.targets.begin_radius(distance, frame)
+            self.targets.begin_radius(distance, frame, self.dialect.own_entry)
 
     def begin_contact(self, code: str, cutter: Cutter) -> None:
         """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""
@@ -130,11 +135,15 @@ class Mover(ModalState):
 
         After contact normals the next block leads to its end as programmed.
         """
+        self.leaves_contour = bool(self.radius_code) and self.contact is None
         if self.contact is not None:
             self.contact, self.radius_code, self.radius_plane = None, '', ''
         elif self.radius_code:
             self.radius_code = self.radius_plane = ''
-            self.point = self.targets.end_radius()
+            stands = self.targets.end_radius()
+            if self.dialect is not LINUXCNC:
+                # Moves along the tool stay beside the contour. Others lead to programmed places.
+                self.beside, self.point = stands - self.point, stands
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
         """
@@ -174,6 +183,10 @@ class Mover(ModalState):
             Program coordinates [m, rad].
 
         """
+        if self.beside is not None and not set('XYZ').isdisjoint(words.values):
+            along = 'XYZ'[PLANES[self.plane][2]]
+            if set('XYZ') & words.values.keys() != {along}:
+                self.point, self.beside = self.point - self.beside, None
         here = self.here()
         target = here.copy()
         for i, letter in enumerate(('X', 'Y', 'Z', *self.rotary_letters)):
@@ -183,11 +196,12 @@ class Mover(ModalState):
             way = words.ways.get(letter, 'IC' if self.incremental else '')
             size = self.unit if i < 3 else DEG
             if way == 'IC':
-                target[i] = here[i] + value * size
+                target[i] = here[i] + self.shifted[i] + value * size
             else:
                 target[i] = value * size
             if i >= 3:
                 target[i] = self._turned(float(here[i]), float(target[i]), way)
+            self.shifted[i] = 0.0
         return target
 
     def _extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
@@ -214,21 +228,36 @@ class Mover(ModalState):
             return here - (here - angle) % (2.0 * pi)
         return angle
 
-    def refuse_machine_words(self) -> None:
-        """Raise ProgramError for machine coordinates while X Y Z are tool tips."""
-        if self.tcp:
-            raise self.fault(
-                'machine coordinates while tool-tip programming is on; switch it off before '
-                '(TRAFOOF, G49)'
-            )
+    def machine_words(self, words: BlockWords) -> str:
+        """
+        Decide what machine coordinates mean while X Y Z are tool tips.
+
+        With the rotary axes at zero all controls agree. Otherwise they are axis positions on
+        Fanuc, for which tool-tip programming is switched off; the result is the word that switches
+        it on again. On LinuxCNC and Siemens they are positions of the tip without offsets.
+        """
+        turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
+        turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
+        if self.tcp and turned:
+            if not self.dialect.is_sure or self.oriented:
+                raise self.fault(
+                    'machine coordinates with tool-tip programming on: axis positions on Fanuc, '
+                    'tip positions on LinuxCNC; switch it off before (TRAFOOF, G49)'
+                )
+            if self.dialect.machine_axes:
+                word = self.tcp
+                self.switch_tcp('')
+                return word
         if not self.rotary_letters and not self.zero.any():
             self.notice('machine coordinates', 'on this machine their zero is the workpiece zero')
+        return ''
 
     def machine_target(self, words: BlockWords) -> FloatArray:
         """Remove X Y Z as machine coordinates and return their point."""
         point = self.point.copy()
         for i, letter in enumerate('XYZ'):
             if (value := words.values.pop(letter, None)) is not None:
+                self.shifted[i] = 0.0
                 point[i] = self.frames.machine_point(i, value * self.unit)
         return point
 
@@ -281,6 +310,7 @@ class Mover(ModalState):
                 f'{self.rotary_letters[which]}{rotary[which] / DEG:g}',
             )
         rapid = self.motion == 0 if rapid is None else rapid
+        self.leaves_contour = False
         feed = (inf, nan, inf) if rapid else self.feed(feed_given)
         self.tell_long_way(np.abs(rotary - self.rotary), rapid)
         self.point, self.rotary = point, rotary
@@ -331,13 +361,27 @@ class Mover(ModalState):
             )
         arcs = arcs_of(
             self.plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
-            offset, np.array([words.values.get('R', nan) * self.unit]), absolute, turns,
+            offset, np.array([words.values.get('R', nan) * self.unit]), absolute, turns, self.unit,
         )  # fmt: skip
+        if arcs.fault[0] == 3 and not absolute.any() and self._fits_absolute(target, offset):
+            raise self.fault(AS_ABSOLUTE, 'G2' if self.motion == 2 else 'G3')
         if arcs.fault[0]:
             raise self.arc_fault(int(arcs.fault[0]), float(arcs.mismatch[0]))
+        if arcs.mismatch[0] > TOLD:
+            self.notice('arcs', 'the distance from the centre differs at their ends by up to '
+                        f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '
+                        'changes evenly')  # fmt: skip
         centre = self.frames.point(arcs.centre[0])
         normal = self.frames.turn[:, PLANES[self.plane][2]]
         return (*centre, *normal, float(arcs.sweep[0]))
+
+    def _fits_absolute(self, target: FloatArray, offset: FloatArray) -> bool:
+        """Tell whether I J K give an arc if they are taken as its absolute centre."""
+        arcs = arcs_of(
+            self.plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
+            offset, np.array([nan]), True, 1.0, self.unit,
+        )  # fmt: skip
+        return not arcs.fault[0]
 
     def arc_fault(self, kind: int, mismatch: float) -> ProgramError:
         """Return the error for an arc that does not exist."""

@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.files import CL_SUFFIXES
+from cnc_interp.program.dialects import HEIDENHAIN, dialect_of, form_of
 from cnc_interp.program.gcode import GcodeReader
+from cnc_interp.program.heidenhain import HeidenhainReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.settings.choices import Settings
-
-_HEAD_LINES = 2000
-_CL_LINE = re.compile(
-    r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]'
-    r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
-    re.IGNORECASE,
-)
-_GCODE_LINE = re.compile(
-    r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)', re.IGNORECASE
-)
-_HEIDENHAIN_LINE = re.compile(r'\s*\d+\s+BEGIN\s+PGM\b', re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -82,7 +70,7 @@ class ProgramStream:
         self._source, self.source = source, source.name
         #: Text of the setup at the start; empty where nothing is set.
         self.setup = '' if setup == JobSetup() else setup.text()
-        self.dialect = _dialect(source)
+        self.dialect = form_of(source)
         self._notices = Notices()
         self._reader: ClReader | GcodeReader
         if self.dialect == 'cl':
@@ -93,7 +81,10 @@ class ProgramStream:
                     'zero of the machine file',
                 )  # fmt: skip
         else:
-            self._reader = GcodeReader(geometry, settings, setup, source, self._notices)
+            plain_text = self.dialect == 'heidenhain'
+            profile = HEIDENHAIN if plain_text else dialect_of(source, settings.dialect)
+            kind = HeidenhainReader if plain_text else GcodeReader
+            self._reader = kind(geometry, settings, setup, source, self._notices, profile)
 
     def __iter__(self) -> Iterator[Blocks]:
         """Yield the blocks in batches; the text is closed at the end."""
@@ -175,21 +166,3 @@ def read_text(
 
     """
     return ProgramStream(Source.of_text(text, source), geometry, settings, setup).read()
-
-
-def _dialect(source: Source) -> str:
-    """Return the dialect, from the first line that is possible in only one of them."""
-    head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
-    for number, line in enumerate(head, start=1):
-        if _HEIDENHAIN_LINE.match(line):
-            raise ProgramError(
-                'Heidenhain plain text is not supported; post as G-code or CL data',
-                source.name,
-                number,
-                'BEGIN PGM',
-            )
-        if _CL_LINE.match(line):
-            return 'cl'
-        if _GCODE_LINE.match(line):
-            return 'gcode'
-    return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
-from cnc_interp.program.arcs import PLANES, arcs_of
+from cnc_interp.program.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal_state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion import MOST_TURN, Mover
 from cnc_interp.program.moves import (
@@ -57,6 +57,9 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         or mover.vector is not None
         or mover.tcp == 'G43.5'
         or mover.feed_mode == 'G95'
+        or mover.leaves_contour
+        or mover.beside is not None
+        or mover.shifted.any()
     ):
         return False
     motion = _filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)
@@ -121,7 +124,7 @@ def _set_state(
         mover.motion = int(motion[-1])
     given = feed_words[np.isfinite(feed_words)]
     if len(given):
-        mover.set_feed(float(given[-1]), 'F')
+        mover.set_feed(float(given[-1]), 'F', mover.unit)
     mover.point, mover.rotary, mover.named = points[-1], rotary[-1], float(named[-1])
 
 
@@ -186,9 +189,9 @@ def _arcs(
     arcs = arcs_of(
         mover.plane, motion[on_arc] == 3.0, before[on_arc, :3], program[on_arc, :3],
         values[on_arc][:, scan.I : scan.K + 1] * unit, values[on_arc, scan.R] * unit,
-        mover.centre_absolute,
+        mover.centre_absolute, unit=unit,
     )  # fmt: skip
-    if arcs.fault.any():
+    if arcs.fault.any() or (arcs.mismatch > TOLD).any():
         return False
     which = on_arc[moves]
     rows[which, CENTRE] = mover.frames.point(arcs.centre)

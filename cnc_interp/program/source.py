@@ -160,6 +160,11 @@ class Source:
             place = Place(place.offset + len(text), place.line + text.count(b'\n'))
         return None
 
+    def line_at(self, place: Place) -> str:
+        """Return the text of the line at a place."""
+        self._stream.seek(place.offset)
+        return self._stream.readline(_LONGEST_LINE).decode('utf-8', 'replace').strip()
+
     def after(self, place: Place) -> Place:
         """Return the place of the next line."""
         self._stream.seek(place.offset)
@@ -181,7 +186,7 @@ def _scanned(place: Place, text: bytes) -> Window:
 _HEAD_LINES = 200
 _WORD = re.compile(r'\s*(?:/\s*)?(?:[GMXYZNTSF]\s*[-+.\d#\[=]|[:O]\s*\d|[(;]|$)', re.IGNORECASE)
 _NAME = re.compile(
-    r'<[^<>]+>'  # Fanuc: a name instead of a number
+    r'<[^<>]+>\s*(?:\([^()]*\))?'  # Fanuc: a name instead of a number, and a comment
     r'|O\s*<[^<>]+>'
     r'|O(?!RI|TOL|FFN)\s*[A-Z_][\w-]*'  # Okuma; not the words of Siemens
     r'|O\s*\d+(?:\s*[-_]\s*|\s+)[A-Z_][A-Z_][\w .-]*'  # a number and a title

@@ -113,17 +113,17 @@ class TargetColumns:
         for ready in self._radius.push(np.array(whole)):
             self._rows.extend(ready)
 
-    def begin_radius(self, distance: float, frame: FloatArray) -> None:
+    def begin_radius(self, distance: float, frame: FloatArray, own_entry: bool) -> None:
         """Take the targets from here on as a contour beside which the tool runs."""
         before = np.array(self._rows[-WIDTH:])
-        self._radius = CutterRadius(distance, frame, before, self._source)
+        self._radius = CutterRadius(distance, frame, before, self._source, own_entry)
 
     def end_radius(self) -> FloatArray:
         """End the contour; return the point at which the tool stands, shape (3,) [m]."""
         if self._radius is not None:
-            for ready in self._radius.end():
+            radius, self._radius = self._radius, None
+            for ready in radius.end():
                 self._rows.extend(ready)
-            self._radius = None
         return np.array(self._rows[-WIDTH:])[POINT]
 
     def change(self, change: SetupChange, line_number: int) -> None:

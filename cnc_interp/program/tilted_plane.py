@@ -220,9 +220,9 @@ class TiltedPlane:
             raise self.fault('P must be 0, 1 or 2', words.texts['P'])
         if not self._mover.frames.rotated and code != 'G53.3':
             self.notice(code, 'the frame is not tilted')
-        self._stand_up(code, int(choice), words)
+        self.stand_up(code, int(choice), words)
 
-    def _stand_up(self, code: str, choice: int, words: BlockWords) -> None:
+    def stand_up(self, code: str, choice: int, words: BlockWords) -> None:
         """Turn the rotary axes; ``choice`` as P of G53.1, and ``code`` tells what stays."""
         mover = self._mover
         mover.rotary_of_vector()
@@ -283,7 +283,7 @@ class TiltedPlane:
         self._set('G68.4' if state % 10 else 'G68.2', np.array(values[BEFORE]) * unit, turn, 0.0)
         frames.move(np.array(values[AFTER]) * unit)
         tip_stays = state // 10 % 10 == 1
-        self._stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
+        self.stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
 
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
         """

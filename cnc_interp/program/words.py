@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import nan
 from typing import Any
 
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.program.codes import refused_key
+from cnc_interp.program.codes import HARMLESS_KEYS, refused_key
 from cnc_interp.program.expressions import (
+    NOTHING,
     ExpressionError,
     Variables,
+    element_name,
     evaluate,
     parameter_index,
     parse,
@@ -30,7 +33,11 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE,
 )
-_EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\(')
+#: Calls that move nothing; their arguments are names or texts.
+_IDLE_CALL = re.compile(
+    rf'(?<![A-Z0-9_])({"|".join(sorted(HARMLESS_KEYS))})\s*\((?:[^()"]|"[^"]*"|\([^()]*\))*\)'
+)
+_EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\s*\(')
 _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
 #: Functions that tell how an axis word is meant: absolute, incremental, or direction of turn.
@@ -38,7 +45,10 @@ WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
 # X1E-3 could be a small number, or X1 with a word of an extruder, which stands alone.
 _EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z](?:\s*=)?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
 # A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
-_GROUP_BEFORE = re.compile(r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])[A-Z_][A-Z_]\w*)$')
+_GROUP_BEFORE = re.compile(
+    r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])(?:[A-Z_][A-Z_]\w*|(?:IF|WHILE|UNTIL|CASE|AND|OR|NOT|'
+    r'(?:CYCLE|HOLES|SLOT|POCKET|LONGHOLE)\d*)\s+))$'
+)
 
 
 @dataclass
@@ -58,6 +68,7 @@ class BlockWords:
     keys: list[tuple[str, tuple[float | None, ...]]] = field(default_factory=list)
     #: Assignments to parameters (int) and names (str), in the order of the line.
     sets: list[tuple[int | str, float]] = field(default_factory=list)
+    second_tool: float | None = None  #: A second T: the tool that follows (Mazak).
 
 
 Fault = Callable[[str, str], ProgramError]
@@ -109,6 +120,8 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
 
 def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
     """Split one line of G-code into words. The line is in upper case and without comments."""
+    if '(' in line:
+        line = _IDLE_CALL.sub(r'\1 ', line)
     if 'E' in line and (exponent := _EXPONENT.search(line)):
         raise fault('a number with an exponent; write all its digits', exponent[1])
     words = BlockWords()
@@ -137,8 +150,11 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
 def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:
     """Add a word of one letter."""
     if letter in 'GM':
-        code = f'{letter}{round(value, 3):g}'
+        code = f'{letter}{round(value, 3):g}'.replace('G153', 'G53')
         (words.g if letter == 'G' else words.m).append(code)
+        return
+    if letter == 'T' and 'T' in words.values and words.second_tool is None:
+        words.second_tool = value
         return
     if letter in words.values:
         raise fault(f'{letter} is written twice in one block; keep one of them', text)
@@ -163,9 +179,12 @@ def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
                 _add(words, word, value, f'{word}{value:g}', fault)
             elif kind == 'set_name':
                 words.sets.append((word, evaluate(item[2], variables)))
+            elif kind == 'set_element':
+                word = element_name(word, item[2:-1], variables)
+                words.sets.append((word, evaluate(item[-1], variables)))
             elif kind == 'set_parameter':
                 word = '#'
-                value = evaluate(item[2], variables)
+                value = nan if item[2] == NOTHING else evaluate(item[2], variables)
                 if item[1][0] == 'own_name':
                     words.sets.append((str(item[1][1]), value))
                 else:

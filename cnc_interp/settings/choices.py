@@ -69,6 +69,10 @@ class Settings:
         ('programmed', 'shortest'), READING,
         'rotary words as programmed, or the shortest way there',
     )  # fmt: skip
+    dialect: str = one_of(
+        ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'), READING,
+        'whose control reads the program; auto: the one its words tell',
+    )  # fmt: skip
     skip_blocks: bool = switch(False, READING, 'leave out lines that begin with a slash')
     most_jumps: int = whole_number(
         1_000_000, (1, 10**12), READING,

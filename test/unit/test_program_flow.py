@@ -13,6 +13,8 @@ def read(text, **options):
 
 
 def xs(text, **options):
+    if any(word in text for word in ('R2=', 'R1<>', 'DEF ', 'CASE ', 'GOTOC')):
+        text, options = text.replace('#1=1', 'R1=1'), {'dialect': 'siemens', **options}
     return (read(text, **options).blocks.tip[:, 0] * 1e3).round(9).tolist()
 
 
@@ -55,10 +57,30 @@ def test_expressions(expression, value):
         'M98 P30012\nM30\nO12\nG91 G0 X1\nG90\nM99',
         'O1 if [#1 EQ 2]\nG0 X9\nO1 elseif [#1 EQ 1]\nG0 X1\nO1 else\nG0 X8\nO1 endif\nX2\nX3',
         'O1 if [#1 EQ 2]\nG0 X9\nO1 else\nG0 X1\nO1 endif\nX2\nX3',
+        'O1 do\nG0 X#1\n#1=[#1+1]\nO1 continue\nX9\nO1 while [#1 LT 4]',
+        'O1 repeat [3]\nG91 G0 X1\nO1 continue\nX9\nO1 endrepeat',
+        'O1 sub\nO1 return [#1+1]\nO1 endsub\nO2 repeat [3]\nG0 X#<_value>\nO1 call '
+        '[#<_value>]\nO2 endrepeat\nX#<_value>',
+        '#2=7\nO7 sub\nG0 X#1\nO7 endsub\nO#2 call [1]\nO[#2] call [2]\nO<a b> sub\nX3\n'
+        'O<a b> endsub\nO<a b> call',
+        'G91\nO1 sub\nM73\nG90 G0 X1\nO1 endsub\nO1 call\nX1\nM70\nG90\nM72\nX1',
+        'G0 X[EXISTS[#1] * 1]\nX[1+EXISTS[##1]]\nX[3-EXISTS[#99999]]',
+        'G0 X[#<_x>+1]\nX[#<_abs_x>+1]\nX[#<_incremental>+3]',
+        'G65 P9 A1\nG65 P9 A2\nG65 P9 B3\nM30\nO9\nIF [#1 NE #0] GOTO 8\n#1=#2\nN8 G0 X#1\nM99',
+        'IF R1<>1\nX9\nELSE\nIF TRUE\nX1\nENDIF\nENDIF\nX2\nX3',
+        'DEF INT A_B\nFOR A_B=1 TO 3\nX=A_B\nENDFOR',
+        'R2=0\nREPEAT\nR2=R2+1\nX=R2\nUNTIL R2>2',
+        'R2=0\nLOOP\nR2=R2+1\nIF R2>3 GOTOF OUT_1\nX=R2\nENDLOOP\nOUT_1:',
+        'R2=0\nWHILE R2<3\nR2=R2+1\nIF R2==9\nX9\nELSE\nX=R2\nENDIF\nENDWHILE',
+        'R2=0\nWHILE R2<3\nR2=R2+1\nX=R2\nIF R2>0 GOTOF ON_1\nX9\nON_1: ENDWHILE',
+        'CASE (R1+1) OF 5 GOTOF C_A 2 GOTOF C_B DEFAULT GOTOF C_C\nC_A: X9\nC_B: X1\nX2\n'
+        'C_C: X3',
+        'DEF REAL A_B[2,2]=SET(0,1,2)\nX=A_B[0,1]\nX=A_B[1,0]\nA_B[1,1]=3\nX=A_B[1,A_B[0,1]]',
+        'X1\nGOTOC NOWHERE\nX2\nGOTO 70\nX9\nN70 X3',
     ],
 )  # fmt: skip
 def test_three_steps(loop):
-    assert xs('G0 X0\n#1=1\n' + loop) == [0, 1, 2, 3]
+    assert xs('G0 X0\n#1=1\n' + loop + '\nM2') == [0, 1, 2, 3]
 
 
 def test_loops_in_loops():
@@ -82,7 +104,7 @@ def test_block_delete():
 
 
 def test_locals_and_positions():
-    text = 'G0 X4\n#1=7\nO1 sub\n#1=2\nG0 X[#1 + #5420]\nO1 endsub\nO1 call\nG0 X#1'
+    text = 'G0 X4\n#1=7\nO1 sub\n#1=2\nG0 X[#1 + #5420]\nO1 endsub\nO1 call\nG0 X#1\nM2'
     assert xs(text) == [4, 6, 7]
 
 
@@ -93,8 +115,8 @@ def test_locals_and_positions():
         ('G99 G81 X1 Z-2 R3', [(1, 5), (1, 3), (1, -2), (1, 3)]),
         ('G98 G81 X1 Z-2 R7', [(0, 7), (1, 7), (1, -2), (1, 7)]),
         ('G99 G81 X1 Z-2 R3\nX2', [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
-        ('G99 G83 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 3), (1, 0.25), (1, -2), (1, 3)]),
-        ('G99 G73 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 0.25), (1, -2), (1, 3)]),
+        ('G99 G83 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 3), (1, 0.254), (1, -2), (1, 3)]),
+        ('G99 G73 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 0.254), (1, -2), (1, 3)]),
         ('G99 G81 G91 X1 Z-5 R-2 L2',
          [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
         ('G99 G82 X1 Z-2 R3 P0.5', [(1, 5), (1, 3), (1, -2), (1, 3)]),

@@ -47,10 +47,9 @@ SYNTAX = [
     ('\x00\x01', "'\\x00\\x01'", 'no text'),
 ]
 UNSUPPORTED = [
-    'G5 X1', 'G7', 'G16', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G54.1 P1', 'G254', 'G76', 'G88',
-    'G96 S100', 'G38.2 Z-5', 'G66 P1', 'G10 L3 P1', 'M97', 'M73', 'M430', 'G123', 'CYCLE81(1,2)',
-    'MCALL', 'CALL "X"', 'FOR R1=1 TO 5', 'CSPLINE', 'SCALE X5', 'L54',
-    'DEF STRING[5] A', 'X=FROB(1)', 'MIRROR X0', 'CIP X1 I1=2',
+    'G5 X1', 'G7', 'G16', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G254', 'G38.2 Z-5', 'G66 P1',
+    'G10 L3 P1', 'M97', 'M430', 'G123', 'POCKET3(1,2)', 'CSPLINE', 'SCALE X5', 'X=FROB(1)',
+    'MIRROR X0', 'CIP X1 I1=2', 'G54.2 P1',
 ]  # fmt: skip
 FLOW = [
     ('G0 X#5', 'before it is set'),
@@ -72,6 +71,17 @@ FLOW = [
     ('END1', 'not begun'),
     ('O1 CALL', 'not in this file'),
     ('O1 SUB', 'missing'),
+    ('O1 SUB\nO2 SUB\nO2 ENDSUB\nO1 ENDSUB', 'within a subprogram'),
+    ('O1 CALL\nO1 SUB\nG0 X1\nO1 ENDSUB', 'ends without M2'),
+    ('O1 CONTINUE', 'not begun'),
+    ('IF R0==1', 'before it is set'),
+    ('ENDWHILE', 'not begun'),
+    ('FOR R1=1', 'write FOR'),
+    ('DEF AXIS A_B', 'write DEF REAL'),
+    ('CALL "X"', 'add it'),
+    ('L54', 'add it'),
+    ('M72', 'M70 before'),
+    ('G0 X EXISTS[###2]', 'before it is set'),
     ('O1 ENDSUB', 'not called'),
     ('O1 WHILE [1]\nO1 ENDWHILE', 'does not end'),
     ('O1 IF [0]', 'missing'),
@@ -93,7 +103,6 @@ ARCS = [
 ]
 OFFSETS_AND_CYCLES = [
     ('G28 G92 X0', 'same block'),
-    ('G91 G10 L1 P1 Z5', 'Fanuc adds to the value'),
     ('RNDM=2', 'rounding and chamfers'),
     ('G1 X5 NAME=2 F60', 'no such word'),
     ('G43.1 Z5\nG0 X1 H2', 'changes the tool length'),
@@ -104,8 +113,14 @@ OFFSETS_AND_CYCLES = [
     ('G83 X1 Z-2 R1 Q0.0000001 F60', 'pecks'),
     ('G81 X1 Z-2 R1', 'no feedrate'),
     ('G81 G53 X1 Z-2 R1 F60', 'machine coordinates'),
-    ('M428\nG53 Z0', 'tool-tip programming is on'),
-    ('M428\nG28', 'tool-tip programming is on'),
+    ('G81 A5 X1 Z-2 R1 F60', 'rotary words in a canned cycle'),
+    ('G76 X1 Z-2 R1 F60', 'threads on LinuxCNC'),
+    ('G88 X1 Z-2 R1 F60', 'LinuxCNC has none'),
+    ('G54.1 P0', '1 to 300'),
+    ('CYCLE81(1,2)', 'give the planes'),
+    ('CYCLE81(5,9,0,3)', 'lies below'),
+    ('HOLES1(0,0,0,0,5,3)', 'needs a modal cycle'),
+    ('T1 T2', 'T is written twice'),
     ('G43 H99\nG43.1 Z5\nM428', 'machine file'),
     ('G0 A3=0 B3=0 C3=1', 'tool-tip programming'),
     ('M428\nG0 A3=0 B3=0 C3=0', 'zero'),
@@ -159,9 +174,10 @@ def test_texts_without_motion_are_refused():
             read_text(text, 'part.ngc', TableAC(), Settings())
 
 
-def test_heidenhain_plain_text_is_told_apart():
-    with pytest.raises(ProgramError, match=r'part\.h:1: .*Heidenhain'):
-        read_text('0 BEGIN PGM 12 MM\n1 L X+5 FMAX', 'part.h', TableAC(), Settings())
+@pytest.mark.parametrize('code', ['G53 Z0', 'G28'])
+def test_machine_coordinates_with_tool_tip_programming_have_two_readings(code):
+    with pytest.raises(ProgramError, match='axis positions on Fanuc, tip positions on LinuxCNC'):
+        read_text(f'G0 X0 A9\nM428\n{code}', 'part.nc', TableAC(), Settings())
 
 
 @pytest.mark.parametrize(

@@ -85,6 +85,7 @@ OTHERS = Settings(
     setup=Path('job.yaml').resolve(),
     interpolation='axes',
     rotary_sense='shortest',
+    dialect='fanuc',
     skip_blocks=True,
     most_jumps=77,
     corner_ratio=5.0 / 3.0,

@@ -1,0 +1,97 @@
+"""
+Dialects: the form of a text, and what its words mean where controls differ.
+
+A profile is declared once for each control. It is chosen by ``--dialect``, else recognised from
+words that only one control has, else from the suffix of the file. A text that shows nothing, or
+words of two controls, has the profile ``PLAIN``: what is read in two ways is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from cnc_interp.program.files import CL_SUFFIXES
+from cnc_interp.program.source import Source
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What the words of one control mean where another one reads them otherwise."""
+
+    name: str
+    title: str
+    starts_with: int | None = None  #: The motion code after a reset (0 to 3); None: none.
+    #: Whether the line of G41 or G42 ends beside its own end, else beside the start of the next.
+    own_entry: bool = False
+    #: Whether an incremental word after a new frame runs through the shift, too (SD42440).
+    runs_shifts: bool = False
+    feeds_first: bool = False  #: Whether F counts in the unit before G20 or G21 of its block.
+    turns_in_cycles: bool = True  #: Whether rotary words may stand in a canned cycle.
+    machine_axes: bool = False  #: Whether G53 means axis positions with tool-tip programming on.
+    is_sure: bool = True  #: Whether words of two meanings have that of this control.
+
+
+PLAIN = Dialect('plain', 'no control in particular', is_sure=False)
+LINUXCNC = Dialect('linuxcnc', 'LinuxCNC', own_entry=True, feeds_first=True, turns_in_cycles=False)
+FANUC = Dialect('fanuc', 'Fanuc and its kin', machine_axes=True)
+SIEMENS = Dialect('siemens', 'Siemens 840D', starts_with=1, runs_shifts=True)
+HEIDENHAIN = Dialect('heidenhain', 'Heidenhain', machine_axes=True)
+PROFILES = {dialect.name: dialect for dialect in (PLAIN, LINUXCNC, FANUC, SIEMENS)}
+_SUFFIXES = {
+    '.ngc': LINUXCNC, '.mpf': SIEMENS, '.spf': SIEMENS, '.min': FANUC, '.eia': FANUC,
+}  # fmt: skip
+
+_WORDS = (
+    (LINUXCNC, r'^\s*O\s*(?:\d+|<[^<>]+>|\[[^\]]+\]|#\S+)\s*(?:SUB|ENDSUB|CALL|IF|WHILE|DO|REPEAT)'
+     r'\b|#<\w|\(\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,|^\s*;\s*PY\s*,'),
+    (FANUC, r'^\s*[O:]\s*\d{4,8}\s*(?:\(|$)|\bG\s*54\.1\s*P|\bG0?5\.1\s*Q|\bG65\s*P|'
+     r'^\s*(?:N\d+\s*)?WHILE\s*\[.*\]\s*DO\s*\d|\bGOTO\s*\d|\bIF\s*\[.*\]\s*(?:GOTO|THEN)'),
+    (SIEMENS, r'\b(?:CYCLE\d+|MCALL|TRAORI|TRAFOOF|MSG|HOLES\d|POCKET\d|SLOT\d)\b\s*(?:\(|$)|'
+     r'^\s*(?:N\d+\s*)?(?:DEF\s+(?:REAL|INT|BOOL|STRING|AXIS|CHAR)|PROC\s|A?TRANS\b|A?ROT\b|'
+     r'EXTERN\s|FFWON|SUPA\b|G500\b|DIAMOF|STOPRE|ENDFOR|ENDWHILE|ENDIF|ENDLOOP|UNTIL\b)|'
+     r'\bGOTO[FBC]\b|=\s*(?:A|I|D)C\s*\(|\bR\d+\s*=|^%_N_|;\s*\$PATH|\bD\d+\s+M0?6\b.*"'),
+)  # fmt: skip
+_SIGNS = tuple((dialect, re.compile(words, re.I | re.M)) for dialect, words in _WORDS)
+_COMMENT = re.compile(r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a-z ][^()\n]*\)|'
+                      r';(?!\s*(?:PY|\$PATH))[^\n]*', re.I)  # fmt: skip
+
+_HEAD_LINES = 2000
+_CL_LINE = re.compile(
+    r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]'
+    r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
+    re.IGNORECASE,
+)
+_GCODE_LINE = re.compile(
+    r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)', re.IGNORECASE
+)
+_HEIDENHAIN_LINE = re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.IGNORECASE)
+
+
+def _head(source: Source) -> str:
+    """Return the beginning of a text."""
+    return source.lines(source.start).decode('utf-8', 'replace')
+
+
+def form_of(source: Source) -> str:
+    """Return the form of a text: 'gcode', 'cl' or 'heidenhain'."""
+    for line in _head(source).splitlines()[:_HEAD_LINES]:
+        if _HEIDENHAIN_LINE.match(line):
+            return 'heidenhain'
+        if _CL_LINE.match(line):
+            return 'cl'
+        if _GCODE_LINE.match(line):
+            return 'gcode'
+    return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'
+
+
+def dialect_of(source: Source, chosen: str) -> Dialect:
+    """Return the profile of a text of G-code, by choice, by its words, or by its suffix."""
+    if chosen != 'auto':
+        return PROFILES[chosen]
+    text = _COMMENT.sub(' ', _head(source))
+    found = [dialect for dialect, sign in _SIGNS if sign.search(text)]
+    if found:
+        return found[0] if len(found) == 1 else PLAIN
+    return _SUFFIXES.get(Path(source.name).suffix.lower(), PLAIN)

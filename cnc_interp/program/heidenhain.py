@@ -1,0 +1,733 @@
+"""
+Heidenhain plain text: its lines become the words of the reader of G-code, which executes them.
+
+L, LN, LP, CC, C, CP, CR, CT, RND and CHF are motions, with FMAX, R0 RL RR, M91. Datum shifts,
+rotations and planes are frames. Cycles 1, 2 and 200 to 207 drill, by CYCL CALL, M99 or M89. LBL,
+CALL LBL and FN 9 to FN 12 are flow, Q parameters have formulas (``heidenhain_q.py``). All other
+words are refused with their line.
+"""
+
+from __future__ import annotations
+
+import re
+from cmath import exp, phase
+from math import pi
+from typing import Any
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.program import codes
+from cnc_interp.program.arcs import PLANES
+from cnc_interp.program.cursor import Loop
+from cnc_interp.program.cycles import Hole, make_hole
+from cnc_interp.program.expressions import UNSET
+from cnc_interp.program.frames import rotation
+from cnc_interp.program.gcode import GcodeReader
+from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
+from cnc_interp.program.words import BlockWords
+
+_HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
+_VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
+_WORD = re.compile(
+    rf'(?P<code>M\d+)\b|(?P<max>FMAX|F\s+MAX|F?AUTO)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
+    rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
+    rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>M)(?=\s|$)|(?P<space>\s+)'
+)  # fmt: skip
+_TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
+_LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')
+_CALL = re.compile(r'CALL\s+LBL\s*(\d+|"[^"]+"|[A-Z]\w*)\s*(?:REP\s*(\d+)\s*(?:/\s*\d+)?)?')
+_CALL_FILE = re.compile(r'CALL\s+PGM\s+([\w-]+?)(?:\.H)?')
+_CYCLE = re.compile(r'CYCLE?\s+DEF\s*(\d+)(?:\.(\d+))?\s*(.*)')
+_FN = re.compile(r'FN\s*(\d+)\s*:\s*(.*)')
+_JUMP = re.compile(rf'IF\s*({_VALUE})\s*([A-Z]+)\s*({_VALUE})\s*GOTO\s*LBL\s*(\d+|"[^"]+"|\w+)')
+_CORNER = re.compile(rf'(RND|CHF)\s*R?\s*({_VALUE})\s*(?:F.*)?')
+_SET = re.compile(r'(Q[LR]?\d+)\s*=\s*(.*)')
+_PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
+_TURNING = re.compile(r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
+                      r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)')  # fmt: skip
+#: Words that move nothing.
+_IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|FN 1[4-69]\b|FN ?2\d|\*|PRINT|STRUCTURE)')
+_IDLE_M = {'M94', 'M97', 'M98', 'M101', 'M102', 'M103', 'M107', 'M108', 'M109', 'M110', 'M111',
+           'M116', 'M117', 'M120', 'M124', 'M138', 'M141', 'M143', 'M148', 'M149'}  # fmt: skip
+_REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M140', 'M144', 'M150'}
+#: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
+_NEAR, _BREAK = 0.6 * MM, 0.2 * MM
+_MOST_PECKS = 10_000
+
+
+class HeidenhainReader(GcodeReader):
+    """A reader of Heidenhain plain text."""
+
+    def __init__(self, *given: Any):
+        super().__init__(*given)
+        self.centre = 0j  # CC in the plane [m]
+        self.heading: complex | None = None  # of the last motion at its end, in the plane
+        #: The place that a rounding has left out, before the next line and of this one.
+        self.corner: FloatArray | None = None
+        self._rounded: FloatArray | None = None
+        self._next = self.flow.source.start  # the line after RND or CHF
+        self.shortest = False  # M126
+        self.modal_cycle = False  # M89
+        self.cycle = 0  # number of the cycle that is defined
+        self.defining = False  # whether lines with Q belong to the cycle before
+        #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.
+        self._shift: dict[str, float] = {}
+        self._turn: FloatArray | None = None
+        self._angle = 0.0
+        self._plane_angles: dict[str, float] = {}
+
+    def _run(self, first: int, end: int) -> None:
+        """Execute lines one by one."""
+        for row in range(first, end):
+            self.flow.row, self.flow.jumped = row, False
+            self._line(self.flow.window.line(row))
+            if self.flow.ended or self.flow.jumped:
+                return
+        self.flow.row = end
+
+    def _line(self, raw: str) -> None:
+        """Execute one line."""
+        text = raw.upper().split(';')[0] if '"' not in raw else raw.upper()
+        if raw.lstrip().startswith('/') and self.settings.skip_blocks:
+            return
+        match = _HEAD.fullmatch(text)
+        line = match[1] if match else ''
+        numbered = bool(re.match(r'\s*/?\s*\d', raw))
+        if not line:
+            return
+        try:
+            if (found := _SET.fullmatch(line)) and self.defining and not numbered:
+                self._set(found[1], formula(found[2], self._q))
+                return
+            self.defining = False
+            self._in_flow = True
+            passed = self._flow(line)
+            self._in_flow = False
+            if not passed:
+                self._statement(line)
+        except QError as problem:
+            raise self.fault(str(problem), line[:20]) from None
+
+    # --- flow and parameters -------------------------------------------------------------------
+
+    def _q(self, name: str) -> float:
+        """Return a Q parameter."""
+        if not self.variables.exists(f'<_{name}>'):
+            raise QError(f'{name} {UNSET}')
+        return self.variables.named(f'<_{name}>')
+
+    def _set(self, name: str, value: float) -> None:
+        self.variables.set_name(f'<_{name}>', value)
+
+    def _flow(self, line: str) -> bool:
+        """Execute labels, calls, jumps and assignments."""
+        flow = self.flow
+        if match := _LABEL.fullmatch(line):
+            if match[1] == '0' and flow.depth:
+                flow.leave()
+        elif match := _CALL.fullmatch(line):
+            self._call(match[1], match[2])
+        elif match := _CALL_FILE.fullmatch(line):
+            flow.call_file(match[1], 1)
+        elif match := _FN.fullmatch(line):
+            self._function(int(match[1]), match[2])
+        elif match := _SET.fullmatch(line):
+            self._set(match[1], formula(match[2], self._q))
+        elif line.startswith('END PGM'):
+            if flow.depth and flow.source is not flow.main:
+                flow.leave()
+            else:
+                flow.ended = self.finished = True
+        else:
+            return False
+        return True
+
+    def _pattern(self, label: str) -> bytes:
+        number = rb'0*%d(?!\d)' % int(label) if label.isdigit() else re.escape(label.encode())
+        return rb'(?:\d+\s+)?LBL\s*' + number
+
+    def _call(self, label: str, repeats: str | None) -> None:
+        """Process CALL LBL: run a subprogram once, or repeat the section since a label."""
+        flow = self.flow
+        if repeats is None:
+            flow.call(f'LBL {label}', self._pattern(label), 1, {}, own_variables=False)
+            return
+        key = f'LBL {label} {flow.line_number}'
+        if not (flow.loops and flow.loops[-1].label == key):
+            place = flow.source.find(re.compile(rb'(?mi)^[ \t/]*' + self._pattern(label)),
+                                     flow.source.start)  # fmt: skip
+            if place is None:
+                raise self.fault('no such label; correct it', f'LBL {label}')
+            flow.loops.append(Loop(key, place, int(repeats)))
+        loop = flow.loops[-1]
+        if loop.rounds > 0:
+            loop.rounds -= 1
+            flow.back_or_on(loop.begin)
+        else:
+            flow.loops.pop()
+
+    def _function(self, number: int, rest: str) -> None:
+        """Process FN 0 to FN 13: sets a parameter, or jumps to a label."""
+        if 9 <= number <= 12:
+            match = _JUMP.fullmatch(rest)
+            if match is None:
+                raise self.fault('write IF +Q1 EQU +Q2 GOTO LBL 1', f'FN {number}')
+            left, right = (formula(match[i], self._q) for i in (1, 3))
+            if CONDITIONS[number](left, right):
+                place = self.flow.source.find(
+                    re.compile(rb'(?mi)^[ \t/]*' + self._pattern(match[4])),
+                    self.flow.source.start,
+                )
+                if place is None:
+                    raise self.fault('no such label; correct it', f'LBL {match[4]}')
+                self.flow.loops.clear()
+                self.flow.back_or_on(place)
+            return
+        match = _SET.fullmatch(rest)
+        if match is None or (number not in FUNCTIONS and number != 0):
+            raise self.fault('only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}')
+        if number == 0:
+            self._set(match[1], formula(match[2], self._q))
+        else:
+            self._set(match[1], FUNCTIONS[number](match[2], self._q))
+
+    # --- statements ----------------------------------------------------------------------------
+
+    def _statement(self, line: str) -> None:
+        """Execute a line that is not flow."""
+        if line.startswith('BEGIN PGM'):
+            self.mover.unit = INCH if re.search(r'\bIN(?:CH)?$', line) else MM
+        elif match := _CYCLE.fullmatch(line):
+            self._define_cycle(int(match[1]), match[2], match[3])
+        elif match := _TOOL_CALL.fullmatch(line):
+            self._tool_call(match[2], match[3] or 'Z', match[4], bool(match[1]))
+        elif match := _PLANE.fullmatch(line):
+            self._tilt(match[1], match[2])
+        elif _IDLE.match(line):
+            return
+        elif match := re.fullmatch(r'STOP\s*(.*)', line):
+            self._motion('L', match[1], stop='M0')
+        elif match := re.fullmatch(r'CYCL\s+CALL\s*(?:POS)?\s*(.*)', line):
+            self._motion('L', match[1])
+            self._drill()
+        elif match := re.fullmatch(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)', line):
+            if not match[1] and 'SPAT' in match[2]:
+                raise self.fault('angles in space are not supported; post with AXIS POS', 'TCPM')
+            self._execute(BlockWords(m=['M129' if match[1] else 'M128']))
+        elif match := _CORNER.fullmatch(line):
+            raise self.fault('stands between two lines L, in the plane', match[1])
+        elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C|M)(?![A-Z])\s*(.*)', line):
+            if match[1] == 'M':
+                self._motion('L', line)
+            else:
+                self._motion(match[1], match[2])
+        elif re.match(r'[-+IXYZABCUVWF]', line) and self.mover.motion is not None:
+            raise self.fault('a line begins with L, C or another word', line[:20])
+        else:
+            raise self.fault(
+                'this word of Heidenhain is not supported; post it as L and C', line[:20]
+            )
+
+    def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
+        """Return the values of a line, its M codes, and R0 RL RR or FMAX among the codes."""
+        values: dict[str, float] = {}
+        found: list[str] = []
+        turn, at = '', 0
+        while at < len(text):
+            match = _WORD.match(text, at)
+            if match is None:
+                raise self.fault('this word is not supported here', text[at:].split()[0])
+            at = match.end()
+            if match['code'] or match['radius']:
+                found.append(f'M{int(match["code"][1:])}' if match['code'] else match['radius'])
+            elif match['max']:
+                found.append('FMAX' if 'MAX' in match['max'] else 'FAUTO')
+            elif match['dr']:
+                turn = match['sign']
+            elif match['name']:
+                values[match['name']] = formula(match['value'].replace(' ', ''), self._q)
+        return values, found, turn
+
+    def _motion(self, kind: str, text: str, stop: str = '') -> None:
+        """Execute a motion, or M codes alone."""
+        values, found, turn = self._words(text)
+        if kind == 'CC':
+            self._set_centre(values)
+            return
+        words = BlockWords(m=[code for code in found if code[0] == 'M'] + ([stop] if stop else []))
+        drills = 'M99' in words.m
+        self._machine_words(words, values, found)
+        place = self._place(values)
+        if kind == 'LP' or kind == 'CP':
+            self._polar(values, place, kind == 'CP', words, turn)
+        for letter, value in place.items():
+            words.values[letter], words.texts[letter] = value, f'{letter}{value:g}'
+        if 'F' in values and 'M128' not in words.m:
+            words.values['F'], words.texts['F'] = values['F'], f'F{values["F"]:g}'
+        for name, letter in (('TX', 'A3'), ('TY', 'B3'), ('TZ', 'C3')):
+            if name in values:
+                words.sets.append((letter, values[name]))
+        if kind == 'LN' and not words.sets and self.mover.tcp:
+            raise self.fault('the tool direction is missing; post TX TY TZ', 'LN')
+        moves = bool(place or words.sets)
+        if moves:
+            words.g.insert(0, 'G0' if 'FMAX' in found else 'G1')
+        if kind in ('C', 'CP', 'CR', 'CT'):
+            if kind != 'CT' and not turn:
+                raise self.fault('the direction is missing; write DR+ or DR-', kind)
+            words.g[:1] = [self._arc(kind, values, words, turn)]
+        start = self._flat(self.mover.here())
+        corner = self._coming_corner() if kind == 'L' and moves and words.g[0] != 'G0' else None
+        if corner is None:
+            self._execute(words)
+        else:
+            self._round(words, *corner)
+            self.flow.go(self._next)
+        self.corner, self._rounded = self._rounded, None
+        if kind == 'L' and moves:
+            way = self._flat(self.mover.here()) - start
+            self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading
+        if drills or (self.modal_cycle and place and kind in ('L', 'LP')):
+            self._drill()
+
+    def _machine_words(
+        self, words: BlockWords, values: dict[str, float], found: list[str]
+    ) -> None:
+        """Take M codes that mean something of their own, and R0 RL RR, out of a line."""
+        for code in words.m[:]:
+            if code in _REFUSED_M:
+                raise self.fault('this M code is not supported; post without it', code)
+            if code in _IDLE_M or code in (
+                'M89',
+                'M91',
+                'M99',
+                'M126',
+                'M127',
+                'M136',
+                'M137',
+                'M13',
+                'M14',
+            ):
+                words.m.remove(code)
+            if code in _IDLE_M:
+                self.notice(code, 'no effect, it does not move the tool')
+            elif code == 'M91':
+                words.g.append('G53')
+            elif code in ('M136', 'M137'):
+                words.g.append('G95' if code == 'M136' else 'G94')
+            elif code in ('M126', 'M127'):
+                self.shortest = code == 'M126'
+            elif code in ('M13', 'M14'):
+                words.m += ['M3' if code == 'M13' else 'M4', 'M8']
+            elif code == 'M89':
+                self.modal_cycle = True
+            elif code == 'M99':
+                self.modal_cycle = False
+        for word in found:
+            if word in ('R0', 'R') and self.mover.radius_code:
+                words.g.append('G40')
+            elif word in ('RL', 'RR') and self.mover.radius_code != f'G4{1 + (word == "RR")}':
+                words.g.append(f'G4{1 + (word == "RR")}')
+        if 'DR' in values or 'DL' in values:
+            raise self.fault('stands in TOOL CALL only', 'DR')
+        if self.shortest:
+            words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
+
+    def _here(self) -> FloatArray:
+        """Return the programmed position, shape (5,) [m, rad]; a rounding leaves a corner out."""
+        here = self.mover.here()
+        if self.corner is not None:
+            here[:3] = self.corner
+        return here
+
+    def _place(self, values: dict[str, float]) -> dict[str, float]:
+        """Return the absolute axis words of a line; I before a letter is incremental."""
+        here = self._here()
+        letters = ('X', 'Y', 'Z', *self.mover.rotary_letters)
+        found = {letter: values[letter] for letter in 'XYZABCUVW' if letter in values}
+        for i, letter in enumerate(letters):
+            size = self.mover.unit if i < 3 else DEG
+            if f'I{letter}' in values:
+                found[letter] = float(here[i]) / size + values[f'I{letter}']
+            elif self.corner is not None and i < 3 and letter not in found:
+                found[letter] = float(here[i]) / size  # the corner, not the end of its rounding
+        return found
+
+    # --- circles -------------------------------------------------------------------------------
+
+    def _flat(self, point: FloatArray) -> complex:
+        """Return a place in the plane [m]."""
+        a, b, _ = PLANES[self.mover.plane]
+        return complex(point[a], point[b])
+
+    def _set_centre(self, values: dict[str, float]) -> None:
+        """Process CC: the centre of circles and polar coordinates."""
+        place, a, b = self._here(), *PLANES[self.mover.plane][:2]
+        given = self._place(values)
+        for i, letter in enumerate('XYZ'):
+            if letter in given:
+                place[i] = given[letter] * self.mover.unit
+        self.centre = complex(place[a], place[b])
+
+    def _polar(
+        self, values: dict[str, float], place: dict[str, float], on_arc: bool, words: BlockWords,
+        turn: str,
+    ) -> None:  # fmt: skip
+        """Put the place of LP and CP, in polar coordinates about CC, into a line."""
+        unit, arm = self.mover.unit, self._flat(self._here()) - self.centre
+        radius, angle = abs(arm), phase(arm)
+        if 'PR' in values:
+            radius = values['PR'] * unit
+        radius += values.get('IPR', 0.0) * unit
+        if 'PA' in values:
+            angle = values['PA'] * DEG
+        if 'IPA' in values:
+            angle += values['IPA'] * DEG
+            whole = abs(values['IPA']) / 360.0
+            if on_arc and whole > 1.0 + 1e-9:
+                turns = int(np.ceil(whole - 1e-9))
+                words.values['P'], words.texts['P'] = float(turns), f'IPA{values["IPA"]:g}'
+            if on_arc and turn and (values['IPA'] < 0.0) != (turn == '-'):
+                raise self.fault('IPA and DR turn in different directions; correct one', 'CP')
+        end = self.centre + radius * exp(1j * angle)
+        a, b, _ = PLANES[self.mover.plane]
+        place['XYZ'[a]], place['XYZ'[b]] = end.real / unit, end.imag / unit
+
+    def _arc(self, kind: str, values: dict[str, float], words: BlockWords, turn: str) -> str:
+        """Give an arc its centre or radius; return G2 or G3."""
+        a, b, _ = PLANES[self.mover.plane]
+        unit, start = self.mover.unit, self._flat(self._here())
+        if kind == 'CR':
+            if 'R' not in values:
+                raise self.fault('the radius is missing; write R', 'CR')
+            words.values['R'], words.texts['R'] = values['R'], f'R{values["R"]:g}'
+            self.heading = None
+            return 'G3' if turn == '+' else 'G2'
+        centre, ccw = self.centre, turn == '+'
+        end = complex(*(words.values.get('XYZ'[i], self._here()[i] / unit) * unit for i in (a, b)))
+        if kind == 'CT':
+            if self.heading is None or abs(end - start) < 1e-9:
+                raise self.fault('CT needs a line or an arc about CC before', 'CT')
+            side = ((end - start) * self.heading.conjugate()).imag
+            if abs(side) < 1e-9:
+                raise self.fault('the end lies on the line before; write L', 'CT')
+            ccw = side > 0.0
+            centre = start + abs(end - start) ** 2 / (2.0 * side) * 1j * self.heading
+        arm = end - centre
+        self.heading = arm / abs(arm) * (1j if ccw else -1j) if abs(arm) > 1e-9 else None
+        for letter, value in zip(('IJK'[a], 'IJK'[b]), (centre.real, centre.imag), strict=True):
+            words.values[letter], words.texts[letter] = value / unit, f'CC {value / unit:g}'
+            words.ways[letter] = 'AC'
+        return 'G3' if ccw else 'G2'
+
+    # --- corners -------------------------------------------------------------------------------
+
+    def _coming_corner(self) -> tuple[str, float, dict[str, float]] | None:
+        """Return what RND or CHF in the next line asks for, and the place of the line after it."""
+        lines, place = [], self.flow.window.place(self.flow.row + 1)
+        place_of_next = self.flow.source.after(place)
+        for _ in range(2):
+            text = _HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
+            lines.append(text[1] if text else '')
+            place = self.flow.source.after(place)
+        match = _CORNER.fullmatch(lines[0])
+        if match is None:
+            return None
+        following = re.fullmatch(r'L(?![A-Z])\s*(.*)', lines[1])
+        if following is None:
+            raise self.fault('stands between two lines L, in the plane', match[1])
+        values, _, _ = self._words(following[1])
+        self._next = place_of_next
+        return match[1], formula(match[2], self._q) * self.mover.unit, values
+
+    def _round(
+        self, words: BlockWords, kind: str, size: float, following: dict[str, float]
+    ) -> None:
+        """Execute a line, and the rounding or chamfer at its end."""
+        mover, here = self.mover, self._here()
+        a, b, across = PLANES[mover.plane]
+        corner = here.copy()
+        for i, letter in enumerate('XYZ'):
+            if letter in words.values:
+                corner[i] = words.values[letter] * mover.unit
+        self.corner = corner[:3]
+        after = corner.copy()
+        for letter, value in self._place(following).items():
+            if letter in 'XYZ':
+                after['XYZ'.index(letter)] = value * mover.unit
+        self.corner = None
+        start, vertex, end = (self._flat(place) for place in (here, corner, after))
+        if (
+            abs(vertex - start) < 1e-9
+            or abs(end - vertex) < 1e-9
+            or after[across] != corner[across]
+        ):
+            raise self.fault('needs two lines in the plane', kind)
+        into, out = ((q - p) / abs(q - p) for p, q in ((start, vertex), (vertex, end)))
+        angle = phase(out / into)
+        if abs(angle) < 1e-9 or abs(abs(angle) - pi) < 1e-9:
+            raise self.fault('the lines before and after it make no corner', kind)
+        cut = size * np.tan(0.5 * abs(angle)) if kind == 'RND' else size
+        if cut > min(abs(vertex - start), abs(end - vertex)):
+            raise self.fault('does not fit between the lines; make it smaller', kind)
+        first, last = vertex - cut * into, vertex + cut * out
+        for place, code in (
+            (first, words.g),
+            (last, ['G1'] if kind == 'CHF' else ['G3' if angle > 0 else 'G2']),
+        ):
+            line = words if place is first else BlockWords()
+            line.g = code
+            for i, value in ((a, place.real), (b, place.imag)):
+                line.values['XYZ'[i]], line.texts['XYZ'[i]] = value / mover.unit, kind
+            if line.g[0] in ('G2', 'G3'):
+                line.values['R'], line.texts['R'] = size / mover.unit, kind
+            self._execute(line)
+        self._rounded = corner[:3]
+        self._rounded[across] = mover.here()[across]
+
+    # --- tools, frames, cycles -----------------------------------------------------------------
+
+    def _tool_call(self, number: str | None, axis: str, rest: str, named: bool) -> None:
+        """Process TOOL CALL: the tool, its length, and the plane of its axis."""
+        values, _, _ = self._words(rest)
+        if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
+            raise self.fault('DL and DR are not supported; put them into the setup', 'TOOL CALL')
+        words = BlockWords(g=[{'Z': 'G17', 'Y': 'G18', 'X': 'G19'}[axis]])
+        if named:
+            raise self.fault('tools have numbers here; write TOOL CALL 5', 'TOOL CALL')
+        if number is not None:
+            words.values['T'], words.texts['T'] = float(number), f'TOOL CALL {number}'
+            words.m.append('M6')
+            if not self.mover.tcp and (self.mover.setup.tools or int(number) == 0):
+                words.g.append('G43' if int(number) else 'G49')
+        for name in 'SF':
+            if name in values:
+                words.values[name], words.texts[name] = values[name], f'{name}{values[name]:g}'
+        self._execute(words)
+
+    def _frame(self) -> None:
+        """Put datum shift, plane and rotation together: in this order, each in the one before."""
+        frames, unit = self.mover.frames, self.mover.unit
+        frames.reset_frame()
+        frames.move(np.array([self._shift.get(letter, 0.0) * unit for letter in 'XYZ']))
+        if self._turn is not None:
+            frames.tilt('PLANE', np.zeros(3), self._turn)
+        if self._angle:
+            axis = 'XYZ'[PLANES[self.mover.plane][2]]
+            frames.rotate({axis: self._angle * DEG})
+        for i, letter in enumerate(self.mover.rotary_letters):
+            frames.local[3 + i] = self._shift.get(letter, 0.0) * DEG
+        frames.update()
+
+    def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
+        """Process CYCL DEF."""
+        if number in (7, 10, 19) and part == '0':
+            self._plane_angles = {} if number == 19 else self._plane_angles
+        elif number == 7 and part:
+            if self._turn is not None:
+                raise self.fault('a datum shift in a tilted plane; write PLANE RESET before',
+                                 'CYCL DEF 7')  # fmt: skip
+            values, _, _ = self._words(rest)
+            for name, value in values.items():
+                before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
+                self._shift[name.removeprefix('I')] = before + value
+            self._frame()
+        elif number == 10 and part:
+            values, _, _ = self._words(rest)
+            self._angle = values.get('ROT', self._angle)
+            self._frame()
+        elif number == 19 and part:
+            values, _, _ = self._words(rest)
+            self._plane_angles |= values
+            self._stand_on(self._plane_angles)
+        elif number in (8, 11, 26) and part:
+            if re.search(r'[1-9XYZ]', rest):
+                raise self.fault('mirroring and scaling are not supported', f'CYCL DEF {number}')
+        elif number == 9 or number in (32, 13, 12):
+            if number == 9 and part != '0':
+                self.notice('CYCL DEF 9', codes.DWELL)
+                self.mover.targets.stop_here()
+            elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
+                self._modes.tolerances('CYCL DEF 32', float(match[1]) or None, None)
+        elif number == 247:
+            self.cycle, self.defining = 247, True
+            self.notice('CYCL DEF 247', 'the datum is that of the work offset that is active')
+        elif number in (1, 2) or 200 <= number <= 207:
+            if number == 204:
+                raise self.fault('back boring is not supported; post it as L', 'CYCL DEF 204')
+            self.cycle, self.defining = number, number >= 200
+            self._old_cycle(part, rest)
+        else:
+            raise self.fault('this cycle is not supported; post it as L and C',
+                             f'CYCL DEF {number}')  # fmt: skip
+
+    def _old_cycle(self, part: str | None, rest: str) -> None:
+        """Keep the values of a line of CYCL DEF 1 or 2 as those of cycles 200 and 206."""
+        names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
+        if part == '0':
+            for name in ('Q203', 'Q204', 'Q210', 'Q211', 'Q202'):
+                self._set(name, 0.0)
+        for word, name in names.items():
+            if part not in (None, '0') and (found := re.fullmatch(rf'{word}\s*(\S+)', rest)):
+                self._set(name, formula(found[1], self._q))
+
+    def _drill(self) -> None:
+        """Run the cycle where the tool stands in the plane."""
+        mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
+        if not self.cycle or self.cycle == 247:
+            raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')
+
+        def of(name: str, default: float = 0.0) -> float:
+            return self._q(name) if self.variables.exists(f'<_{name}>') else default
+
+        surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
+        if self.cycle < 200:
+            surface -= of('Q200') * unit  # the tool stands on the clearance
+        bottom, retract = surface + of('Q201') * unit, surface + of('Q200') * unit
+        if not bottom < retract:
+            raise self.fault('the depth Q201 must be below the surface', f'CYCL DEF {self.cycle}')
+        clear, step = surface + max(of('Q204'), of('Q200')) * unit, of('Q202') * unit
+        pecks: list[float] = []
+        if self.cycle in (1, 200, 203, 205) and step > 0.0:
+            less, least = of('Q212') * unit, of('Q205') * unit
+            done = step
+            while surface - done > bottom + 1e-9:
+                pecks.append(surface - done)
+                step = max(step - less, least, 1e-6)
+                done += step
+                if len(pecks) > _MOST_PECKS:
+                    raise self.fault(f'more than {_MOST_PECKS} pecks; enlarge Q202', 'Q202')
+        taps = self.cycle in (2, 206, 207)
+        if taps:
+            mover.notice(
+                f'CYCL DEF {self.cycle}', 'feed in, feed out; the spindle is not synchronised'
+            )
+        breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
+        kept, here = mover.feedrate, mover.here()
+        target = here.copy()
+        target[axis] = retract
+        mover.go(mover.frames.point(target[:3]), mover.rotary, rapid=True)
+        feed = of('Q206') * unit / MINUTE
+        if self.cycle == 207:
+            feed = abs(of('Q239')) * unit * mover.spindle_speed / MINUTE
+        mover.feedrate = feed or kept
+        gap = of('Q256') * unit or _BREAK if breaks else _NEAR
+        out = of('Q208') * unit / MINUTE if self.cycle == 201 else 0.0
+        make_hole(
+            mover,
+            Hole(retract, bottom, clear, pecks, breaks, gap, rests=of('Q211') > 0.0 or taps,
+                 feeds_out=taps or self.cycle == 201, feed_out=out or None),
+            here, axis, feed_given=True,
+        )  # fmt: skip
+        mover.feedrate = kept
+
+    # --- planes --------------------------------------------------------------------------------
+
+    def _tilt(self, kind: str, rest: str) -> None:
+        """Process PLANE."""
+        how = {name: found for found in _TURNING.finditer(rest) for name in found.groups() if name}
+        values, _, _ = self._words(_TURNING.sub(' ', rest))
+        if 'TABLE' in how:
+            raise self.fault('TABLE ROT is not supported; post with COORD ROT', 'PLANE')
+        if kind == 'RESET':
+            self._plane.cancel()
+            self._turn = None
+            self._frame()
+            if 'STAY' not in how:
+                self._position('TURN' if 'TURN' in how else 'MOVE', 0)
+                self.mover.set_oriented(False)
+            return
+        choice = 1 if '+' in how else 2 if '-' in how else 0
+        way = next((word for word in ('MOVE', 'TURN', 'STAY') if word in how), '')
+        self._turn = self._plane_of(kind, values)
+        self._frame()
+        self._position(way, choice)
+
+    def _plane_of(self, kind: str, values: dict[str, float]) -> FloatArray:
+        """Return the rotation of a plane, shape (3, 3)."""
+
+        def angle(name: str) -> float:
+            return values.get(name, 0.0) * DEG
+
+        if kind == 'SPATIAL':  # about the axes at rest: X, then Y, then Z
+            return (
+                rotation(2, angle('SPC')) @ rotation(1, angle('SPB')) @ rotation(0, angle('SPA'))
+            )
+        if kind == 'EULER':
+            return (rotation(2, angle('EULPR')) @ rotation(0, angle('EULNU'))
+                    @ rotation(2, angle('EULROT')))  # fmt: skip
+        if kind == 'VECTOR':
+            along, normal = (np.array([values.get(c + x, 0.0) for x in 'XYZ']) for c in 'BN')
+            if np.linalg.norm(np.cross(along, normal)) < 1e-9:
+                raise self.fault('give two directions, BX BY BZ and NX NY NZ', 'PLANE VECTOR')
+            z = normal / np.linalg.norm(normal)
+            x = along - (along @ z) * z
+            x = x / np.linalg.norm(x)
+            return np.stack([x, np.cross(z, x), z], axis=1)
+        if kind == 'AXIAL':
+            return self._turn_of_axes(values)
+        raise self.fault('of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
+                         f'PLANE {kind}')  # fmt: skip
+
+    def _turn_of_axes(self, values: dict[str, float]) -> FloatArray:
+        """Return the plane on which the tool stands upright with the rotary axes at angles."""
+        rotary = self.mover.rotary.copy()
+        for letter, value in values.items():
+            if letter not in self.mover.rotary_letters:
+                raise self.fault(f'the machine has no axis {letter}', 'PLANE AXIAL')
+            rotary[self.mover.rotary_letters.index(letter)] = value * DEG
+        if not self.mover.rotary_letters:
+            return np.eye(3)
+        z = self.mover.geometry.tool_axis(rotary[None])[0]
+        up = np.array([0.0, 0.0, 1.0])
+        angle = float(np.arccos(np.clip(z @ up, -1.0, 1.0)))
+        axis = np.cross(up, z)
+        if np.linalg.norm(axis) < 1e-9:
+            return np.eye(3)
+        if len({abs(round(c)) for c in axis / np.linalg.norm(axis)} - {0, 1}) or not _along(axis):
+            raise self.fault('the turn of X and Y in this plane depends on the machine; post with '
+                             'PLANE SPATIAL', 'PLANE AXIAL')  # fmt: skip
+        which = int(np.argmax(np.abs(axis)))
+        return rotation(which, float(np.copysign(angle, axis[which])))
+
+    def _stand_on(self, values: dict[str, float]) -> None:
+        """Process CYCL DEF 19: A, B, C are angles in space, or positions of axes."""
+        angles = {name: value for name, value in values.items() if name in 'ABC'}
+        turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
+        others = [name for name, value in angles.items() if value]
+        if len(others) > 1:
+            raise self.fault('angles in space on some machines, positions of axes on others; post '
+                             'with PLANE SPATIAL or PLANE AXIAL', 'CYCL DEF 19')  # fmt: skip
+        if not others:
+            self._turn = None
+            self.mover.set_oriented(False)
+            self._frame()
+            return
+        self._turn = turn
+        self._frame()
+        self._position('STAY', 0)
+
+    def _position(self, way: str, choice: int) -> None:
+        """Turn the rotary axes to the plane, or demand that they stand there."""
+        mover = self.mover
+        if way in ('TURN', 'MOVE') and mover.rotary_letters:
+            self._plane.stand_up('G53.1' if way == 'TURN' else 'G53.6', choice, BlockWords())
+            return
+        if not mover.rotary_letters:
+            if mover.frames.turn[2, 2] < 1.0 - 1e-9:
+                raise self.fault(
+                    'the tool cannot be turned; this machine has no rotary axes', 'PLANE'
+                )
+            return
+        axis = mover.geometry.tool_axis(mover.rotary[None])[0]
+        if axis @ mover.frames.turn[:, 2] < 1.0 - 1e-9:
+            raise self.fault('the tool does not stand upright on the plane; turn the axes before '
+                             'it, or write TURN or MOVE', 'PLANE')  # fmt: skip
+        mover.set_oriented(True)
+
+
+def _along(axis: FloatArray) -> bool:
+    """Tell whether a direction is that of X, Y or Z."""
+    return bool(np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis))

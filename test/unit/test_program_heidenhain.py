@@ -1,0 +1,135 @@
+"""Heidenhain plain text against the same motions as geometry."""
+
+import numpy as np
+import pytest
+
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, MM
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.settings.choices import Settings
+
+XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))
+TOOLS = JobSetup(tools={1: Tool(0.0, 2.0 * MM), 2: Tool(50.0 * MM, 2.0 * MM)})
+
+
+def read(text, geometry=XYZ, setup=TOOLS):
+    lines = ['BEGIN PGM T MM', *text.split('|'), 'END PGM T MM']
+    whole = '\n'.join(f'{n} {line}' for n, line in enumerate(lines))
+    fine = Settings(contour_tolerance=1e-3 * MM)
+    return read_text(whole, 'part.h', geometry, fine, setup)
+
+
+def corners(text, **options):
+    """Ends of the lines of the program [mm]; arcs with their last chord only."""
+    blocks = read(text, **options).blocks
+    last = np.flatnonzero(np.diff(blocks.line_number, append=0))
+    return blocks.tip[last] / MM
+
+
+def test_lines_rapids_and_feeds():
+    blocks = read('L X+0 Y+0 Z+5 R0 FMAX M3|L IX+4 IY-1 F500|L Z-1|L Z+9 FMAX M91|L X+1').blocks
+    ends = [[0, 0, 5], [4, -1, 5], [4, -1, -1], [4, -1, 9], [1, -1, 9]]
+    np.testing.assert_allclose(blocks.tip / MM, ends, atol=1e-9)
+    assert blocks.rapid.tolist() == [True, False, False, True, False]
+    np.testing.assert_allclose(blocks.feedrate[[1, 2, 4]] * 60 / MM, 500)
+
+
+@pytest.mark.parametrize(
+    ('arc', 'centre', 'turn'),
+    [
+        ('CC X+0 Y+0|C X+0 Y+10 DR+', (0, 0), 90), ('CC IX-10 Y+0|C X+0 Y+10 DR-', (0, 0), -270),
+        ('CC X+0 Y+0|CP IPA+90 DR+', (0, 0), 90), ('CC X+0 Y+0|CP PA+90 IZ+3 DR-', (0, 0), -270),
+        ('CR X+0 Y+10 R+10 DR+', (0, 0), 90), ('CR X+0 Y+10 R-10 DR-', (0, 0), -270),
+        ('CT X+0 Y+10', (0, 0), 90), ('CC X+0 Y+0|CP IPA+450 IZ+9 DR+', (0, 0), 450),
+        ('CC X+10 Y+10|C X+0 Y+10 DR+', (10, 10), 270),
+    ],
+)  # fmt: skip
+def test_arcs_turn_about_their_centre(arc, centre, turn):
+    blocks = read('L X+10 Y-5 Z+0 FMAX|L Y+0 F500|' + arc).blocks
+    arm = blocks.tip[1:, :2] / MM - centre
+    np.testing.assert_allclose(np.hypot(*arm.T), 10.0, atol=1e-9)
+    turned = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
+    assert (turned[-1] - turned[0]) / DEG == pytest.approx(turn)
+    np.testing.assert_allclose(blocks.tip[-1, :2] / MM, [0, 10], atol=1e-9)
+
+
+def test_roundings_and_chamfers_cut_the_corner_and_the_next_line_counts_from_it():
+    text = 'L X+0 Y+0 Z+0 FMAX|L X+10 F500|RND R2|L IY+10|CHF 1|L IX-10|CC X-5 Y+10|CP IPA+180 DR+'
+    tips = read(text).blocks.tip / MM
+    inside = tips[(tips[:, 0] > 8) & (tips[:, 1] < 2)]
+    np.testing.assert_allclose(np.hypot(*(inside[:, :2] - [8, 2]).T), 2.0, atol=1e-9)
+    for corner in ([8, 0], [10, 2], [10, 9], [9, 10], [0, 10], [-10, 10]):
+        assert np.abs(tips[:, :2] - corner).max(axis=1).min() < 1e-9
+
+
+def test_radius_compensation_and_polar_lines():
+    ends = corners('TOOL CALL 1 Z S9|L X-9 Y+0 Z+0 FMAX|L X+0 RL F500|L Y+20|L X-9 R0')
+    np.testing.assert_allclose(ends[1:, :2], [[-2, 0], [-2, 20], [-9, 20]], atol=1e-9)
+    ends = corners('L X+0 Y+0 Z+0 FMAX|CC X+5 Y+5|LP PR+10 PA+0 F500|LP IPA+90|LP PR+2')
+    np.testing.assert_allclose(ends[1:, :2], [[15, 5], [5, 15], [5, 7]], atol=1e-9)
+
+
+def test_q_parameters_labels_and_jumps():
+    text = (
+        'FN 0: Q1 = +3|Q2 = ( Q1 - 1 ) * SIN 90 ^ 2|L X+0 Y+0 Z+0 FMAX|LBL 1|L IX+Q1 FMAX|'
+        'CALL LBL 1 REP 2/2|CALL LBL 7|FN 12: IF +Q1 LT +4 GOTO LBL 2|L X+99 FMAX|LBL 2|'
+        'FN 1: Q3 = +Q1 + +2|L Y-Q3 FMAX|M30|LBL 7|L IY+Q2 FMAX|LBL 0'
+    )
+    tips = read(text).blocks.tip / MM
+    wanted = [[0, 0], [3, 0], [6, 0], [9, 0], [9, 2], [9, -5]]
+    np.testing.assert_allclose(tips[:, :2], wanted, atol=1e-9)
+
+
+def test_cycle_200_pecks_from_the_surface_and_retracts_to_the_second_clearance():
+    text = ('L X+0 Y+0 Z+5 FMAX|CYCL DEF 200 DRILLING~\nQ200=2 ;A~\nQ201=-6~\nQ206=100~\nQ202=4~\n'
+            'Q203=-1~\nQ204=9|L X+5 FMAX M99|CYCL CALL')  # fmt: skip
+    blocks = read(text).blocks
+    heights = [5, 5, 1, -5, 1, -4.4, -7, 8, 1, -5, 1, -4.4, -7, 8]
+    np.testing.assert_allclose(blocks.tip[:, 2] / MM, heights, atol=1e-9)
+    assert np.flatnonzero(~blocks.rapid).tolist() == [3, 6, 9, 12]
+
+
+def test_datum_shift_rotation_and_planes():
+    shift = 'CYCL DEF 7.0 DATUM|CYCL DEF 7.1 X+10|CYCL DEF 7.2 IY+5|'
+    ends = corners(shift + 'L X+0 Y+0 Z+0 FMAX|CYCL DEF 10.0 ROT|CYCL DEF 10.1 ROT+90|L X+1 FMAX')
+    np.testing.assert_allclose(ends, [[10, 5, 0], [10, 6, 0]], atol=1e-9)
+    turned = 'L X+0 Y+0 Z+50 A+0 C+0 FMAX|PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX SEQ-|'
+    blocks = read(shift + turned + 'L X+0 Y+0 Z+10 FMAX|L X+5 F100', geometry=AC).blocks
+    c, s = np.cos(30 * DEG), np.sin(30 * DEG)
+    np.testing.assert_allclose(blocks.axis[-1], [s, 0, c], atol=1e-9)
+    ends = [[10 + 10 * s, 5, 10 * c], [10 + 10 * s + 5 * c, 5, 10 * c - 5 * s]]
+    np.testing.assert_allclose(blocks.tip[-2:] / MM, ends, atol=1e-9)
+
+
+def test_ln_turns_the_tool_with_tool_tip_programming():
+    text = 'L X+0 Y+0 Z+50 A+0 C+0 FMAX|M128|LN X+1 Y+0 Z+50 NX0 NY0 NZ1 TX0 TY0.6 TZ0.8 F100|M129'
+    blocks = read(text, geometry=AC).blocks
+    np.testing.assert_allclose(blocks.axis[-1], [0, 0.6, 0.8], atol=1e-9)
+    np.testing.assert_allclose(blocks.tip[-1] / MM, [1, 0, 50], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('text', 'part'),
+    [
+        ('C X+1 Y+1', 'DR'), ('CR X+1 DR+', 'radius'), ('CT X+1 Y+1', 'CT needs'),
+        ('CC X+0 Y+5|CP IPA-90 DR+', 'different directions'),
+        ('RND R1|L X+1', 'between two lines'), ('L X+5 F9|RND R9|L Y+3', 'does not fit'),
+        ('CALL LBL 9', 'not in this file'),
+        ('CALL LBL 9 REP 2', 'no such label'), ('FN 18: SYSREAD Q1 = ID270', 'SYSREAD'),
+        ('L X+Q9 F9', 'before it is set'), ('Q1 = 1 / 0', 'no value'),
+        ('Q1 = (2', 'cannot be read'),
+        ('CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL 2', 'scaling'),
+        ('CYCL DEF 204 X', 'back boring'),
+        ('CYCL CALL', 'no cycle'), ('CYCL DEF 251 POCKET', 'not supported'),
+        ('L X+1 M140', 'M140'),
+        ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'), ('APPR LT X+1', 'APPR'),
+        ('TOOL CALL 1 Z DR+0.1', 'DR'), ('PLANE POINTS P1X+0', 'not supported'),
+        ('X+5 FMAX', 'begins'),
+        ('TOOL CALL 9 Z', 'no length'), ('LBL 1|CALL LBL 1', 'deep'),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_refused_with_its_line(text, part):
+    with pytest.raises(ProgramError, match=part):
+        read('L X+0 Y+0 Z+0 FMAX|' + text)

@@ -25,7 +25,7 @@ M30
 """
 
 
-def modes_by_line(text, name='part.ngc'):
+def modes_by_line(text, name='part.nc'):
     """The blocks, and the modal state of each."""
     transform = Transform.of(Machine.load('xyzac'))
     stream = ProgramStream(Source.of_text(text, name), transform, Settings(), JobSetup())

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / 'examples'
 SHARED = ROOT.parent / 'shared' / 'programs'
 #: What no machine can make readable: the word at which it is refused.
-REFUSED = {'dmu50-boss-h': 'BEGIN PGM', 'gcws-sinumerik840d': 'L54'}
+REFUSED = {'gcws-sinumerik840d': 'L54'}
 #: Programs that need another machine or the operator's work offsets.
 SETUPS = {'nist-box-op5': JobSetup(work_offsets={'G58': {'X': 0.0, 'Y': 0.0}})}
 MACHINES = {

@@ -117,6 +117,12 @@ class PassRecursion:
         curve = self.planes.curve(plane)
         angles = constant_tilt(curve, self.options.tilt, self.options.yaw, self.count(curve))
         reach = self.reach(curve, angles)
+        if np.isnan(reach).all():
+            radius = (self.cutter.tool_radius + self.cutter.corner_radius) / MM
+            raise SurfaceError(
+                f'the mill of {radius:.4g} mm radius does not fit into the surface at the guiding '
+                f'plane at {plane / MM:.4g} mm; take a smaller mill'
+            )
         kept = kept_places(curve, angles.s, reach, self.options.overrun)
         if not kept.any():
             return float(np.nanmin(reach))

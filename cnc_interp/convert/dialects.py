@@ -148,7 +148,8 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
         poses,
         np.abs(last - first)[linear].sum(axis=1),
         CHORD_SHARE * blocks.contour_tolerance[linear],
-        CHORD_SHARE * blocks.orientation_tolerance[linear] / height,
+        CHORD_SHARE * blocks.orientation_tolerance[linear],
+        height,
     )
     row, piece = ragged(counts)
     u, final = (piece + 1.0) / counts[row], piece + 1 == counts[row]

@@ -130,7 +130,8 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
             lambda block, u: moves.chordal(curved[block], u),
             turned,
             CHORD_SHARE * rows[curved, CONTOUR],
-            CHORD_SHARE * rows[curved, ORIENTATION] / settings.flank_height,
+            CHORD_SHARE * rows[curved, ORIENTATION],
+            settings.flank_height,
         )
         if pieces.max() > MOST_PIECES:
             raise ProgramError(

@@ -191,7 +191,8 @@ class Moves:
                     lambda block, u: self.poses(some[block], u),
                     np.abs(self.sweep[some]).sum(axis=1),
                     CHORD_SHARE * end[fits, CONTOUR],
-                    CHORD_SHARE * end[fits, ORIENTATION] / height,
+                    CHORD_SHARE * end[fits, ORIENTATION],
+                    height,
                 )
                 == 1
             )

@@ -50,7 +50,11 @@ def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
 
 
 def piece_counts(
-    poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_angle: FloatArray
+    poses: Poses,
+    turned: FloatArray,
+    allowed_tip: FloatArray,
+    allowed_top: FloatArray,
+    height: float,
 ) -> IntArray:
     """
     Compute how many pieces keep curved motion within tolerances of chords and great circles.
@@ -62,8 +66,11 @@ def piece_counts(
         returns tool tips [m] and unit tool axes [-], shape (m, 3) each.
     turned : ndarray, shape (n,)
         Angle through which each block turns, of its rotary axes together or of its arc [rad].
-    allowed_tip, allowed_angle : ndarray, shape (n,)
-        Largest distance [m] and angle [rad] between programmed and chordal pose.
+    allowed_tip, allowed_top : ndarray, shape (n,)
+        Largest distance of the tip, and of the point at flank height, from their chords [m]. The
+        second one bounds the turn of the tool axis times the height, too.
+    height : float
+        Flank height [m].
 
     Returns
     -------
@@ -75,12 +82,12 @@ def piece_counts(
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
     trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)
     every = np.arange(len(trial))
-    ratio = _MARGIN * _largest_deviation(poses, every, trial, allowed_tip, allowed_angle)
+    ratio = _MARGIN * _largest_deviation(poses, every, trial, allowed_tip, allowed_top, height)
     counts = np.maximum(fewest, np.ceil(trial * np.sqrt(ratio)))
     open_rows = np.arange(len(counts))
     while len(open_rows) and counts.max() <= MOST_PIECES:
         ratio = _MARGIN * _largest_deviation(
-            poses, open_rows, counts[open_rows], allowed_tip, allowed_angle
+            poses, open_rows, counts[open_rows], allowed_tip, allowed_top, height
         )
         wide = ratio > 1.0
         open_rows, ratio = open_rows[wide], ratio[wide]
@@ -95,7 +102,8 @@ def _largest_deviation(
     rows: IntArray,
     counts: FloatArray,
     allowed_tip: FloatArray,
-    allowed_angle: FloatArray,
+    allowed_top: FloatArray,
+    height: float,
 ) -> FloatArray:
     """Return the largest deviation of each block from its pieces, over the allowed one [-]."""
     which, piece = ragged(counts.astype(np.int64))
@@ -105,10 +113,12 @@ def _largest_deviation(
     worst = np.zeros(len(block))
     for u in _PROBES:
         tip, o = poses(block, (piece + u) * step)
-        apart = np.linalg.norm(tip - tip_from - u * (tip_to - tip_from), axis=1)
-        worst = np.maximum(worst, apart / allowed_tip[block])
+        off = tip - tip_from - u * (tip_to - tip_from)
+        worst = np.maximum(worst, np.linalg.norm(off, axis=1) / allowed_tip[block])
         o_circle = great_circle(o_from, o_to, np.full(len(block), u))
-        worst = np.maximum(worst, angle_between(o, o_circle) / allowed_angle[block])
+        top = np.linalg.norm(off + height * (o - o_circle), axis=1)
+        top = np.maximum(top, height * angle_between(o, o_circle))
+        worst = np.maximum(worst, top / allowed_top[block])
     first = np.concatenate([[0], np.cumsum(counts.astype(np.int64))[:-1]])
     return np.asarray(np.maximum.reduceat(worst, first))
 

@@ -77,13 +77,15 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> Non
             i = int(where[row])
             if i + 2 > count - 1 or _rests(plan.position[max(i - 1, 0) : i + 3], crawl):
                 return False
-            if named[row]:
-                return True
-            # An axis that the program does not name may turn while tip and tool stand there.
+            # The nearest sample may be beside the rest, and an axis that the program does not
+            # name may turn while tip and tool stand there.
             first = max(i - SEARCHED, 0)
             near = plan.position[first : i + SEARCHED]
             gaps = np.stack([tips(near) - blocks['tip'][row], tops(near) - vertex_top[row]])
-            away = np.flatnonzero(np.linalg.norm(gaps, axis=2).max(axis=0) > SLACK)
+            off = np.linalg.norm(gaps, axis=2).max(axis=0) > 3.0 * SLACK
+            if named[row]:
+                off |= np.abs(near[:, 3:5] - blocks['rotary'][row]).max(axis=1) > STOP_ANGLE
+            away = np.flatnonzero(off)
             low = away[away < i - first].max(initial=-1) + 1
             high = away[away > i - first].min(initial=len(near))
             return not _rests(near[low:high], crawl)

@@ -31,6 +31,8 @@ from cnc_interp.proof.plan_files import Columns, PlanFiles
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
 # share [-].
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
+# An angle is printed within so many last digits.
+ROUNDED = 0.75
 # A row inside a motion may lie beside it by this share of the tolerances: some curves of the
 # machine become lines of poses.
 CHORD = 0.11
@@ -198,6 +200,16 @@ class _Comparison:
         tip, axes = self.transform.forward(q)
         return tip[0], axes[0]
 
+    def room(self, move: Move) -> float:
+        """Return how far from the end of a motion its row may be [m]: angles have digits, too."""
+        room = _place(move)
+        if move.digit and not move.tcp:
+            tip = self.pose(move)[0]
+            for step in ROUNDED * LAST_DIGIT * DEG * np.eye(len(move.rotary)):
+                turned = self.pose(replace(move, rotary=move.rotary + step))[0]
+                room += float(np.linalg.norm(turned - tip))
+        return room
+
     def take(self, move: Move) -> bool:
         """Compare one motion with its rows; return whether those of the next one are known."""
         last = self.rows_of(move)
@@ -205,7 +217,7 @@ class _Comparison:
         tip, axis = self.pose(move)
         before, self.before, self.row = self.before, move, last
         self.motions, self.arcs = self.motions + 1, self.arcs + (move.sweep != 0)
-        near, angle = _place(move), _angle(move)
+        near, angle = self.room(move), _angle(move)
         if not len(rows):
             self.unmoved(move, before, tip, axis)
             return True
@@ -241,7 +253,7 @@ class _Comparison:
         here, pointing = self.pose(before)
         gone = max(float(np.linalg.norm(tip - here)), float(np.linalg.norm(axis - pointing)))
         turned = np.abs(move.rotary - before.rotary).max(initial=0.0)
-        if gone > _place(move) or turned > _angle(move) or move.sweep:
+        if gone > self.room(move) or turned > _angle(move) or move.sweep:
             self.fault(move, 'has no row in the plan')
 
     def points(self, move: Move) -> FloatArray:
@@ -277,7 +289,7 @@ class _Comparison:
         """Demand that the rows leave room in the programmed tolerance for their arc."""
         wanted = self.tolerances[0] if np.isnan(move.tolerance) else move.tolerance
         used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
-        if used > wanted * (1.0 + SAME_FEED) + SAME_PLACE:
+        if used > wanted * (1.0 + SAME_FEED) + _place(move):
             chords = f', and its arc {chord_error / MM:.4g} mm' if chord_error else ''
             self.fault(
                 move,
@@ -286,7 +298,7 @@ class _Comparison:
             )
         wanted = self.tolerances[1] if np.isnan(move.orientation) else move.orientation
         used = float(self.blocks['orientation_tolerance'][rows].max())
-        if used > wanted * (1.0 + SAME_FEED) + SAME_PLACE:
+        if used > wanted * (1.0 + SAME_FEED) + _place(move):
             self.fault(
                 move,
                 f'has an orientation tolerance of {wanted / MM:.6g} mm, its rows may use '
@@ -390,8 +402,7 @@ class _FollowPlaces(_Comparison):
         before = self.before
         if before is None:
             return 1
-        while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
-            self.row, self.tiny = self.row + 1, self.tiny - 1
+        self.pass_tiny(before)
         rests = not move.sweep and np.array_equal(move.end, before.end)
         if rests and np.array_equal(move.rotary, before.rotary):
             self.tiny += 1
@@ -406,6 +417,17 @@ class _FollowPlaces(_Comparison):
                 break
             some *= 4
         return self.row if not move.sweep and self.near(move, self.row - 1, 1)[0] else stop
+
+    def pass_tiny(self, before: Move) -> None:
+        """Pass rows of motions that are shorter than the last digit."""
+        while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
+            self.row, self.tiny = self.row + 1, self.tiny - 1
+
+    def end(self) -> None:
+        """Record rows that no motion explains."""
+        if self.before is not None:
+            self.pass_tiny(self.before)
+        super().end()
 
     def near(self, move: Move, first: int, some: int) -> BoolArray:
         """Return which of some rows are at the end of a motion."""

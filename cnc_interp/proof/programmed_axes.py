@@ -50,6 +50,9 @@ class ProgrammedAxes:
     step: FloatArray
     #: (M, 2): Contour and orientation tolerance of each row, for the comparison of both [m].
     tolerance: FloatArray
+    #: (M, 4): These tolerances over the smallest of the row and those beside it, which count at
+    #: vertices; as the four columns of ``_Search.gaps``.
+    weight: FloatArray
     height: float  #: Flank height [m].
 
     @staticmethod
@@ -89,9 +92,12 @@ class ProgrammedAxes:
         tolerance = np.stack(
             [blocks['contour_tolerance'], blocks['orientation_tolerance']], axis=1
         )
+        tolerance = np.maximum(tolerance, 1e-12)
+        beside = np.pad(tolerance, ((1, 1), (0, 0)), mode='edge')
+        least = np.minimum(tolerance, np.minimum(beside[:-2], beside[2:]))
         return ProgrammedAxes(
-            transform, known, linear, in_axes, ends[0], ends[1] - ends[0],
-            np.maximum(tolerance, 1e-12), plan.flank_height,
+            transform, known, linear, in_axes, ends[0], ends[1] - ends[0], tolerance,
+            np.tile(tolerance / least, 2), plan.flank_height,
         )  # fmt: skip
 
     @property
@@ -116,7 +122,7 @@ class ProgrammedAxes:
             here[~self.in_axes[k], :3] = tip[at][~self.in_axes[k]]
             search = _Search(self, k, here, tip[at], tip[at] + self.height * axis[at])
             x, gaps = search.best()
-            use = gaps.max(axis=1)
+            use = (gaps * self.weight[k]).max(axis=1)
             own = use < least[at]
             at, x, k, gaps, use = at[own], x[own], k[own], gaps[own], use[own]
             least[at] = use
@@ -162,19 +168,25 @@ class _Search:
         way = (self.here - program.start[self.k]) * scale
         x = np.clip((way * step).sum(axis=1) / square, 0.0, 1.0)
         gaps = self.gaps(np.arange(len(x)), x)
-        far = np.flatnonzero((gaps.max(axis=1) > SMALL_USE) & (gaps.max(axis=1) < BRACKET**2))
+        use = self.use(np.arange(len(x)), gaps)
+        far = np.flatnonzero((use > SMALL_USE) & (use < BRACKET**2))
         if len(far):
             room = BRACKET * program.tolerance[self.k[far]].sum(axis=1) / np.sqrt(square[far])
             low, high = np.maximum(x[far] - room, 0.0), np.minimum(x[far] + room, 1.0)
             for _ in range(STEPS):
                 left, right = high - SHARE * (high - low), low + SHARE * (high - low)
-                down = self.gaps(far, left).max(axis=1) < self.gaps(far, right).max(axis=1)
+                uses = [self.use(far, self.gaps(far, at)) for at in (left, right)]
+                down = uses[0] < uses[1]
                 low, high = np.where(down, low, left), np.where(down, right, high)
             found = 0.5 * (low + high)
             other = self.gaps(far, found)
-            better = other.max(axis=1) < gaps[far].max(axis=1)
+            better = self.use(far, other) < use[far]
             x[far[better]], gaps[far[better]] = found[better], other[better]
         return x, gaps
+
+    def use(self, rows: IntArray, gaps: FloatArray) -> FloatArray:
+        """Return the largest use of a tolerance, as it counts at vertices, shape (m,)."""
+        return np.asarray((gaps * self.program.weight[self.k[rows]]).max(axis=1))
 
     def gaps(self, rows: IntArray, x: FloatArray) -> FloatArray:
         """Return linear and rotary coordinates, tip and top point over tolerances, (m, 4)."""

@@ -16,6 +16,7 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.dense.path_rows import settled
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.native.joining import Jets, line_between
@@ -42,6 +43,7 @@ class PathSmoother:
         self._recent: Blocks | None = None  # the last two linear blocks
         self._waiting: PathSegments | None = None  # lines before a spline
         self._row = 0  # program row of the next block
+        self._last: Blocks | None = None  # the last row
         self._start: FloatArray | None = None  # rotary words of the start pose
 
     def push(self, blocks: Blocks) -> PathSegments:
@@ -52,6 +54,8 @@ class PathSmoother:
         """
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
+        blocks = settled(blocks, self._last, self.settings.flank_height)
+        self._last = blocks[-1:] if len(blocks) else self._last
         return self._joined(self._taken(self._upright.push(blocks)))
 
     def _taken(self, blocks: Blocks) -> list[PathSegments | None]:

@@ -180,3 +180,29 @@ def test_chords_and_smoothing_together_keep_the_tolerance_of_any_arc(
         off = np.linalg.norm(arc - a - along[:, None] * (b - a), axis=1).max()
         assert off + blocks.contour_tolerance[row] * 1e3 <= tolerance * (1 + 1e-9) + 1e-8
     assert blocks.contour_tolerance[rows[-1] + 1] * 1e3 == pytest.approx(tolerance)
+
+
+def test_chords_of_arcs_keep_the_smaller_tolerance():
+    """The point at flank height moves with the tip: a tenth of its tolerance counts, too."""
+    text = 'G0 X10 Y0 Z0\nG2 X-10 Y0 I-10 J0 F600'
+    tips = read(text, contour_tolerance=1e-4, orientation_tolerance=5e-6).tip * 1e3
+    middle = 0.5 * (tips[1:] + tips[:-1])
+    assert 10.0 - np.linalg.norm(middle, axis=1).min() <= 5e-4
+
+
+def test_chords_of_an_arc_with_rotary_motion_keep_the_top_point():
+    """Deviations of tip and tool axis add up at flank height."""
+    text = 'M428\nG0 X10 Y0 Z0 A20 C0\nG2 X-10 Y0 A45 C80 I-10 J0 F600'
+    blocks = read(text, TableAC(), contour_tolerance=2e-5, orientation_tolerance=2e-5)
+    u = np.linspace(0.0, 1.0, len(blocks))
+    for share in (0.25, 0.5, 0.75):
+        at = u[:-1] + share * np.diff(u)
+        angle = -np.pi * at
+        tip = 1e-2 * np.stack([np.cos(angle), np.sin(angle), 0 * at], axis=1)
+        a, c = np.radians(20 + 25 * at), np.radians(80 * at)
+        axis = TableAC().tool_axis(np.stack([a, c], axis=1))
+        chord = blocks.tip[:-1] + share * np.diff(blocks.tip, axis=0)
+        turned = blocks.axis[:-1] + share * np.diff(blocks.axis, axis=0)
+        turned /= np.linalg.norm(turned, axis=1)[:, None]
+        off = tip + 0.03 * axis - chord - 0.03 * turned
+        assert np.linalg.norm(off, axis=1).max() <= 0.1 * 2e-5 * 1.05

@@ -21,7 +21,7 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 
     Rotary positions that are named only after the block may be anywhere: the way is infinite.
     """
-    begin = np.where(np.isnan(after.rotary_from), before.rotary, after.rotary_from)
+    begin = np.where(np.isnan(before.rotary), after.rotary_from, before.rotary)
     turn = np.abs(after.rotary - begin)
     turn = np.where(np.isnan(after.rotary), 0.0, np.where(np.isnan(turn), np.inf, turn))
     ways = (
@@ -31,6 +31,36 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
         np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
     )
     return np.asarray(np.max(ways, axis=0))
+
+
+def settled(blocks: Blocks, before: Blocks | None, height: float) -> Blocks:
+    """
+    Put the end of each block that does not move on the end of the block before it.
+
+    So the path goes on from there without a step. The way counts from the last end that moved:
+    small steps may add up to a motion. ``before`` is the last row of the call before.
+    """
+    rows = blocks if before is None else Blocks.concatenate([before, blocks])
+    still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)
+    # The first control point of a spline is where the tool is; the others are no ends.
+    still[1:] &= ~(rows.on_spline[1:] & rows.on_spline[:-1])
+    if not still.any():
+        return blocks
+    ends = {name: getattr(rows, name).copy() for name in ('tip', 'axis', 'extra', 'rotary')}
+    begin, top = rows.rotary_from.copy(), rows.top.copy()
+    for i in range(1, len(rows)):
+        if still[i - 1]:
+            last = replace(rows[i - 1 : i], **{name: end[i - 1 : i] for name, end in ends.items()})
+            way = way_between(last, rows[i : i + 1], height)[0]
+            still[i] = way < STANDSTILL and not rows.on_spline[i - 1]
+            near = np.abs(begin[i] - ends['rotary'][i - 1]) * height < STANDSTILL
+            begin[i] = np.where(near, ends['rotary'][i - 1], begin[i])
+        if still[i]:
+            top[i] += ends['tip'][i - 1] - ends['tip'][i]
+            for end in ends.values():
+                known = np.isfinite(end[i]) & np.isfinite(end[i - 1])
+                end[i] = np.where(known, end[i - 1], end[i])
+    return replace(rows, rotary_from=begin, top=top, **ends)[len(rows) - len(blocks) :]
 
 
 class Spans(Table):
@@ -71,30 +101,16 @@ class Rows(Table):
         )  # fmt: skip
 
     def moving(self, height: float) -> Rows:
-        """
-        Leave out lines that do not move; the row before them takes their exact stops.
-
-        The way counts from the last row that stays, so small steps may add up to a motion.
-        """
+        """Leave out lines that do not move; the row before them takes their exact stops."""
         line = (self.count == 0) & ~self.smooth & ~self.leads
-        still = line[1:] & (way_between(self.blocks[:-1], self.blocks[1:], height) < STANDSTILL)
-        if not still.any():
+        way = way_between(self.blocks[:-1], self.blocks[1:], height)
+        at = np.flatnonzero(np.append(True, ~line[1:] | (way >= STANDSTILL)))
+        if len(at) >= len(self):
             return self
-        kept, stop = [0], self.blocks.exact_stop.copy()
-        for i in range(1, len(self)):
-            last = kept[-1]
-            if last < i - 1 and line[i]:
-                away = way_between(self.blocks[last : last + 1], self.blocks[i : i + 1], height)
-                still[i - 1] = away[0] < STANDSTILL
-            if still[i - 1]:
-                stop[last] |= stop[i]
-            else:
-                kept.append(i)
-        at = np.array(kept)
-        blocks = replace(self.blocks, exact_stop=stop)[at]
+        stop = np.logical_or.reduceat(self.blocks.exact_stop, at)
         return Rows(
-            blocks, self.row[at], self.used[at], self.smooth[at], self.leads[at], self.count[at],
-            self.spans,
+            replace(self.blocks[at], exact_stop=stop), self.row[at], self.used[at],
+            self.smooth[at], self.leads[at], self.count[at], self.spans,
         )  # fmt: skip
 
     @staticmethod

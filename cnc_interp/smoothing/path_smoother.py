@@ -54,7 +54,7 @@ class PathSmoother:
         """
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
-        blocks = settled(blocks, self._last, self.settings.flank_height)
+        blocks = settled(blocks, self._last, self._style.height)
         self._last = blocks[-1:] if len(blocks) else self._last
         return self._joined(self._taken(self._upright.push(blocks)))
 

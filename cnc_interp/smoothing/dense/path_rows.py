@@ -44,22 +44,23 @@ def settled(blocks: Blocks, before: Blocks | None, height: float) -> Blocks:
     still = np.append(False, way_between(rows[:-1], rows[1:], height) < STANDSTILL)
     # The first control point of a spline is where the tool is; the others are no ends.
     still[1:] &= ~(rows.on_spline[1:] & rows.on_spline[:-1])
-    if not still.any():
-        return blocks
     ends = {name: getattr(rows, name).copy() for name in ('tip', 'axis', 'extra', 'rotary')}
     begin, top = rows.rotary_from.copy(), rows.top.copy()
-    for i in range(1, len(rows)):
-        if still[i - 1]:
+    for i in range(1, len(rows) if still.any() else 0):
+        if still[i - 1]:  # the end before has changed
             last = replace(rows[i - 1 : i], **{name: end[i - 1 : i] for name, end in ends.items()})
             way = way_between(last, rows[i : i + 1], height)[0]
             still[i] = way < STANDSTILL and not rows.on_spline[i - 1]
-            near = np.abs(begin[i] - ends['rotary'][i - 1]) * height < STANDSTILL
-            begin[i] = np.where(near, ends['rotary'][i - 1], begin[i])
         if still[i]:
             top[i] += ends['tip'][i - 1] - ends['tip'][i]
             for end in ends.values():
                 known = np.isfinite(end[i]) & np.isfinite(end[i - 1])
                 end[i] = np.where(known, end[i - 1], end[i])
+    before_it = ends['rotary'][:-1]
+    near = np.abs(begin[1:] - before_it) * height < STANDSTILL
+    begin[1:] = np.where(near, before_it, begin[1:])
+    if not still.any() and np.array_equal(begin, rows.rotary_from, equal_nan=True):
+        return blocks
     return replace(rows, rotary_from=begin, top=top, **ends)[len(rows) - len(blocks) :]
 
 

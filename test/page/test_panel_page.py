@@ -459,12 +459,6 @@ def test_the_keyboard(panel, long_program, short_program):
     assert tab.faults == []
 
 
-#: Presses a key of the pad with the pointer, and lets it go.
-DOWN = """document.querySelector(`[data-mark="jog {}"]`).dispatchEvent(
-  new PointerEvent('pointerdown', {{bubbles: true}}))"""
-UP = "window.dispatchEvent(new PointerEvent('pointerup'))"
-
-
 @pytest.mark.thorough
 def test_axes_are_moved_by_hand_from_the_page(panel):
     tab = panel.open_in_charge()
@@ -478,10 +472,12 @@ def test_axes_are_moved_by_hand_from_the_page(panel):
 
     # While a key is held.
     before = rests()
-    tab.run(DOWN.format('X+'))
+    key = tab.centre('jog X+')
+    tab.pointer('move', *key)
+    tab.pointer('press', *key)
     panel.until(MachineState.JOGGING)
     panel.spin_until(lambda: panel.peers.state.positions[0] > before[0] + 1e-3)
-    tab.run(UP)
+    tab.pointer('release', *key)
     after = rests()
     assert after[0] > before[0] + 1e-3 and (after[1:] == before[1:]).all()
     # With an arrow key, whose release is lost: the machine stops by itself.

@@ -198,12 +198,8 @@ def test_the_same_bits_in_another_process():
         for column in (law.time, law.s, law.s_dot, law.s_ddot, law.jerk):
             digest.update(column.tobytes())
     unit = str(Path(__file__).parents[1] / 'unit')
-    for hash_seed in ('1', '2'):
-        found = subprocess.run(
-            [sys.executable, '-c', DIGEST, unit],
-            env={**os.environ, 'PYTHONHASHSEED': hash_seed},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert found.stdout.strip() == digest.hexdigest()
+    found = subprocess.run(
+        [sys.executable, '-c', DIGEST, unit], env={**os.environ, 'PYTHONHASHSEED': '1'},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert found.stdout.strip() == digest.hexdigest()

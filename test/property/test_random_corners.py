@@ -210,7 +210,13 @@ def densely(curves, k, u):
     return tip, tool / norm(tool)[:, None]
 
 
-@pytest.mark.parametrize('method, in_step, septic', WAYS)
+@pytest.mark.parametrize(
+    'method, in_step, septic',
+    [
+        pytest.param(*way, marks=pytest.mark.thorough if k % 3 else ())
+        for k, way in enumerate(WAYS)
+    ],
+)
 def test_no_sample_of_a_corner_is_beyond_the_bound_and_the_bound_is_close(method, in_step, septic):
     u = np.linspace(0.0, 1.0, 20001)
     corners, outer, curves, deviation = fitted(4, examples(15, 60), method, in_step, septic)

@@ -24,6 +24,7 @@ M30
 """
 
 
+@pytest.mark.thorough
 def test_a_program_with_w_runs_and_what_the_machine_received_is_proven(tmp_path):
     program, out = tmp_path / 'part.ngc', tmp_path / 'received'
     program.write_text(PROGRAM)

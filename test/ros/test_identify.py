@@ -23,6 +23,7 @@ PROGRAM = (
 )
 
 
+@pytest.mark.thorough
 def test_the_drive_of_an_axis_is_found_in_a_bag(tmp_path, capfd):
     tired, again = tmp_path / 'tired.yaml', tmp_path / 'again.yaml'
     tired.write_text(find_machine_file('xyz').read_text() + DRIVES)

@@ -148,7 +148,7 @@ def test_emergency_stop_ends_on_the_path_and_reset_allows_the_next_run(bench):
     assert bench.run(text=PROGRAM).code == Result.STOPPED
     assert bench.press('reset').success
     bench.until_state(MachineState.IDLE)
-    bench.finish(bench.begin())
+    bench.finish(bench.begin(waves(1)))
 
 
 @pytest.mark.thorough

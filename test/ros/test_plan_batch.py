@@ -115,6 +115,7 @@ def test_a_cancelled_batch_keeps_what_it_has(client, tmp_path):
     assert again.success and again.proven == 60
 
 
+@pytest.mark.thorough
 def test_what_a_goal_may_not_have_is_refused(client, tmp_path):
     (tmp_path / 'programs' / 'a.ngc').write_text(LINE.format(1))
     inside, outside = str(tmp_path / 'programs'), str(tmp_path / 'other')

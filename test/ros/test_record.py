@@ -19,7 +19,7 @@ SHORT = 'G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX5\nY5\nM2\n'
 #: 5,000 blocks a second, which nobody could send as so many messages.
 DENSE = (
     'G21 G90 G0 X0 Y0 Z0\nG1 F6000\n'
-    + ''.join(f'X{0.02 * k:.2f} Y{5 * math.sin(0.001 * k):.4f}\n' for k in range(1, 5001))
+    + ''.join(f'X{0.02 * k:.2f} Y{5 * math.sin(0.001 * k):.4f}\n' for k in range(1, 1501))
     + 'M2\n'
 )
 #: Lines in machine axes with rounded corners, through the pole and with a rapid.

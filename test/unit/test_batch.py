@@ -307,6 +307,7 @@ def test_interrupted_and_started_again(programs, tmp_path):
     assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in known.items())
 
 
+@pytest.mark.thorough
 def test_nothing_runs_any_more_once_the_command_has_ended(programs, tmp_path):
     mark = f'CNC_MARK={os.getpid()}'
     words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out']

@@ -165,6 +165,7 @@ def test_constant_tilt_on_a_plane_alternates_for_ever():
     np.testing.assert_allclose(tilts[1::2], 2.82, rtol=2e-3)
 
 
+@pytest.mark.thorough
 def test_largest_distance_keeps_the_tilt():
     options = IsoScallopOptions(tilt=3 * DEG)
     paths = iso_scallop_paths(BUMPS, MILL, Y, options)

@@ -203,6 +203,7 @@ def test_trimmed_spline_face_is_the_part_within_its_boundary(tmp_path):
     assert (found.contains(u, v) == (away > 0))[sure].all()
 
 
+@pytest.mark.thorough
 def test_rational_spline_is_a_cylinder(tmp_path):
     knots = (np.array([0, 0, 0, 1, 1, 1.0]),) * 2
     part = Part()
@@ -421,6 +422,7 @@ def turned_line(part):
     part.face(surface, border_about_z(part, 10.0, 13.0))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('make', few_of(3, (cone, extruded_circle, turned_line)))
 def test_other_surfaces_become_exact_rational_patches(make, tmp_path):
     part = Part()
@@ -531,6 +533,7 @@ def whole_cylinder(part):
     part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), loop)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ('make', 'says'),
     [
@@ -585,6 +588,7 @@ def test_missing_library_is_named_with_what_to_install(monkeypatch, tmp_path):
         read_surface(path, 1)
 
 
+@pytest.mark.thorough
 def test_nothing_is_imported_from_the_folder_of_the_user(monkeypatch, tmp_path):
     (tmp_path / 'OCP.py').write_text('raise SystemExit(3)\n')
     monkeypatch.chdir(tmp_path)
@@ -595,7 +599,11 @@ def test_nothing_is_imported_from_the_folder_of_the_user(monkeypatch, tmp_path):
     ('end', 'says'),
     [
         (signal.SIGSEGV, 'it ended by SIGSEGV'),
-        (signal.SIGXCPU, 'it takes longer than a file of this length may'),
+        pytest.param(
+            signal.SIGXCPU,
+            'it takes longer than a file of this length may',
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_a_reader_that_dies_is_one_line(end, says, monkeypatch, tmp_path):
@@ -685,6 +693,7 @@ def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
     assert lowest['spared'] > -12e-6 and lowest['ignored'] < -0.3 * MM
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ('words', 'says'),
     [

@@ -48,14 +48,14 @@ def wild(seed, count=14):
 
 def gouging():
     """Passes over the surface; one pose dips 60 um into it."""
-    x = np.linspace(-5, 5, 41) * MM
+    x = np.linspace(-5, 5, 21) * MM
     tip = np.vstack(
         [
             np.column_stack([x[:: 1 - 2 * (k % 2)], np.full_like(x, y), 0.5 * MM + 0 * x])
             for k, y in enumerate(np.arange(-4.5, 4.6, 0.9) * MM)
         ]
     )
-    tip[5 * 41 + 20, 2] -= 0.16 * MM
+    tip[5 * 21 + 10, 2] -= 0.16 * MM
     return tip @ TILTED.T, np.tile([0, 0, 1.0], (len(tip), 1)) @ TILTED.T
 
 

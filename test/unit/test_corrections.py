@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from programs import zigzag
+from tiers import few_of
 
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate import jerk_stage
@@ -27,7 +28,7 @@ def test_spans_hold_the_margins_and_are_joined():
     assert jerk_stage._spans_around(np.zeros(1000, dtype=bool)) == []
 
 
-@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize('seed', few_of(2, [0, 1]))
 def test_solving_few_cells_again_gives_the_law_of_solving_all(seed, monkeypatch):
     blocks = zigzag(seed, count=40, step=1 * MM)
     path = path_of(blocks, Transform.of(XYZAC), Settings(compress=False))

@@ -10,9 +10,10 @@ from cnc_interp.core.errors import MachineError, StreamError
 from cnc_interp.core.small_files import read_yaml
 from cnc_interp.machine.homing import BACK, Homing, SimulatedSwitches
 from cnc_interp.machine.jog import AHEAD
-from cnc_interp.machine_model.machine import find_machine_file, from_mapping
+from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.run.run_state import State
 
+A = Machine.load('xyzac').axes[3]
 CONTENT = read_yaml(find_machine_file('xyzac'))
 GIVEN = {
     'switches': {'X': -60.0, 'Z': 50.0, 'A': -3.0},
@@ -28,8 +29,8 @@ def machine(**changes):
 class HomingBench(Bench):
     """A machine whose axes are homed, period by period."""
 
-    def __init__(self, machine=None):
-        super().__init__(machine or globals()['machine']())
+    def __init__(self, machine=None, position=None):
+        super().__init__(machine or globals()['machine'](), position)
         switches = SimulatedSwitches(self.machine)
         self.homing = Homing(self.play, self.jog, switches.pressed, switches.towards)
 
@@ -87,7 +88,7 @@ def test_a_hold_a_stop_and_a_missing_switch_end_it():
     bench.homing.stop(bench.now)
     bench.rest()
     assert not bench.homing.active and bench.q[-1, 2] < 50 * MM
-    deaf = HomingBench()
+    deaf = HomingBench(position=np.array([0.0, 0.0, 0.0, A.travel[0] + 0.1, 0.0]))
     deaf.homing._pressed = lambda q: np.zeros(5, dtype=bool)
     deaf.homing.begin(['A'], deaf.now)
     with pytest.raises(StreamError, match='A has reached its end of travel'):

@@ -67,6 +67,7 @@ def test_the_model_is_found_from_noisy_feedback(tmp_path):
     assert 'coulomb_N' in (tmp_path / 'page.html').read_text(encoding='utf-8')
 
 
+@pytest.mark.thorough
 def test_an_axis_without_a_load_is_fitted_without_friction():
     drive = replace(TRUTH, static=0.0, stribeck_velocity=0.0)
     found = fitted(replace(TIRED, drives={0: drive}, loads={}), *excited())

@@ -59,7 +59,7 @@ def test_random_corners_are_sound_and_not_faster_than_the_optimum(seed):
 
 
 def test_a_long_curve_is_planned_in_windows():
-    angle = np.linspace(0.0, 4.0, 300)
+    angle = np.linspace(0.0, 1.0, 75)
     points = np.column_stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), 1e-3 * angle])
     path = polyline_path(points, 0.05, cells=4, tolerance=1e-5, amplitude=0.5)
     assert_sound(plan_path(path, XYZAC, PlanOptions(law='vpop', window_cells=120)), path)
@@ -78,12 +78,17 @@ def test_steps_that_are_stuck_end_in_a_rest_that_is_counted(monkeypatch):
 
 
 def test_a_plan_by_vpop_is_proven_and_tells_its_law(tmp_path, capsys):
-    assert main(['plan', PYRAMID, '--law', 'vpop', '--out', str(tmp_path)]) == FINE
-    assert main(['check', str(tmp_path)]) == FINE
+    program, summary = tmp_path / 'corner.ngc', {}
+    program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X6 C4 F3000\nY6 A12\nM30\n')
+    for law in ('vpop', 'optimal'):
+        out = tmp_path / law
+        assert main(['plan', str(program), '--law', law, '--out', str(out)]) == FINE
+        summary[law] = json.loads((out / 'summary.json').read_text())
+        assert summary[law]['settings']['law'] == law
+    assert main(['check', str(tmp_path / 'vpop')]) == FINE
     assert capsys.readouterr().out.rstrip().endswith('proven')
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    assert summary['settings']['law'] == 'vpop'
-    assert summary['time_bound'] < summary['cycle_time'] < 6.0, 'the optimum takes 5.778 s'
+    time = {law: found['cycle_time'] for law, found in summary.items()}
+    assert summary['vpop']['time_bound'] < time['vpop'] < 1.1 * time['optimal']
 
 
 def test_run_and_goals_do_not_offer_it(capsys):

@@ -101,7 +101,7 @@ def test_a_program_planned_while_it_is_read_is_proven(program, tmp_path):
 def test_progress_counts_what_is_planned_not_what_is_read(tmp_path, monkeypatch):
     """The reader is done at once, and the path of many blocks waits for its windows."""
     path = tmp_path / 'long.ngc'
-    path.write_text(zigzag(300))
+    path.write_text(zigzag(100))
     read = opened(path).read()
     planned, told = [0], []
 

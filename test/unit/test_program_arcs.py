@@ -6,6 +6,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from test_program_gcode import ThreeAxes
 from test_program_subdivision import TableAC
+from tiers import examples
 
 from cnc_interp.program import read_text
 from cnc_interp.settings.choices import Settings
@@ -115,7 +116,7 @@ def test_an_arc_with_rotary_motion_keeps_both():
 NUMBERS = st.integers(-50000, 50000).map(lambda n: n / 1000)
 
 
-@settings(deadline=None)
+@settings(max_examples=examples(30, 300), deadline=None)
 @given(
     start=st.tuples(NUMBERS, NUMBERS),
     end=st.tuples(NUMBERS, NUMBERS),
@@ -147,7 +148,7 @@ def test_any_radius_arc_is_within_its_share_of_the_tolerance(
     assert np.sign(angle) == (1 if code == 'G3' else -1)
 
 
-@settings(deadline=None)
+@settings(max_examples=examples(30, 300), deadline=None)
 @given(
     radius=st.floats(0.02, 200.0),
     angles=st.tuples(st.floats(0, 6.28), st.floats(-1.0, 1.0)),

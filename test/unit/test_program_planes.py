@@ -96,7 +96,7 @@ def test_a_second_shift_of_cycle800_is_along_the_turned_axes():
 
 @pytest.mark.parametrize('name', FIVE_AXES)
 def test_orientations_all_round_are_reached_on_every_machine(name):
-    geometry, grid = endless(name), [(i, j) for i in range(0, 360, 15) for j in range(0, 360, 15)]
+    geometry, grid = endless(name), [(i, j) for i in range(0, 360, 30) for j in range(0, 360, 30)]
     text = ''.join(
         f'G69\nG68.2 X10 Y20 Z30 I{i} J{j} K10\nG53.1\nG0 X1 Y2 Z{3 + n}\n'
         for n, (i, j) in enumerate(grid)

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from programs import blocks_of
+from tiers import few_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.feed_planner import plan_path
@@ -84,8 +85,7 @@ def time_of(blocks, curves=False):
 MADE = [beside_the_pole, swivel, micrometre, tiny_run, run_beside_the_pole, plain]
 
 
-@pytest.mark.parametrize('curves', [False, True])
-@pytest.mark.parametrize('make', MADE)
+@pytest.mark.parametrize(('make', 'curves'), few_of(5, MADE, [False, True]))
 def test_is_never_slower_than_with_a_stop_at_each_block(make, curves):
     blocks = make()
     stops = replace(blocks, exact_stop=np.ones(len(blocks), dtype=bool))
@@ -107,8 +107,9 @@ def test_a_stop_is_taken_only_where_it_is_faster():
         assert segments.stop[:-1].any() == stops
 
 
-@pytest.mark.parametrize('batch', [1, 2])
-@pytest.mark.parametrize('make', [beside_the_pole, tiny_run, run_beside_the_pole])
+@pytest.mark.parametrize(
+    ('make', 'batch'), few_of(5, [tiny_run, beside_the_pole, run_beside_the_pole], [1, 2])
+)
 def test_trials_do_not_depend_on_how_the_blocks_arrive(make, batch):
     blocks, settings = make(), Settings()
     smoother = LookAhead(settings, traits_of(TRANSFORM), partial(is_faster, TRANSFORM, settings))
@@ -123,8 +124,10 @@ def refuse_to_choose(_ways, _others):
     raise AssertionError('nothing is to be tried')
 
 
-@pytest.mark.parametrize('compress', [False, True])
-@pytest.mark.parametrize('make', [beside_the_pole, swivel, micrometre, plain])
+@pytest.mark.parametrize(
+    ('make', 'compress'),
+    few_of(3, [plain, beside_the_pole, swivel, micrometre], [False, True]),
+)
 def test_corners_that_are_known_are_not_tried_again(make, compress):
     blocks, settings = make(), Settings(compress=compress)
     chain = PathChain(TRANSFORM, settings)

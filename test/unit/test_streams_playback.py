@@ -1,5 +1,7 @@
 """The machine's buffer and the approach: moves played period by period."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -35,7 +37,7 @@ LIMITS = (MACHINE.max_velocity, MACHINE.max_acceleration, MACHINE.max_jerk)
 POSES = [
     [0.1, -0.05, 0.02, 0.3, -2.0],
     [1e-6, 0.0, 0.0, 0.0, 0.0],
-    [0.0, 0.0, 0.0, 0.0, 40.0],
+    [0.0, 0.0, 0.0, 0.0, 8.0],
     [-0.5, 0.5, -0.5, 2.0, 1.0],
 ]
 
@@ -49,8 +51,13 @@ def playback(full=50):
 
 def chunks_to(target, wait=Wait.END, start=HOME):
     """The chunks of a straight move."""
+    return list(_chunks(tuple(target), wait, tuple(start)))
+
+
+@cache
+def _chunks(target, wait, start):
     stream = MotionStream(MACHINE, T)
-    stream.push(approach(TRANSFORM, 0.03, np.asarray(start, float), np.array(target)))
+    stream.push(approach(TRANSFORM, 0.03, np.array(start, float), np.array(target)))
     stream.end_leg(wait)
     chunks = []
     plan = stream.current
@@ -281,8 +288,9 @@ def test_what_cannot_begin_is_refused():
     play.make_room(P.next_attempt())
 
 
-def moving_with_a_stop_from(number):
-    """A machine that has played 100 setpoints of a long move, and chunks that stop earlier."""
+@cache
+def _long_move_and_stop(number):
+    """Chunks of a long move, and chunks that stop earlier."""
     stream, chunks = MotionStream(MACHINE, T), []
     stream.push(approach(TRANSFORM, 0.03, HOME, np.array([0.4, 0.1, 0.0, 0.2, 0.0])))
     stream.end_leg(Wait.END)
@@ -292,6 +300,12 @@ def moving_with_a_stop_from(number):
     revision, stop = stream.revision(number - 1, OperatorSettings(0.0)), []
     while revision.can_sample:
         stop += revision.sample()
+    return tuple(chunks), tuple(stop)
+
+
+def moving_with_a_stop_from(number):
+    """A machine that has played 100 setpoints of a long move, and chunks that stop earlier."""
+    chunks, stop = _long_move_and_stop(number)
     play = playback(50)
     play.begin(P)
     feed(play, chunks)

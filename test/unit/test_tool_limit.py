@@ -77,15 +77,17 @@ def test_the_series_are_the_errors_of_slow_motion(compensated):
     assert np.abs(wanted).max() > 5 * UM
 
 
-def test_friction_and_backlash_stay_away_in_steady_motion():
+@pytest.mark.parametrize('compensated', [False, True])
+def test_friction_and_backlash_stay_away_in_steady_motion(compensated):
     time = np.arange(0.0, 3.0, T)
     drives = {j: replace(drive, resolution=0.0) for j, drive in TIRED.drives.items()}
     machine = replace(TIRED, drives=drives)
     q = np.outer(0.5 * time**2 / 3.0, [0.1, 0.08, 0.06, 0.3, 0.6])
     rate = np.gradient(q, T, axis=0)
-    free, real = (simulate(of, T, q, rate).position for of in (frictionless(machine), machine))
-    off = free - real
-    assert off[-1] == pytest.approx(error_series(machine).away, rel=0.03)
+    model = wrong(machine) if compensated else None
+    free = simulate(frictionless(machine), T, q, rate, frictionless(model) if model else None)
+    off = free.position - simulate(machine, T, q, rate, model).position
+    assert off[-1] == pytest.approx(error_series(machine, model).away, rel=0.03)
 
 
 def test_true_models_leave_nothing():

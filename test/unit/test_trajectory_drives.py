@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tiers import few_of
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
@@ -92,7 +93,7 @@ class Bench:
         return np.abs(commanded[periods:] - np.array(self.played)[:-periods]).max()
 
 
-@pytest.mark.parametrize('options', [OPTIONS, LONG])
+@pytest.mark.parametrize('options', few_of(2, [OPTIONS, LONG]))
 def test_the_controller_executes_the_setpoints_a_fixed_time_later(options):
     bench = Bench(options)
     bench.load()

@@ -17,7 +17,7 @@ from nodes_under_test import clean_environment
 from cnc_interp.page.access import TRIES
 
 
-@pytest.fixture(params=['::1', '0.0.0.0'])
+@pytest.fixture(params=[pytest.param('::1', marks=pytest.mark.thorough), '0.0.0.0'])
 def served(request, tmp_path):
     """A page without nodes on an address; host and port where it can be reached, and its words."""
     (tmp_path / 'token').write_text('a secret & more\n')

@@ -21,6 +21,7 @@ from nodes_under_test import NodesUnderTest
 from rclpy.serialization import deserialize_message, serialize_message
 from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
+from tiers import few_of
 
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
 from cnc_interp.client.recorded_run import recorded_run, write_run
@@ -59,7 +60,7 @@ def test_blocks_recorded_now_give_the_same_setpoints_bit_for_bit(recorded_now):
     assert min(c.recorded for c in found) > 100
 
 
-@pytest.mark.parametrize('path', [HELD, FAULTY], ids=['held', 'faulty'])
+@pytest.mark.parametrize('path', few_of(2, [FAULTY, HELD]), ids=['faulty', 'held'])
 def test_recorded_run_is_proven_and_reported(path, tmp_path, capsys):
     assert main(['check', str(path)]) == 0
     assert 'proven' in capsys.readouterr().out
@@ -237,6 +238,7 @@ def motion(chunks):
     return q, np.concatenate([m.path_positions for m in chunks])
 
 
+@pytest.mark.thorough
 def test_recorded_faults_come_again():
     with Bag(FAULTY) as bag:
         blocks = [data for _, _, data in bag.raw('blocks')]

@@ -20,7 +20,7 @@ from cnc_interp.nodes import qos
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.processes.node_processes import Children
 
-START, PATIENCE = 300.0, 120.0  # [s]; the first start compiles; bounds, not timings
+START, PATIENCE = 300.0, 300.0  # [s]; the first start compiles; bounds, not timings
 
 
 def hear_ctrl_c():

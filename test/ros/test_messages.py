@@ -24,7 +24,7 @@ from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 
-PATIENCE = 20.0  # [s]; a bound for a machine at full load, not a timing
+PATIENCE = 120.0  # [s]; a bound for a machine at full load, not a timing
 
 
 def block():

@@ -56,6 +56,7 @@ def test_the_commands_lead_to_a_proven_part(tmp_path):
     assert list((tmp_path / 'out').rglob('*.html'))
 
 
+@pytest.mark.thorough
 def test_a_page_whose_nodes_cannot_work_ends_with_their_last_words(tmp_path):
     (tmp_path / 'file').write_text('')
     setup = tmp_path / 'file' / 'setup.yaml'

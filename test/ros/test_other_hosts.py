@@ -44,7 +44,7 @@ class Host:
             [*inside, 'unshare', *mapped, '--net', 'sleep', 'infinity'], stderr=subprocess.PIPE
         )
         own = Path('/proc/self/ns/net').readlink()
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 60.0
         while self.pid is None or Path(f'/proc/{self.pid}/ns/net').readlink() == own:
             if self._process.poll() is not None or time.monotonic() > deadline:
                 said = self._process.communicate()[1].decode()

@@ -79,10 +79,12 @@ def test_without_a_terminal_it_waits_for_cycle_start(program):
         run.kill()
 
 
+@pytest.mark.thorough
 def test_pass_stops_goes_on(program):
     assert start(program, '--from-line', '4', '--pass-stops').wait(PATIENCE) == 0
 
 
+@pytest.mark.thorough
 def test_at_a_terminal_enter_goes_on_and_ctrl_d_does_not(program):
     ours, theirs = pty.openpty()
     run = start(program, stdin=theirs)

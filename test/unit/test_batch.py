@@ -98,6 +98,7 @@ def test_the_rows_do_not_depend_on_workers_and_kills(programs, tmp_path):
         assert len({(out / 'table.parquet').read_bytes() for out in outs}) == 1
 
 
+@pytest.mark.thorough
 def test_a_long_program_is_planned_by_all_workers_and_has_the_same_row(tmp_path):
     """Its stretches between exact stops go to processes of the process that has the program."""
     programs = tmp_path / 'programs'

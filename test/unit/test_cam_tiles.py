@@ -147,6 +147,7 @@ def heights(folder):
     return zarr.open_group(folder / 'heights.zarr', mode='r')['height'][:]
 
 
+@pytest.mark.thorough
 def test_tiles_that_are_known_are_not_cut_again(grid, tmp_path):
     whole = cut_needles(Needles.on(SURFACE, 0.03 * MM), MILL, *gouging()).height
     with pytest.raises(KeyboardInterrupt):

@@ -26,7 +26,7 @@ COUNT = examples(500, 20_000)
 #: Programs are read for one of these machines.
 GEOMETRIES = [Transform.of(Machine.load(name)) for name in ('xyzac', 'xyzbc', 'xyz')]
 #: Nothing that is read here is longer than some hundred lines.
-MOST_SECONDS, MOST_BLOCKS = 60, 200_000
+MOST_SECONDS, MOST_BLOCKS = 300, 200_000
 GCODE = """\
 %
 O1000 (HEAD)

@@ -239,7 +239,12 @@ WORDS = st.fixed_dictionaries(
 )
 def test_runs_of_plain_lines_mean_what_their_lines_mean(lines, tcp, incremental, sense):
     """A word in lower case brackets makes a line rare: it is then read on its own."""
-    head = ['M428' if tcp else 'M429', 'G0 X0 F500', 'G91' if incremental else 'G90']
+    head = [
+        'G92 A5 C-30',
+        'M428' if tcp else 'M429',
+        'G0 X0 F500',
+        'G91' if incremental else 'G90',
+    ]
     plain = [code + ''.join(f' {k}{v}' for k, v in words.items()) for code, words in lines]
     rare = [code + ''.join(f' {k}[{v}]' for k, v in words.items()) for code, words in lines]
     first, second = (

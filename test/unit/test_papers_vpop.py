@@ -1,4 +1,4 @@
-"""VPOp, the law by steps forward: within all limits, and offline only."""
+"""VPOp, the law by steps forward: within all limits, offline only. It compiles long: by turns."""
 
 from __future__ import annotations
 
@@ -35,6 +35,7 @@ def assert_sound(piece: PlannedPiece, path: AxisPath) -> None:
     assert piece.least_time <= piece.law.end_time
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('length', [1e-6, 1e-4, 0.01, 0.3])
 @pytest.mark.parametrize('feed', [0.05, np.inf])
 def test_strokes_take_little_more_than_the_least_time(length, feed):
@@ -50,6 +51,7 @@ def test_strokes_take_little_more_than_the_least_time(length, feed):
     assert 1.0 <= piece.law.end_time / out.duration < 1.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('seed', range(4))
 def test_random_corners_are_sound_and_not_faster_than_the_optimum(seed):
     path = polyline_path(random_polyline(np.random.default_rng(seed), 3), 0.05)
@@ -58,6 +60,7 @@ def test_random_corners_are_sound_and_not_faster_than_the_optimum(seed):
     assert piece.law.end_time > 0.998 * best.law.end_time
 
 
+@pytest.mark.thorough
 def test_a_long_curve_is_planned_in_windows():
     angle = np.linspace(0.0, 1.0, 75)
     points = np.column_stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), 1e-3 * angle])
@@ -65,6 +68,7 @@ def test_a_long_curve_is_planned_in_windows():
     assert_sound(plan_path(path, XYZAC, PlanOptions(law='vpop', window_cells=120)), path)
 
 
+@pytest.mark.thorough
 def test_steps_that_are_stuck_end_in_a_rest_that_is_counted(monkeypatch):
     """No way to the end is found at once, only to places less than 20 mm away."""
     path, plan = line_path(0.05, 0.05, cells=8), vpop.plan
@@ -77,6 +81,7 @@ def test_steps_that_are_stuck_end_in_a_rest_that_is_counted(monkeypatch):
     assert np.count_nonzero(piece.law.s_dot[1:] == 0.0) >= 2
 
 
+@pytest.mark.thorough
 def test_a_plan_by_vpop_is_proven_and_tells_its_law(tmp_path, capsys):
     program, summary = tmp_path / 'corner.ngc', {}
     program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X6 C4 F3000\nY6 A12\nM30\n')

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -140,10 +141,7 @@ def _answer(handle: Any, result: PlanBatch.Result) -> None:
     handle.execute(execute)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(BatchNode, arguments, urgent=False)
-
+main = partial(run_node, BatchNode, urgent=False)
 
 if __name__ == '__main__':
     sys.exit(main())

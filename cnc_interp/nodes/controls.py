@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,53 +25,110 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.branch import positions_of_pose
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE
 from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 
 
 class Controls:
-    """Services that act on the playback at once, without the other nodes."""
+    """What acts on the playback at once, without the other nodes; motion by hand and homing."""
 
     def __init__(
-        self,
-        node: Any,
-        playback: Playback,
-        give_up: Callable[[str], None],
-        wake: Callable[[], None],
-    ):
-        self._playback, self._give_up, self._wake = playback, give_up, wake
-        for name, act, gives_up in (
-            ('feed_hold', playback.hold, ''),
-            ('cycle_start', playback.start, ''),
-            ('emergency_stop', playback.stop, ''),
-            ('reset', playback.reset, 'given up by reset'),
+        self, node: Any, playback: Playback, diagnostics: Diagnostics,
+        give_up: Callable[[str], None], wake: Callable[[], None],
+    ):  # fmt: skip
+        self._playback, self._diagnostics = playback, diagnostics
+        self._give_up, self._wake = give_up, wake
+        self._jog, self._transform = Jog(playback), Transform.of(playback.axes.machine)
+        switches = SimulatedSwitches(playback.axes.machine)
+        self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
+        for kind, name, act in (
+            (Trigger, 'feed_hold', partial(self._press, playback.hold)),
+            (Trigger, 'cycle_start', partial(self._press, playback.start)),
+            (Trigger, 'emergency_stop', partial(self._press, playback.stop)),
+            (Trigger, 'reset', self._reset),
+            (SetBool, 'single_block', self._set_single_block),
+            (MoveAxes, 'move_axes', self._move),
+            (Home, 'home', self._home),
         ):
-            node.create_service(Trigger, name, self._answering(act, gives_up))
-        node.create_service(SetBool, 'single_block', self._set_single_block)
+            node.create_service(kind, name, answering(act))
+        node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
+        diagnostics.say('jog', OK, 'no motion by hand refused')
 
-    def _set_single_block(self, request: Any, response: Any) -> Any:
-        """Answer the service ``single_block``."""
+    def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
+        self._wake()
+        act()
+        return self._playback.state.state.value
+
+    def _reset(self, request: Any, response: Any) -> str:
+        state = self._press(self._playback.reset, request, response)
+        self._give_up('given up by reset')  # informs the senders and the playback
+        return state
+
+    def _set_single_block(self, request: Any, _response: Any) -> str:
         self._playback.single_block = request.data
-        response.success, response.message = True, f'single block: {request.data}'
-        return response
+        return f'single block: {request.data}'
 
-    def _answering(self, act: Callable[[], None], gives_up: str) -> Callable[[Any, Any], Any]:
-        """Make a service of an action; an action that is not possible raises."""
+    def _beat(self, message: JogMessage) -> None:
+        """Take a beat, or name on the diagnostics why not."""
+        self._wake()
+        try:
+            shares = _pairs(message.axes, message.shares)
+            if self.homing.active and not (any(shares.values()) or message.tool):
+                self.homing.stop(time.monotonic())
+            self._refuse_beside_homing()
+            self._jog.beat(shares, message.tool, time.monotonic())
+            self._diagnostics.say('jog', OK, 'follows jog')
+        except StreamError as problem:
+            self._diagnostics.say('jog', WARN, str(problem))
 
-        def serve(_request: Any, response: Any) -> Any:
-            self._wake()
-            try:
-                act()
-                state = self._playback.state.state.value
-                if gives_up:  # informs the senders and the playback
-                    self._give_up(gives_up)
-                response.success, response.message = True, state
-            except StreamError as problem:
-                response.success, response.message = False, str(problem)
-            return response
+    def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> str:
+        self._wake()
+        self._refuse_beside_homing()
+        values, relative = _pairs(request.axes, request.values), request.relative
+        if request.tip or request.axis:
+            if values or request.tool or relative:
+                raise StreamError('move either to a pose, or axes, or along the tool')
+            values = self._values_of_pose(list(request.tip), list(request.axis))
+        place = self._jog.move(values, relative, request.tool, request.speed)
+        response.positions = place.tolist()
+        return 'moving'
 
-        return serve
+    def _values_of_pose(self, tip: list[float], axis: list[float]) -> dict[str, float]:
+        """Return the position of each axis at a tool pose."""
+        if len(tip) not in (0, 3) or len(axis) not in (0, 3):
+            raise StreamError('a pose has three values of the tip, and three of the tool axis')
+        point = np.array(tip or [np.nan] * 3)
+        stands = self._jog.target
+        try:
+            q = positions_of_pose(self._transform, point, np.array(axis) if axis else None, stands)
+        except (BlockError, ValueError) as problem:
+            raise StreamError(str(problem)) from None
+        return dict(zip(self._transform.axis_names, q.tolist(), strict=True))
+
+    def _home(self, request: Home.Request, _response: Any) -> str:
+        self._wake()
+        return f'homing {" ".join(self.homing.begin(list(request.axes), time.monotonic()))}'
+
+    def _refuse_beside_homing(self) -> None:
+        if self.homing.active:
+            raise StreamError('the axes are being homed; feed_hold or an empty jog ends it')
+
+    def work(self, override: float) -> None:
+        """Hand out what the machine needs next; name what cannot be moved."""
+        try:
+            self.homing.work(time.monotonic())
+            self._jog.work(time.monotonic(), override)
+        except StreamError as problem:
+            self._diagnostics.say('jog', WARN, str(problem))
+
+
+def _pairs(axes: list[str], values: Any) -> dict[str, float]:
+    """Return the value of each axis named."""
+    if len(axes) != len(values) or len(set(axes)) != len(axes):
+        raise StreamError('name each axis once, with one value for each')
+    return dict(zip(axes, values, strict=True))
 
 
 #: Smallest and largest value of each override, by its topic [-].
@@ -114,7 +172,7 @@ class OperatorInputs:
 
     def __init__(self, node: Any):
         self.settings, self._optional_stop = OperatorSettings(), False
-        node.create_service(SetBool, 'optional_stop', self._set_optional_stop)
+        node.create_service(SetBool, 'optional_stop', answering(self._set_optional_stop))
 
     def see(self, state: MachineState) -> bool:
         """Store the settings that the machine reports; return whether they have changed."""
@@ -124,11 +182,9 @@ class OperatorInputs:
         )
         return self.settings != before
 
-    def _set_optional_stop(self, request: Any, response: Any) -> Any:
-        """Answer the service ``optional_stop``."""
+    def _set_optional_stop(self, request: Any, _response: Any) -> str:
         self._optional_stop = request.data
-        response.success, response.message = True, f'optional stop: {request.data}'
-        return response
+        return f'optional stop: {request.data}'
 
     def pauses_after(self, segments: list[PathSegment]) -> dict[int, Wait]:
         """Return the blocks after which cycle_start is waited for, and why (M0, M1)."""
@@ -140,90 +196,3 @@ class OperatorInputs:
             for segment in segments
             if segment.program_stop in waits
         }
-
-
-class JogCommands:
-    """Takes the operator's commands for motion by hand."""
-
-    def __init__(
-        self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
-    ):
-        self._jog, self._diagnostics, self._wake = Jog(playback), diagnostics, wake
-        self._transform = Transform.of(playback.axes.machine)
-        switches = SimulatedSwitches(playback.axes.machine)
-        self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
-        node.create_service(Home, 'home', self._home)
-        node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
-        node.create_service(MoveAxes, 'move_axes', self._move)
-        diagnostics.say('jog', OK, 'no motion by hand refused')
-
-    def _beat(self, message: JogMessage) -> None:
-        """Take a beat, or name on the diagnostics why not."""
-        self._wake()
-        try:
-            shares = _pairs(message.axes, message.shares)
-            if self.homing.active and not (any(shares.values()) or message.tool):
-                self.homing.stop(time.monotonic())
-            self._refuse_beside_homing()
-            self._jog.beat(shares, message.tool, time.monotonic())
-            self._diagnostics.say('jog', OK, 'follows jog')
-        except StreamError as problem:
-            self._diagnostics.say('jog', WARN, str(problem))
-
-    def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> Any:
-        """Answer ``move_axes``."""
-        self._wake()
-        try:
-            self._refuse_beside_homing()
-            values, relative = _pairs(request.axes, request.values), request.relative
-            if request.tip or request.axis:
-                if values or request.tool or relative:
-                    raise StreamError('move either to a pose, or axes, or along the tool')
-                values = self._values_of_pose(list(request.tip), list(request.axis))
-            place = self._jog.move(values, relative, request.tool, request.speed)
-            response.success, response.message = True, 'moving'
-            response.positions = place.tolist()
-        except StreamError as problem:
-            response.success, response.message = False, str(problem)
-        return response
-
-    def _values_of_pose(self, tip: list[float], axis: list[float]) -> dict[str, float]:
-        """Return the position of each axis at a tool pose."""
-        if len(tip) not in (0, 3) or len(axis) not in (0, 3):
-            raise StreamError('a pose has three values of the tip, and three of the tool axis')
-        point = np.array(tip or [np.nan] * 3)
-        stands = self._jog.target
-        try:
-            q = positions_of_pose(self._transform, point, np.array(axis) if axis else None, stands)
-        except (BlockError, ValueError) as problem:
-            raise StreamError(str(problem)) from None
-        return dict(zip(self._transform.axis_names, q.tolist(), strict=True))
-
-    def _home(self, request: Home.Request, response: Home.Response) -> Any:
-        """Answer ``home``."""
-        self._wake()
-        try:
-            axes = self.homing.begin(list(request.axes), time.monotonic())
-            response.success, response.message = True, f'homing {" ".join(axes)}'
-        except StreamError as problem:
-            response.success, response.message = False, str(problem)
-        return response
-
-    def _refuse_beside_homing(self) -> None:
-        if self.homing.active:
-            raise StreamError('the axes are being homed; feed_hold or an empty jog ends it')
-
-    def work(self, override: float) -> None:
-        """Hand out what the machine needs next; name what cannot be moved."""
-        try:
-            self.homing.work(time.monotonic())
-            self._jog.work(time.monotonic(), override)
-        except StreamError as problem:
-            self._diagnostics.say('jog', WARN, str(problem))
-
-
-def _pairs(axes: list[str], values: Any) -> dict[str, float]:
-    """Return the value of each axis named."""
-    if len(axes) != len(values) or len(set(axes)) != len(axes):
-        raise StreamError('name each axis once, with one value for each')
-    return dict(zip(axes, values, strict=True))

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from operator import attrgetter
 from threading import Thread
@@ -273,10 +274,7 @@ class FeedrateNode(LifecycleNode):
         self._thread.close()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(FeedrateNode, arguments)
-
+main = partial(run_node, FeedrateNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.msg import Jog
@@ -76,14 +77,8 @@ class JoyJogNode(Node):
         share = float(self._values[f'scale.{name}']) * part
         return share if deflection > 0.0 else -share
 
-    def close(self) -> None:
-        """Nothing is left to do: the machine stops where no beat comes."""
 
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(JoyJogNode, arguments)
-
+main = partial(run_node, JoyJogNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -113,14 +113,8 @@ class LookaheadNode(Node):
             self._outlet.sender.put(together, len(together))
         self._outlet.pump()
 
-    def close(self) -> None:
-        """Close. This node moves nothing."""
 
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(LookaheadNode, arguments)
-
+main = partial(run_node, LookaheadNode)
 
 if __name__ == '__main__':
     sys.exit(main())

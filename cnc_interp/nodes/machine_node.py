@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.controls import Controls, JogCommands, Overrides
+from cnc_interp.nodes.controls import Controls, Overrides
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_reports import MachineReports
@@ -78,11 +79,12 @@ class MachineNode(LifecycleNode):
         self._inlet.buffered_time = 0.0
         self._overrides = Overrides(self, self._diagnostics)
         self._pace = Pace(self, WORK_PERIOD, self._work)
-        self._jog = JogCommands(self, self._playback, self._diagnostics, self._pace.wake)
-        self._reports = MachineReports(
-            self, self._playback, values, self._overrides, self._jog.homing, self._diagnostics
+        self._controls = Controls(
+            self, self._playback, self._diagnostics, self._give_up, self._pace.wake
         )
-        self._controls = Controls(self, self._playback, self._give_up, self._pace.wake)
+        self._reports = MachineReports(
+            self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
+        )
         self.create_timer(CLOCK_PERIOD, self._report_clock)
 
     def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:
@@ -103,7 +105,7 @@ class MachineNode(LifecycleNode):
         if done != TransitionCallbackReturn.SUCCESS:
             return done
         self._stop_clock()
-        self._jog.homing.forget()
+        self._controls.homing.forget()
         return super().on_deactivate(state)
 
     def _pass(self, chunk: SetpointChunk) -> list[SetpointChunk]:
@@ -126,7 +128,7 @@ class MachineNode(LifecycleNode):
             kind = Refusal.MACHINE_FAULT if stopped else Refusal.NOT_READY
             reason = state.text or 'activate it'
             raise StreamError(f'the machine is {state.state.value}: {reason}', kind)
-        if begins and (axes := ' '.join(self._jog.homing.must_home)):
+        if begins and (axes := ' '.join(self._controls.homing.must_home)):
             raise StreamError(f'{axes} must be homed first; call home', Refusal.NOT_READY)
         number, before = chunk.first_sample, playback.buffer.newest
         if chunk.joins:
@@ -172,7 +174,7 @@ class MachineNode(LifecycleNode):
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
-        homed = tuple(self._jog.homing.homed)
+        homed = tuple(self._controls.homing.homed)
         override = self._overrides.feed.value
         told = state, run_id, override, self._overrides.rapid.value, playback.single_block, homed
         if told != self._published:
@@ -180,9 +182,9 @@ class MachineNode(LifecycleNode):
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._reports.publish_state()
-        self._jog.work(override)  # what was reached before is published
+        self._controls.work(override)  # what was reached before is published
         self._inlet.tick()
-        return self._jog.homing.active or playback.busy
+        return self._controls.homing.active or playback.busy
 
     def _report_clock(self) -> None:
         """Report how late the drives are stepped in this run, and what compensation does."""
@@ -219,10 +221,7 @@ def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:
     return chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(MachineNode, arguments)
-
+main = partial(run_node, MachineNode)
 
 if __name__ == '__main__':
     sys.exit(main())

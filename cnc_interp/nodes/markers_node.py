@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 from cnc_interp_msgs.msg import G1Block, G1BlockBatch, SetpointChunk
@@ -142,14 +143,8 @@ class MarkersNode(Node):
         if markers:
             self._publisher.publish(MarkerArray(markers=markers))
 
-    def close(self) -> None:
-        """Close. No node depends on this one."""
 
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(MarkersNode, arguments, urgent=False)
-
+main = partial(run_node, MarkersNode, urgent=False)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -63,7 +63,8 @@ def run_node(
         return 2
     finally:
         if node is not None:
-            node.close()
+            if hasattr(node, 'close'):
+                node.close()
             node.destroy_node()
         if executor is not None:
             executor.shutdown()
@@ -74,6 +75,19 @@ def run_node(
         gc.collect()
         rclpy.try_shutdown()
     return 0
+
+
+def answering(act: Callable[[Any, Any], str]) -> Callable[[Any, Any], Any]:
+    """Return a service that answers with the text of an action, or in one line why not."""
+
+    def serve(request: Any, response: Any) -> Any:
+        try:
+            response.success, response.message = True, act(request, response)
+        except InterpError as problem:
+            response.success, response.message = False, str(problem)
+        return response
+
+    return serve
 
 
 def answer_flush(node: Any, _request: Any, response: Any) -> Any:

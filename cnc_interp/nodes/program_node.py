@@ -6,6 +6,7 @@ import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
@@ -250,10 +251,7 @@ class ProgramNode(Node):
         self._table.close()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node."""
-    return run_node(ProgramNode, arguments)
-
+main = partial(run_node, ProgramNode)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from cnc_interp_msgs.srv import ReadSetup, SetOffset, SetTool, TouchOff
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program.job import ROTATION, SetupChange
@@ -43,9 +45,12 @@ class SetupServices:
         self._program, self._program_id, self._in_use = '', '', frozenset[str]()
         self._publisher = node.create_publisher(SetupMessage, 'setup_table', LOADED)
         node.create_service(ReadSetup, 'read_setup', self._read)
-        node.create_service(SetOffset, 'set_offset', self._answer(self._offset))
-        node.create_service(SetTool, 'set_tool', self._answer(self._tool))
-        node.create_service(TouchOff, 'touch_off', self._answer(self._touch_off))
+        for kind, name, changes in (
+            (SetOffset, 'set_offset', self._offset),
+            (SetTool, 'set_tool', self._tool),
+            (TouchOff, 'touch_off', self._touch_off),
+        ):
+            node.create_service(kind, name, answering(partial(self._change, changes)))
         self._publisher.publish(self._message())
 
     def _message(self) -> SetupMessage:
@@ -77,20 +82,12 @@ class SetupServices:
         response.table = self._message()
         return response
 
-    def _answer(self, changes: Callable[[Any], tuple[list[SetupChange], str]]) -> Any:
-        """Return a service that makes changes, or says in one line why not."""
-
-        def answer(request: Any, response: Any) -> Any:
-            try:
-                wanted, note = changes(request)
-                self._require_unused(wanted)
-                told = self.apply(wanted, request.client)
-                response.success, response.message = True, (told or 'nothing changes') + note
-            except InterpError as problem:
-                response.success, response.message = False, str(problem)
-            return response
-
-        return answer
+    def _change(
+        self, changes: Callable[[Any], tuple[list[SetupChange], str]], request: Any, _response: Any
+    ) -> str:
+        wanted, note = changes(request)
+        self._require_unused(wanted)
+        return (self.apply(wanted, request.client) or 'nothing changes') + note
 
     def _require_unused(self, changes: list[SetupChange]) -> None:
         """Refuse to change what the program that runs uses."""

@@ -172,16 +172,7 @@ class Inlet:
     def _turn_away(self, run_id: RunId, fault: StreamError) -> None:
         """Tell the sender that a plan cannot join; the stream goes on with the plan before."""
         self._name(WARN, fault.kind, str(fault))
-        self._status.publish(
-            StreamStatus(
-                program_id=run_id.program_id,
-                attempt=run_id.attempt,
-                plan=run_id.plan,
-                stream=self.receiver.stream,
-                refusal_kind=fault.kind,
-                refusal=str(fault),
-            )
-        )
+        self._publish(run_id, refusal_kind=fault.kind, refusal=str(fault))
 
     def _ask_again(self, kind: Refusal, reason: str) -> None:
         """Ask the sender to repeat the missing messages."""
@@ -224,20 +215,18 @@ class Inlet:
         """Publish what was received and how far the sender may go."""
         receiver, run_id = self.receiver, self.receiver.run_id
         self._told, self._told_at = self._news(), time.monotonic()
-        self._status.publish(
-            StreamStatus(
-                program_id=run_id.program_id,
-                attempt=run_id.attempt,
-                plan=run_id.plan,
-                gap=self._gap,
-                stream=receiver.stream,
-                next_sequence=receiver.next_number,
-                window_limit=receiver.limit,
-                buffered_time=self.buffered_time,
-                refusal_kind=receiver.refused,
-                refusal=receiver.refusal_text,
-            )
+        self._publish(
+            run_id,
+            gap=self._gap,
+            next_sequence=receiver.next_number,
+            window_limit=receiver.limit,
+            buffered_time=self.buffered_time,
+            refusal_kind=receiver.refused,
+            refusal=receiver.refusal_text,
         )
+
+    def _publish(self, run_id: RunId, **told: Any) -> None:
+        self._status.publish(StreamStatus(stream=self.receiver.stream, **vars(run_id), **told))
 
 
 class Outlet:

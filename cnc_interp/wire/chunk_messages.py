@@ -8,12 +8,19 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 
-from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.path_messages import packed
 from cnc_interp.wire.run_messages import run_id_of
+
+#: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
+FIELDS = {
+    'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
+    'jerks': 'jerk', 'path_positions': 's',
+}  # fmt: skip
+#: Those that have a value for each axis.
+OF_AXES = tuple(FIELDS)[:4]
 
 
 def chunk_message(
@@ -44,76 +51,52 @@ def chunk_message(
         True for the first chunk of a plan that joins the one before in motion.
 
     """
-    samples, tail = chunk.samples, chunk.tail
+    samples = chunk.samples
     return SetpointChunk(
-        program_id=run_id.program_id,
-        attempt=run_id.attempt,
-        plan=run_id.plan,
+        **vars(run_id),
         joins=joins,
         first_sample=first,
         period=period,
         axis_count=samples.position.shape[1],
-        positions=packed(samples.position),
-        velocities=packed(samples.velocity),
-        accelerations=packed(samples.acceleration),
-        jerks=packed(samples.jerk),
-        sequences=_counts(samples.block),
         line_numbers=lines,
-        path_positions=packed(samples.s),
-        tail_positions=packed(tail.position),
-        tail_velocities=packed(tail.velocity),
-        tail_accelerations=packed(tail.acceleration),
-        tail_jerks=packed(tail.jerk),
-        tail_sequences=_counts(tail.block),
         tail_line_numbers=tail_lines,
-        tail_path_positions=packed(tail.s),
         wait=int(chunk.wait),
         end_of_program=chunk.wait is Wait.END,
+        **setpoint_fields(samples),
+        **setpoint_fields(chunk.tail, 'tail_'),
     )
 
 
-def _counts(values: IntArray) -> array[int]:
-    return array('Q', values.astype(np.uint64).tobytes())
+def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:
+    """Return setpoints as fields of a message."""
+    found = {prefix + field: packed(getattr(rows, name)) for field, name in FIELDS.items()}
+    counts = rows.block.astype(np.uint64).tobytes()
+    return found | {f'{prefix}sequences': array('Q', counts)}
 
 
 def setpoints_from(message: SetpointChunk) -> Setpoints:
     """Return the setpoints of a checked message; time 0 is the first setpoint of the plan."""
-    n = len(message.sequences)
-    return _setpoints(
-        message, n, (message.first_sample + np.arange(n)) * message.period, message.positions,
-        message.velocities, message.accelerations, message.jerks, message.sequences,
-        message.path_positions,
-    )  # fmt: skip
+    return _setpoints(message, '', message.first_sample)
 
 
 def chunk_from(message: SetpointChunk) -> Chunk:
     """Return the chunk of a checked message."""
-    samples, n = setpoints_from(message), len(message.tail_sequences)
-    last = message.first_sample + len(samples)
-    tail = _setpoints(
-        message, n, (last + np.arange(n)) * message.period, message.tail_positions,
-        message.tail_velocities, message.tail_accelerations, message.tail_jerks,
-        message.tail_sequences, message.tail_path_positions,
-    )  # fmt: skip
+    samples = setpoints_from(message)
+    tail = _setpoints(message, 'tail_', message.first_sample + len(samples))
     return Chunk(samples, tail, Wait(message.wait))
 
 
-def _setpoints(
-    message: SetpointChunk, n: int, time: FloatArray, positions: Any, velocities: Any,
-    accelerations: Any, jerks: Any, blocks: Any, s: Any,
-) -> Setpoints:  # fmt: skip
-    def table(values: Any) -> FloatArray:
-        return np.frombuffer(values).reshape(n, message.axis_count)
-
-    return Setpoints(
-        time=time,
-        position=table(positions),
-        velocity=table(velocities),
-        acceleration=table(accelerations),
-        jerk=table(jerks),
-        block=np.frombuffer(blocks, dtype=np.uint64).astype(np.int64),
-        s=np.array(s),
-    )
+def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:
+    blocks = np.frombuffer(getattr(message, f'{prefix}sequences'), dtype=np.uint64)
+    n = len(blocks)
+    columns = {
+        name: np.frombuffer(getattr(message, prefix + field)).reshape(n, message.axis_count)
+        if field in OF_AXES
+        else np.array(getattr(message, prefix + field))
+        for field, name in FIELDS.items()
+    }
+    time = (first + np.arange(n)) * message.period
+    return Setpoints(time=time, block=blocks.astype(np.int64), **columns)
 
 
 class JoinGate:

@@ -13,6 +13,7 @@ from cnc_interp.machine.axis_motion import Recording
 from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.wire.chunk_messages import setpoint_fields
 from cnc_interp.wire.machine_state import NUMBERS
 from cnc_interp.wire.path_messages import packed
 
@@ -44,9 +45,7 @@ def _executed_of_plan(
     first = executed[0]
     samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
     common = {
-        'program_id': first.run_id.program_id,
-        'attempt': first.run_id.attempt,
-        'plan': first.run_id.plan,
+        **vars(first.run_id),
         'first_sample': first.number,
         'period': period,
         'axis_count': samples.position.shape[1],
@@ -54,13 +53,8 @@ def _executed_of_plan(
     actual = np.concatenate([stretch.actual for stretch in executed])
     setpoints = SetpointChunk(
         **common,
-        positions=packed(samples.position),
-        velocities=packed(samples.velocity),
-        accelerations=packed(samples.acceleration),
-        jerks=packed(samples.jerk),
-        sequences=samples.block.tolist(),
+        **setpoint_fields(samples),
         line_numbers=[line for stretch in executed for line in stretch.rows.lines],
-        path_positions=packed(samples.s),
         end_of_program=executed[-1].ends,
     )
     return setpoints, AxisFeedback(**common, positions=packed(actual))
@@ -78,9 +72,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         reason=run.reason,
         resting=run.resting,
         may_resume=run.may_resume,
-        program_id=playback.run_id.program_id,
-        attempt=playback.run_id.attempt,
-        plan=playback.run_id.plan,
+        **vars(playback.run_id),
         plan_over=run.plan_over,
         start_wanted=run.start_wanted,
         completed=run.completed,

@@ -14,6 +14,7 @@ from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
+from cnc_interp.wire.chunk_messages import OF_AXES
 from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE
 from cnc_interp.wire.settings_messages import settings_from
 
@@ -193,7 +194,7 @@ def check_chunk(
         raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
     check_setpoints(message, axis_count)
     tail = len(message.tail_sequences)
-    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+    for field in OF_AXES:
         values = getattr(message, f'tail_{field}')
         _check_rows(f'{name}: tail_{field}', values, tail * axis_count)
     _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
@@ -217,7 +218,7 @@ def check_setpoints(message: SetpointChunk, axis_count: int) -> None:
     name, n = f'setpoints from {message.first_sample}', len(message.sequences)
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
-    for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+    for field in OF_AXES:
         _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
     _check_rows(f'{name}: path_positions', message.path_positions, n)
 

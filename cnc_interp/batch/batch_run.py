@@ -20,15 +20,7 @@ UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
 
 
 class Store:
-    """
-    The results of a folder, by the keys of their tasks.
-
-    Parameters
-    ----------
-    folder : Path
-        Made if missing.
-
-    """
+    """The results of a folder, by the keys of their tasks."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -89,25 +81,9 @@ def run_batch(
     """
     Carry out all jobs.
 
-    Parameters
-    ----------
-    jobs : Jobs
-        Programs and machines.
-    workers : Workers
-        Who carries out.
-    store : Store
-        Results of this and earlier starts. Each result is written as soon as it is known.
-    progress : callable
-        Told after each result.
-    processes : int
-        How many processes plan one long program, between its exact stops; so a giant keeps no
-        processor idle. A cluster asks each of its computers instead.
-
-    Returns
-    -------
-    list of (Job, Outcome)
-        In the order of the jobs.
-
+    ``store``: results of this and earlier starts. Each result is written as soon as it is known;
+    ``processes``: how many processes plan one long program, between its exact stops; so a giant
+    keeps no processor idle. A cluster asks each of its computers instead.
     """
     keys: dict[int, str] = {}
     found: dict[int, Outcome] = {}
@@ -158,11 +134,7 @@ def dask_workers() -> ModuleType:
     """
     Return the module of clusters.
 
-    Raises
-    ------
-    InterpError
-        If Dask is not installed.
-
+    Raises InterpError if Dask is not installed.
     """
     try:
         from cnc_interp.batch import dask_workers
@@ -183,19 +155,9 @@ def workers_of(
     """
     Return who carries out a batch.
 
-    Parameters
-    ----------
-    scheduler : str, optional
-        Address of a cluster; without it, processes of this computer.
-    workers : int
-        How many of these.
-    memory : float, optional
-        Most memory of a task [bytes]; None for a share of the computer.
-    longest : float
-        Longest time of a task [s].
-    preloaded : sequence of str
-        Modules that processes of this computer load once.
-
+    ``scheduler``: address of a cluster; without it, processes of this computer; ``memory``: most
+    memory of a task [bytes]; None for a share of the computer; ``longest``: longest time of a task
+    [s]; ``preloaded``: modules that processes of this computer load once.
     """
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)

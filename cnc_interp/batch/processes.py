@@ -94,19 +94,9 @@ class Processes:
     """
     Some processes that work at the same time, at the lowest priority.
 
-    Parameters
-    ----------
-    workers : int
-        How many.
-    memory : float
-        Most memory that a process may ask for [bytes].
-    longest : float
-        Longest time of a call, all its processes together [s].
-    stopped : callable, optional
-        Asked again and again whether all shall end.
-    preloaded : sequence of str
-        Modules that are loaded before the processes are forked.
-
+    ``memory``: most memory that a process may ask for [bytes]; ``longest``: longest time of a
+    call, all its processes together [s]; ``stopped``: asked again and again whether all shall end;
+    ``preloaded``: modules that are loaded before the processes are forked.
     """
 
     def __init__(

@@ -143,24 +143,8 @@ class Sweep:
     """
     Runs points, each once, and keeps what became of them.
 
-    Parameters
-    ----------
-    main : callable
-        The function of the command line.
-    words : sequence of str
-        The command that is swept, without ``--out``.
-    folder : Path
-        For results and the files of the points.
-    workers : Processes
-        Where the commands run.
-    progress : callable
-        Told the number of points that are done.
-
-    Raises
-    ------
-    InterpError
-        If the command cannot be swept.
-
+    ``words``: the command that is swept, without ``--out``; ``progress``: told the number of
+    points that are done. Raises InterpError if the command cannot be swept.
     """
 
     def __init__(

@@ -53,12 +53,6 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
     Write ``table.csv``, ``table.parquet`` and ``costs.csv``.
 
     Parquet needs pyarrow and is left out without it.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
     """
     rows = rows_of(results, rate)
     table, costs = folder / 'table.csv', folder / 'costs.csv'

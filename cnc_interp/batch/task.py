@@ -162,22 +162,7 @@ class Jobs:
     """
     The programs of a batch on its machines.
 
-    Parameters
-    ----------
-    programs : sequence of Path
-        Files, and folders that are searched for programs.
-    machines : sequence of str
-        Bundled machines, or their files.
-    settings : Settings
-        The choices of all tasks.
-    plans : Path, optional
-        Folder in which plan files are kept.
-
-    Raises
-    ------
-    InterpError
-        If there is no program, or a machine or the setup file cannot be read.
-
+    Raises InterpError if there is no program, or a machine or the setup file cannot be read.
     """
 
     def __init__(

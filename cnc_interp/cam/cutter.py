@@ -24,11 +24,7 @@ class Cutter:
     """
     A filleted end mill.
 
-    Raises
-    ------
-    InterpError
-        If a radius is negative or not finite, or both are zero.
-
+    Raises InterpError if a radius is negative or not finite, or both are zero.
     """
 
     #: R, radius of the circle of corner centres [TL2008]; the diameter is 2 (R + r_c) [m].

@@ -72,16 +72,7 @@ class GuidingCurve:
         """
         Return K and its frame; the curve continues beyond its ends.
 
-        Parameters
-        ----------
-        s : ndarray, shape (n,)
-            Arc lengths of K [m].
-
-        Returns
-        -------
-        Frames
-            n frames.
-
+        ``s`` (n,): arc lengths of K [m].
         """
         uv = self.parameters(s)
         u, v = uv[..., 0], uv[..., 1]
@@ -139,16 +130,8 @@ class GuidingPlanes:
         """
         Return the curve in one plane.
 
-        Parameters
-        ----------
-        plane : float
-            Distance of the plane from the origin along N [m].
-
-        Raises
-        ------
-        SurfaceError
-            If the plane misses the surface or meets it in several curves.
-
+        ``plane``: distance of the plane from the origin along N [m]. Raises SurfaceError if the
+        plane misses the surface or meets it in several curves.
         """
         surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
@@ -261,16 +244,7 @@ class SurfaceCurve:
         """
         Return K and its frame; the rates are by arc length of K.
 
-        Parameters
-        ----------
-        s : ndarray, shape (n,)
-            Places on the curve [m].
-
-        Returns
-        -------
-        Frames
-            n frames.
-
+        ``s`` (n,): places on the curve [m].
         """
         point, feed, speed = self._feed(s)
         ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]

@@ -208,33 +208,17 @@ def cut(
     """
     Cut needles by pieces of motion.
 
-    Parameters
-    ----------
-    needle : ndarray, shape (k, 6)
-        Base [m] and unit normal [-] of each needle.
-    order : ndarray of int, shape (k,)
-        Numbers of the needles, group by group.
-    starts : ndarray of int, shape (groups + 1,)
-        Place in ``order`` where each group begins.
-    ball : ndarray, shape (groups, 4)
-        Centre and radius of a ball around the bases of each group [m].
-    first, middle, last : ndarray, shape (n, 6)
-        C_L [m] and unit tool axis [-] at the beginning, in the middle and at the end of a piece.
-    slack : ndarray, shape (n,)
-        Largest motion of the mill between the middle and an end of a piece [m].
-    rough : ndarray of bool, shape (n,)
-        Pieces of the first cut of a batch, which removes most material.
-    batch : ndarray of int, shape (n,)
-        Batch of each piece, in increasing order.
-    stages : int
-        Number of times that the search interval of the lowest height is halved.
-    widest : float
-        Half the first search interval, as a share of the piece [-].
-    R, skin : float
-        Radius of the cylinder, and distance of the mill's surface from it [m].
-    height : ndarray, shape (k,)
-        Heights of the needles, which are lowered in place [m].
-
+    ``needle`` (k, 6): base [m] and unit normal [-] of each needle; ``order`` (k,): numbers of the
+    needles, group by group; ``starts`` (groups + 1,): place in ``order`` where each group begins;
+    ``ball`` (groups, 4): centre and radius of a ball around the bases of each group [m];
+    ``first``, ``middle``, ``last`` (n, 6): C_L [m] and unit tool axis [-] at the beginning, in the
+    middle and at the end of a piece; ``slack`` (n,): largest motion of the mill between the middle
+    and an end of a piece [m]; ``rough`` (n,): pieces of the first cut of a batch, which removes
+    most material; ``batch`` (n,): batch of each piece, in increasing order; ``stages``: number of
+    times that the search interval of the lowest height is halved; ``widest``: half the first
+    search interval, as a share of the piece [-]; ``R``, ``skin``: radius of the cylinder, and
+    distance of the mill's surface from it [m]; ``height`` (k,): heights of the needles, which are
+    lowered in place [m].
     """
     for g in range(len(starts) - 1):
         begin, end = starts[g], starts[g + 1]

@@ -70,20 +70,9 @@ def deepest(points: FloatArray, pose: FloatArray, R: float, r: float) -> FloatAr
     """
     Return how deep mills enter the deepest of points.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        Points [m].
-    pose : ndarray, shape (m, 6)
-        Centres C_L [m] and unit axes [-].
-    R, r : float
-        Radius of the circle of corner centres and corner radius [m].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Depths; negative outside [m].
-
+    ``points`` (n, 3): points [m]; ``pose`` (m, 6): centres C_L [m] and unit axes [-]; ``R``,
+    ``r``: radius of the circle of corner centres and corner radius [m]. Returns (m,): depths;
+    negative outside [m].
     """
     depth = np.full(len(pose), -np.inf)
     for i in range(len(pose)):

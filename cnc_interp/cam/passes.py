@@ -86,11 +86,7 @@ class Pass:
         """
         Distance of the scallop points from the guiding plane.
 
-        Returns
-        -------
-        ndarray, shape (n,)
-            Half widths at the places ``s`` [m].
-
+        Returns (n,): half widths at the places ``s`` [m].
         """
         return plane_distance(self.postures, self.right, self.curve.plane_normal)
 

@@ -52,11 +52,7 @@ class Postures:
         """
         Tool axis.
 
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Unit vectors u [-].
-
+        Returns (n, 3): unit vectors u [-].
         """
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), self.frames.normal) + scaled(np.sin(self.tilt), f_y)
@@ -72,11 +68,7 @@ class Postures:
         """
         Centre of the corner circle.
 
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            C_L [m].
-
+        Returns (n, 3): C_L [m].
         """
         return np.asarray(self.frames.position - self.cutter.tool_radius * self.front)
 
@@ -90,11 +82,7 @@ class Postures:
         """
         Contact point.
 
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            K - r_c n [m].
-
+        Returns (n, 3): K - r_c n [m].
         """
         return self.frames.position - self.cutter.corner_radius * self.frames.normal
 
@@ -113,16 +101,7 @@ class Postures:
         """
         Return V_P of points of the mill per arc length of K [TL2008, Eq. 3.4].
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, ..., 3)
-            Points of the mill, any number for each posture [m].
-
-        Returns
-        -------
-        ndarray, shape (n, ..., 3)
-            Velocities per arc length [-].
-
+        ``points`` (n, ..., 3): points of the mill, any number for each posture [m].
         """
         extra = points.ndim - 2
         shape = (len(self), *[1] * extra, 3)

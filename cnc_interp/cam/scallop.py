@@ -47,16 +47,7 @@ class Scallops:
         """
         Return the distance of P from K across the feed.
 
-        Parameters
-        ----------
-        postures : Postures
-            The n postures that left the scallops.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Half widths of the strip [m].
-
+        Returns (n,): half widths of the strip [m].
         """
         away = self.position - postures.frames.position
         return np.abs(dot(away, postures.frames.across))

@@ -98,18 +98,9 @@ class Surface(ABC):
 
     def at(self, u: FloatArray, v: FloatArray) -> SurfacePoint:
         """
-        Return points, tangents, normals and the derivatives of the normals.
+        Return points, tangents, normals and the derivatives of the normals [m].
 
-        Parameters
-        ----------
-        u, v : ndarray, shape (...)
-            Parameters [units of u and v].
-
-        Returns
-        -------
-        SurfacePoint
-            Points of shape (...) [m].
-
+        ``u``, ``v`` (...): parameters [units of u and v].
         """
         s, s_u, s_v, s_uu, s_uv, s_vv = self.derivatives(u, v)
         m = self.sign * cross(s_u, s_v)
@@ -153,18 +144,9 @@ class Surface(ABC):
         """
         Return a grid of parameters over the domain.
 
-        Parameters
-        ----------
-        rows, columns : int
-            Number of values of u and of v.
-        extension : float
-            Distance by which the grid exceeds the border [m].
-
-        Returns
-        -------
-        u, v : ndarray, shape (rows, columns)
-            Parameters [units of u and v].
-
+        ``rows``, ``columns``: number of values of u and of v; ``extension``: distance by which the
+        grid exceeds the border [m]. Returns ``u``, ``v`` (rows, columns): parameters [units of u
+        and v].
         """
         (u0, u1), (v0, v1) = self.domain
         grow_u, grow_v = self.growth(extension) if extension else (0.0, 0.0)
@@ -193,17 +175,9 @@ class Surface(ABC):
         """
         Refuse a surface that is degenerate or folds, or whose offset does.
 
-        Parameters
-        ----------
-        offset : float
-            Distance of the offset surface, usually the corner radius [m].
-
-        Raises
-        ------
-        SurfaceError
-            If the surface or its offset is not regular. The message names the place, the smallest
-            concave radius and the requested radius.
-
+        ``offset``: distance of the offset surface, usually the corner radius [m]. Raises
+        SurfaceError if the surface or its offset is not regular. The message names the place, the
+        smallest concave radius and the requested radius.
         """
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)

@@ -65,22 +65,11 @@ def convert(
     """
     Write a program in another dialect.
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine that gives rotary words their meaning.
-    settings : Settings
-        Flank height, and the rounding of corners for ``siemens-bspline``.
-    fit_tolerance : float
-        Largest distance of cubic curves from the smooth path [m].
-    slide : bool
-        Whether native curves are first joined by parametrization splines (``native_joins.py``).
-
-    Raises
-    ------
-    InterpError
-        If the dialect cannot express the program.
-
+    ``machine``: the machine that gives rotary words their meaning; ``settings``: flank height, and
+    the rounding of corners for ``siemens-bspline``; ``fit_tolerance``: largest distance of cubic
+    curves from the smooth path [m]; ``slide``: whether native curves are first joined by
+    parametrization splines (``native_joins.py``). Raises InterpError if the dialect cannot express
+    the program.
     """
     transform = Transform.of(machine)
     program = replace(program, blocks=with_poses(program.blocks, transform, settings.flank_height))
@@ -112,18 +101,7 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     """
     Replace blocks whose rotary axes run linearly by poses within a share of the tolerances.
 
-    Parameters
-    ----------
-    transform : Transform
-        The five-axis transformation.
-    height : float
-        Flank height, at which the orientation tolerance counts [m].
-
-    Returns
-    -------
-    Blocks
-        Blocks of poses; their rotary positions are kept as words.
-
+    ``height``: flank height, at which the orientation tolerance counts [m].
     """
     linear = np.flatnonzero(blocks.by_rotary)
     if not len(linear):

@@ -182,18 +182,9 @@ class Description:
         """
         Return the pose of a link in the base.
 
-        Parameters
-        ----------
-        positions : mapping of str to float
-            Position of each axis by name; 0 if it is missing [m, rad].
-
-        Returns
-        -------
-        rotation : ndarray, shape (3, 3)
-            Rotation matrix of the link in the base [-].
-        place : ndarray, shape (3,)
-            Origin of the link in the base [m].
-
+        ``positions``: position of each axis by name; 0 if it is missing [m, rad]. Returns
+        ``rotation`` (3, 3): rotation matrix of the link in the base [-]; ``place`` (3,): origin of
+        the link in the base [m].
         """
         rotation, place = np.eye(3), np.zeros(3)
         joint_of = {joint.child: joint for joint in self.joints}

@@ -167,20 +167,9 @@ class Compensation:
     """
     What is computed once: the words of all axes.
 
-    Parameters
-    ----------
-    model : Machine
-        Its drives and loads are the model that is inverted.
-    period : float
-        Interpolation period [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand [m, rad].
-
-    Raises
-    ------
-    MachineError
-        If a drive takes too little feed-forward of velocity.
-
+    ``model``: its drives and loads are the model that is inverted; ``position`` (n_axes,): where
+    the axes stand [m, rad]. Raises MachineError if a drive takes too little feed-forward of
+    velocity.
     """
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
@@ -212,16 +201,8 @@ def compensated_model(name: str, machine: Machine) -> Machine:
     """
     Load the model of the drives of a machine that is to be compensated.
 
-    Parameters
-    ----------
-    name : str
-        Bundled machine or file whose drives are the model.
-
-    Raises
-    ------
-    MachineError
-        If the model has other axes.
-
+    ``name``: bundled machine or file whose drives are the model. Raises MachineError if the model
+    has other axes.
     """
     known = Machine.load(name)
     if known.axis_names != machine.axis_names:

@@ -46,20 +46,8 @@ def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArra
     """
     Compute the words of all axes, which stand still.
 
-    Parameters
-    ----------
-    machine : Machine
-        Its drives and loads.
-    period : float
-        Interpolation period [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand [m, rad].
-
-    Returns
-    -------
-    ndarray, shape (n_axes, n_words)
-        The words of each axis, see the kernels below.
-
+    ``position`` (n_axes,): where the axes stand [m, rad]. Returns (n_axes, n_words): the words of
+    each axis, see the kernels below.
     """
     drives = [machine.drives.get(j, IDEAL) for j in range(len(machine.axis_names))]
     longest = max(drive.delay for drive in drives)
@@ -273,18 +261,10 @@ def follow_all(
     """
     Advance all axes over rows of setpoints.
 
-    Parameters
-    ----------
-    words : ndarray, shape (n_axes, n_words)
-        Words of each axis; their state is changed.
-    setpoints, rates : ndarray, shape (K, n_axes)
-        Setpoints at the end of each period and their velocities [m, rad, per s].
-
-    Returns
-    -------
-    position, velocity : ndarray, shape (K, n_axes)
-        Axes as measured at the end of each period [m, rad, per s].
-
+    ``words`` (n_axes, n_words): words of each axis; their state is changed; ``setpoints``,
+    ``rates`` (K, n_axes): setpoints at the end of each period and their velocities [m, rad, per
+    s]. Returns ``position``, ``velocity`` (K, n_axes): axes as measured at the end of each period
+    [m, rad, per s].
     """
     x, v = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):

@@ -46,17 +46,7 @@ class ErrorSeries:
 
 
 def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
-    """
-    Compute the errors of the axes in slow motion.
-
-    Parameters
-    ----------
-    machine : Machine
-        The machine with its true drives.
-    model : Machine, optional
-        Its drives are compensated.
-
-    """
+    """Compute the errors of the axes in slow motion."""
     count = len(machine.axis_names)
     series, away = np.empty((count, TERMS)), np.empty(count)
     for j in range(count):

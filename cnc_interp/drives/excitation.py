@@ -32,16 +32,7 @@ def excitation(machine: Machine) -> str:
     """
     Write the program for all axes of a machine; it begins and ends where the axes stand.
 
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits and travel.
-
-    Raises
-    ------
-    MachineError
-        If an axis has no room to move.
-
+    Raises MachineError if an axis has no room to move.
     """
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
     moving = [axis for axis in machine.axes if np.ptp(axis.travel) > 1e-6]  # none that is locked

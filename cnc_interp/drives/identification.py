@@ -103,20 +103,9 @@ def identify_axis(
     """
     Fit the model of one axis; None where it did not move.
 
-    Parameters
-    ----------
-    machine : Machine
-        Gives inertia and viscous friction.
-    period : float
-        Interpolation period [s].
-    setpoints, rates, feedback : ndarray, shape (K, n_axes)
-        Positions and velocities of the setpoints, and measured positions [m, rad, per s].
-
-    Raises
-    ------
-    InterpError
-        If the axis turned too seldom to show its friction and backlash.
-
+    ``machine``: gives inertia and viscous friction; ``setpoints``, ``rates``, ``feedback`` (K,
+    n_axes): positions and velocities of the setpoints, and measured positions [m, rad, per s].
+    Raises InterpError if the axis turned too seldom to show its friction and backlash.
     """
     rows = _moving(setpoints[:, axis], period)
     if not len(rows):
@@ -311,22 +300,8 @@ def with_drives(
     """
     Write drives and loads into the text of a machine file.
 
-    Parameters
-    ----------
-    text : str
-        The machine file.
-    drives, loads : mapping of int to AxisDrive, DriveLoad
-        What to write, for each axis.
-    half_widths : mapping of int to mapping of str to float
-        Half of the 95 % intervals of the fitted values by field, see ``IdentifiedAxis`` [SI].
-    origin : str
-        Where the values come from, for a comment.
-
-    Returns
-    -------
-    str
-        Text of the new file.
-
+    ``half_widths``: half of the 95 % intervals of the fitted values by field, see
+    ``IdentifiedAxis`` [SI]; ``origin``: where the values come from, for a comment.
     """
     parts = [_without_sections(text).rstrip('\n'), '']
     if loads:

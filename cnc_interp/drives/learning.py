@@ -44,18 +44,7 @@ def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
     """
     Return the setpoints of a program from its first motion, and the last one held after them.
 
-    Parameters
-    ----------
-    setpoints : ndarray, shape (K, n_axes)
-        Setpoints of a program [m, rad].
-    period : float
-        Interpolation period [s].
-
-    Returns
-    -------
-    ndarray, shape (K', n_axes)
-        Row 1 differs from row 0.
-
+    ``setpoints`` (K, n_axes): setpoints of a program [m, rad].
     """
     held = np.repeat(setpoints[-1:], math.ceil(HELD / period), axis=0)
     return np.concatenate([setpoints[start_of(setpoints) :], held])
@@ -78,24 +67,11 @@ def learnt_rates(
     """
     Return what is added to the velocity feed-forward in the next run.
 
-    Parameters
-    ----------
-    model : Machine
-        The model by which that run was compensated.
-    period, lead : float
-        Interpolation period, and the time by which all axes are late [s].
-    setpoints : ndarray, shape (K, n_axes)
-        Setpoints from ``with_hold`` [m, rad].
-    feedback : ndarray, shape (F, n_axes)
-        Measured positions at the first of them; the error is held from there on [m, rad].
-    before : ndarray, shape (K, n_axes), optional
-        What was added in that run [m or rad, per s].
-
-    Returns
-    -------
-    ndarray, shape (K, n_axes)
-        The first and the last row are 0 [m or rad, per s].
-
+    ``period``, ``lead``: interpolation period, and the time by which all axes are late [s];
+    ``setpoints`` (K, n_axes): setpoints from ``with_hold`` [m, rad]; ``feedback`` (F, n_axes):
+    measured positions at the first of them; the error is held from there on [m, rad]; ``before``
+    (K, n_axes): what was added in that run [m or rad, per s]. Returns (K, n_axes): the first and
+    the last row are 0 [m or rad, per s].
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
@@ -135,18 +111,10 @@ def measured_error(
     """
     Return the errors of measured positions at the tool, as ``tool_error`` has those of a model.
 
-    Parameters
-    ----------
-    period, lead : float
-        Interpolation period, and the time by which all axes are late [s].
-    setpoints, feedback : ndarray, shape (K, n_axes), (F, n_axes)
-        Setpoints from rest, and measured positions at the first of them [m, rad].
-
-    Returns
-    -------
-    ndarray, shape (F, 2)
-        Distance of the tip from its path [m], angle of the tool axis [rad].
-
+    ``period``, ``lead``: interpolation period, and the time by which all axes are late [s];
+    ``setpoints``, ``feedback`` (K, n_axes), (F, n_axes): setpoints from rest, and measured
+    positions at the first of them [m, rad]. Returns (F, 2): distance of the tip from its path [m],
+    angle of the tool axis [rad].
     """
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
@@ -204,11 +172,7 @@ class LearntMotion:
         """
         Read a file.
 
-        Raises
-        ------
-        InterpError
-            If it is no such file.
-
+        Raises InterpError if it is no such file.
         """
         try:
             with np.load(path, allow_pickle=False) as file:
@@ -239,11 +203,7 @@ def hash_of(name: str) -> str:
     """
     Return the hash of a machine file, given by path or name.
 
-    Raises
-    ------
-    MachineError
-        If there is none.
-
+    Raises MachineError if there is none.
     """
     return hashlib.sha256(find_machine_file(name).read_bytes()).hexdigest()
 
@@ -252,20 +212,8 @@ def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMot
     """
     Load what was learnt for a machine, its model and a period.
 
-    Parameters
-    ----------
-    path : Path
-        File that `learn` wrote.
-    machine, model : str
-        Machine, and machine whose drives are the model: names or files.
-    period : float
-        Interpolation period [s].
-
-    Raises
-    ------
-    InterpError
-        If it was learnt for another one, or there is no model.
-
+    ``machine``, ``model``: machine, and machine whose drives are the model: names or files. Raises
+    InterpError if it was learnt for another one, or there is no model.
     """
     if not model:
         raise InterpError('learnt: is added to compensation; name its model with --compensate')

@@ -35,17 +35,7 @@ class ToolMotion:
     """
     Simulated drives and the error that they leave at the tool, some setpoints at a time.
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine with its true drives.
-    period : float
-        Interpolation period [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand at rest [m, rad].
-    model : Machine, optional
-        Compensate its drives.
-
+    ``position`` (n_axes,): where the axes stand at rest [m, rad].
     """
 
     def __init__(
@@ -80,11 +70,7 @@ class ToolMotion:
         It is compared with the setpoints after it, too. So row k is the error ``late`` periods
         before setpoint k.
 
-        Parameters
-        ----------
-        positions, velocities : ndarray, shape (K, n_axes)
-            Setpoints [m, rad, per s].
-
+        ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s].
         """
         if not len(positions):
             return ToolError(np.empty(0), np.empty(0))
@@ -124,22 +110,8 @@ def tool_error(
     """
     Simulate the drives of a machine, and measure the error at the tool.
 
-    Parameters
-    ----------
-    machine : Machine
-        The machine with its true drives.
-    period : float
-        Interpolation period [s].
-    positions, velocities : ndarray, shape (K, n_axes)
-        Setpoints [m, rad, per s].
-    model : Machine, optional
-        Compensate its drives.
-
-    Returns
-    -------
-    ToolError
-        One row for each setpoint, and for the time in which the axes settle.
-
+    ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s]. Returns one row for each
+    setpoint, and for the time in which the axes settle.
     """
     motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
     parts = motion.push(positions, velocities), motion.settle()

@@ -44,22 +44,8 @@ def refuse_setpoints(
     """
     Refuse setpoints that leave the travel or break a limit, before they are executed.
 
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits and travel.
-    period : float
-        Interpolation period [s].
-    before : ndarray, shape (3, n_axes)
-        Setpoints before them [m, rad].
-    positions : ndarray, shape (K, n_axes)
-        The setpoints, which must end at rest [m, rad].
-
-    Raises
-    ------
-    StreamError
-        With axis, value and limit.
-
+    ``before`` (3, n_axes): setpoints before them [m, rad]; ``positions`` (K, n_axes): the
+    setpoints, which must end at rest [m, rad]. Raises StreamError with axis, value and limit.
     """
     beyond = beyond_travel(machine, positions)
     if beyond:

@@ -36,15 +36,7 @@ class CompensatedDrives:
     """
     Drives of the cycle that are sent the inverse of their model.
 
-    Parameters
-    ----------
-    model : Machine
-        Its drives and loads are the model.
-    period : float
-        Interpolation period [s].
-    learnt : LearntMotion, optional
-        What earlier runs have taught; it counts while its setpoints are played.
-
+    ``learnt``: what earlier runs have taught; it counts while its setpoints are played.
     """
 
     def __init__(
@@ -91,13 +83,7 @@ class Uncompensated:
     """
     Drives of a model beside those of the machine, which get the setpoints as they are.
 
-    Parameters
-    ----------
-    period : float
-        Interpolation period [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand [m, rad].
-
+    ``position`` (n_axes,): where the axes stand [m, rad].
     """
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
@@ -110,16 +96,8 @@ class Uncompensated:
         """
         Take the next setpoints; return the distances of the tip from the commanded path.
 
-        Parameters
-        ----------
-        positions, velocities : ndarray, shape (K, n_axes)
-            Setpoints [m, rad, per s].
-
-        Returns
-        -------
-        ndarray, shape (K,)
-            Distances from the path of the commanded tips, those of a few periods before [m].
-
+        ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s]. Returns (K,):
+        distances from the path of the commanded tips, those of a few periods before [m].
         """
         x, _ = follow_all(self._words, positions, velocities)
         commanded, tips = (self._transform.forward(at)[0] for at in (positions, x))

@@ -86,17 +86,7 @@ class Cycle:
     """
     The compiled cycle, as the threads of Python use it.
 
-    Parameters
-    ----------
-    period : float
-        Interpolation period [s].
-    travel, jump : ndarray, shape (n_axes, 2), (n_axes,)
-        Bounds of setpoints, see ``Memory`` [m, rad].
-    slots : int
-        Chunks that may wait.
-    step : int
-        Address of the compiled step of the drives.
-
+    ``travel``, ``jump`` (n_axes, 2), (n_axes,): bounds of setpoints, see ``Memory`` [m, rad].
     """
 
     def __init__(
@@ -166,11 +156,7 @@ class Cycle:
         after the link was written, only its next period tells which link it took. A clock that
         does not come to its next period stands: then the drives get no further setpoint.
 
-        Raises
-        ------
-        StreamError
-            If the clock stands.
-
+        Raises StreamError if the clock stands.
         """
         control = self._control
         if control[SOURCE] != REST and control[SERIAL] >= after:

@@ -186,21 +186,9 @@ class HalDrives:
     """
     Drives behind a running session of HAL; see ``drives.CycleDrives``.
 
-    Parameters
-    ----------
-    machine : Machine
-        Its axes, in the order of the columns.
-    period : float
-        Interpolation period, that of HAL's thread [s].
-    options : HalOptions
-        Depth of the FIFO and limits of the following error.
-
-    Raises
-    ------
-    DriveFaultError
-        If no session runs, if the wiring is wrong, or if HAL's thread stands or has another
-        period.
-
+    ``period``: interpolation period, that of HAL's thread [s]; ``options``: depth of the FIFO and
+    limits of the following error. Raises DriveFaultError if no session runs, if the wiring is
+    wrong, or if HAL's thread stands or has another period.
     """
 
     #: What drives with a following error of about that lag by [s].

@@ -34,15 +34,7 @@ class Stage(Enum):
 
 
 class SimulatedSwitches:
-    """
-    Reference switches that are pressed from a position to the nearer end of the travel.
-
-    Parameters
-    ----------
-    machine : Machine
-        Its ``homing`` has the positions.
-
-    """
+    """Reference switches that are pressed from a position to the nearer end of the travel."""
 
     def __init__(self, machine: Machine):
         names, given = machine.axis_names, machine.homing.switches
@@ -59,17 +51,8 @@ class Homing:
     """
     The homing of a machine.
 
-    Parameters
-    ----------
-    playback : Playback
-        The machine's buffer.
-    jog : Jog
-        Moves the axes.
-    pressed : callable
-        Tells which switches are pressed at actual axis positions, as ``SimulatedSwitches``.
-    towards : ndarray, shape (n_axes,)
-        Direction to each switch, 1 or -1.
-
+    ``pressed``: tells which switches are pressed at actual axis positions, as
+    ``SimulatedSwitches``; ``towards`` (n_axes,): direction to each switch, 1 or -1.
     """
 
     def __init__(
@@ -113,16 +96,7 @@ class Homing:
         """
         Begin to home axes, all where none is named; return which.
 
-        Parameters
-        ----------
-        now : float
-            Time of any steady clock [s].
-
-        Raises
-        ------
-        StreamError
-            If it cannot begin.
-
+        ``now``: time of any steady clock [s]. Raises StreamError if it cannot begin.
         """
         given = self._machine.homing
         for name in axes:
@@ -160,11 +134,7 @@ class Homing:
         """
         Go on; to be called every few milliseconds before the work of the jog.
 
-        Raises
-        ------
-        StreamError
-            If homing has ended early. The axes come to rest.
-
+        Raises StreamError if homing has ended early. The axes come to rest.
         """
         if not self._stages:
             return

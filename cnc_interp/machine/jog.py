@@ -50,11 +50,7 @@ class Jog:
     """
     The operator's motion by hand.
 
-    Parameters
-    ----------
-    playback : Playback
-        The machine's buffer, which plays it.
-
+    ``playback``: the machine's buffer, which plays it.
     """
 
     def __init__(self, playback: Playback):
@@ -84,20 +80,9 @@ class Jog:
         """
         Take a beat.
 
-        Parameters
-        ----------
-        shares : mapping
-            Velocity of each axis that moves, as a share of its limit, -1 to 1 [-].
-        tool : float
-            The same along the tool, away from the workpiece.
-        now : float
-            Time of any steady clock [s].
-
-        Raises
-        ------
-        StreamError
-            If it cannot be followed.
-
+        ``shares``: velocity of each axis that moves, as a share of its limit, -1 to 1 [-];
+        ``tool``: the same along the tool, away from the workpiece; ``now``: time of any steady
+        clock [s]. Raises StreamError if it cannot be followed.
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
@@ -124,23 +109,10 @@ class Jog:
         """
         Take a move; return where the axes will rest, shape (n_axes,) [m, rad].
 
-        Parameters
-        ----------
-        values : mapping
-            Position of each axis that moves, or its distance [m, rad].
-        relative : bool
-            True for distances: from the target of the move that is under way, or from where the
-            axes stand.
-        tool : float
-            Distance along the tool, away from the workpiece [m].
-        speed : float
-            Share of the velocity limits; 0 means 1 [-].
-
-        Raises
-        ------
-        StreamError
-            If it cannot be followed.
-
+        ``values``: position of each axis that moves, or its distance [m, rad]; ``relative``: true
+        for distances: from the target of the move that is under way, or from where the axes stand;
+        ``tool``: distance along the tool, away from the workpiece [m]; ``speed``: share of the
+        velocity limits; 0 means 1 [-]. Raises StreamError if it cannot be followed.
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
         self._check(values, tool)
@@ -204,18 +176,8 @@ class Jog:
         """
         Hand out what the machine needs next; to be called every few milliseconds.
 
-        Parameters
-        ----------
-        now : float
-            Time of the clock of ``beat`` [s].
-        override : float
-            The feed override [-].
-
-        Raises
-        ------
-        StreamError
-            If no motion was found. The axes come to rest.
-
+        ``now``: time of the clock of ``beat`` [s]; ``override``: the feed override [-]. Raises
+        StreamError if no motion was found. The axes come to rest.
         """
         playback, state, self._override = self._playback, self._playback.state, override
         before, self._seen = self._seen, state

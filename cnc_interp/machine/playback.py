@@ -90,17 +90,8 @@ class Playback:
     """
     The machine's buffer, the state and the figures of the run; no thread.
 
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits, travel and geometry.
-    period : float
-        Interpolation period [s].
-    drives : Drives
-        What moves the axes.
-    full : int
-        Setpoints in a full buffer. The machine starts only then, unless it must rest earlier.
-
+    ``machine``: axes, limits, travel and geometry; ``full``: setpoints in a full buffer. The
+    machine starts only then, unless it must rest earlier.
     """
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
@@ -170,11 +161,7 @@ class Playback:
 
         The machine then rests until the plan begins, because nothing of the old plan is left.
 
-        Raises
-        ------
-        StreamError
-            If the machine moves, or waits for something else.
-
+        Raises StreamError if the machine moves, or waits for something else.
         """
         self.read()
         mine, state = self.run_id, self.state
@@ -293,11 +280,8 @@ class Playback:
         Also a plan that would begin where the axes do not stand any more is left at once, because
         they were moved by hand. The next one begins where they rest.
 
-        Parameters
-        ----------
-        begins : ndarray, shape (n_axes,), or None
-            Its first setpoint, if these are the first ones of a plan from rest [m, rad].
-
+        ``begins`` (n_axes,): its first setpoint, if these are the first ones of a plan from rest
+        [m, rad].
         """
         away = self.state.state is State.AWAY
         if begins is not None and len(self.away) and run_id.continues(self.run_id):
@@ -325,23 +309,11 @@ class Playback:
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """
-        Return the last three setpoints before a plan that is to join.
+        Return the last three setpoints before a plan that is to join [m, rad].
 
-        Parameters
-        ----------
-        number : int
-            Number of its first setpoint; those with lower numbers are executed as they are.
-
-        Returns
-        -------
-        ndarray, shape (3, n_axes)
-            Setpoints [m, rad].
-
-        Raises
-        ------
-        StreamError
-            If the machine has passed there, or has not received all setpoints before it.
-
+        ``number``: number of its first setpoint; those with lower numbers are executed as they
+        are. Raises StreamError if the machine has passed there, or has not received all setpoints
+        before it.
         """
         self.read()
         mine, buffer, row = self.run_id, self.buffer, self._row + 1
@@ -365,11 +337,7 @@ class Playback:
         """
         Join a plan in motion: its first chunk replaces the setpoints from a number on.
 
-        Raises
-        ------
-        StreamError
-            If the machine has passed there. Then nothing has changed.
-
+        Raises StreamError if the machine has passed there. Then nothing has changed.
         """
         newest, buffer = self.before_join(run_id, number), self.buffer
         kept = [c for c in buffer.chunks if c.after <= number]
@@ -417,11 +385,7 @@ class Playback:
         """
         Continue as soon as enough setpoints are buffered.
 
-        Raises
-        ------
-        StreamError
-            If there is nothing to continue.
-
+        Raises StreamError if there is nothing to continue.
         """
         self.read()
         self.state = self.state.after(Event.RESUME)
@@ -435,11 +399,8 @@ class Playback:
         """
         Clear a fault, or give up what is left of a run, at rest only.
 
-        Raises
-        ------
-        StreamError
-            If the machine moves, or the drives cannot be switched on again after their fault.
-
+        Raises StreamError if the machine moves, or the drives cannot be switched on again after
+        their fault.
         """
         self.read()
         cleared = self.state.after(Event.RESET)

@@ -25,11 +25,7 @@ def ask_for_priority(priority: int) -> str:
     """
     Ask for real-time scheduling of the calling thread; return what was granted, in words.
 
-    Parameters
-    ----------
-    priority : int
-        SCHED_FIFO, 1 to 99; 0 asks for nothing.
-
+    ``priority``: SCHED_FIFO, 1 to 99; 0 asks for nothing.
     """
     if priority:
         try:

@@ -15,15 +15,8 @@ class SimulatedDrives:
     """
     Drives that follow setpoints by the model of ``drive_model.py``, in the cycle of the machine.
 
-    Parameters
-    ----------
-    machine : Machine
-        Its file gives the drives; an axis without an entry is ideal.
-    period : float
-        Interpolation period [s].
-    position : ndarray, shape (n_axes,)
-        Where the axes stand at rest [m, rad].
-
+    ``machine``: its file gives the drives; an axis without an entry is ideal; ``position``
+    (n_axes,): where the axes stand at rest [m, rad].
     """
 
     def __init__(self, machine: Machine, period: float, position: FloatArray):
@@ -64,19 +57,9 @@ def simulate(
 
     The result is the same, bit for bit, as that of ``Cycle`` with ``SimulatedDrives``.
 
-    Parameters
-    ----------
-    machine : Machine
-        Axes, limits, geometry and drives.
-    period : float
-        Interpolation period [s].
-    positions : ndarray, shape (K, n_axes)
-        Setpoints [m, rad].
-    velocities : ndarray, shape (K, n_axes), optional
-        Their velocities; central differences when not given [m/s, rad/s].
-    model : Machine, optional
-        Compensate its drives. All axes are then later by ``Compensation.lead``.
-
+    ``machine``: axes, limits, geometry and drives; ``positions`` (K, n_axes): setpoints [m, rad];
+    ``velocities`` (K, n_axes): their velocities; central differences when not given [m/s, rad/s];
+    ``model``: compensate its drives. All axes are then later by ``Compensation.lead``.
     """
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities

@@ -100,20 +100,8 @@ class TrajectoryDrives:
     """
     Drives behind a trajectory controller; see ``drives.DelayedDrives``.
 
-    Parameters
-    ----------
-    machine : Machine
-        Its axes are the joints of the controller.
-    period : float
-        Interpolation period [s].
-    options : TrajectoryOptions
-        Delay and limits of the following error.
-
-    Raises
-    ------
-    DriveFaultError
-        If the positions of the axes are not reported.
-
+    ``options``: delay and limits of the following error. Raises DriveFaultError if the positions
+    of the axes are not reported.
     """
 
     #: What drives with a following error of about that lag by [s].

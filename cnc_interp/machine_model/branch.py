@@ -32,29 +32,12 @@ def start_positions(
     """
     Choose rotary positions and branch of a start pose.
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's five-axis transformation.
-    axis : ndarray, shape (3,)
-        Tool axis of the start pose [-].
-    rotary : ndarray, shape (2,)
-        Rotary positions where the program names them, else NaN [rad].
-    near : ndarray, shape (2,)
-        Where the program names none, the solution nearest to these positions is taken [rad].
-
-    Returns
-    -------
-    rotary : ndarray, shape (2,)
-        Positions of the start pose; zeros on a machine without rotary axes [rad].
-    branch : float
-        +1 or -1.
-
-    Raises
-    ------
-    BlockError
-        If the orientation cannot be reached within the travel.
-
+    ``transform``: the machine's five-axis transformation; ``axis`` (3,): tool axis of the start
+    pose [-]; ``rotary`` (2,): rotary positions where the program names them, else NaN [rad];
+    ``near`` (2,): where the program names none, the solution nearest to these positions is taken
+    [rad]. Returns ``rotary`` (2,): positions of the start pose; zeros on a machine without rotary
+    axes [rad]; ``branch``: +1 or -1. Raises BlockError if the orientation cannot be reached within
+    the travel.
     """
     machine = transform.machine
     if not machine.has_rotary:
@@ -90,31 +73,13 @@ def positions_of_pose(
     transform: Transform, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
 ) -> FloatArray:
     """
-    Return the axis positions of a tool pose.
+    Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
-    Parameters
-    ----------
-    transform : Transform
-        The machine's transformation.
-    tip : ndarray, shape (3,)
-        Tool tip in W; NaN keeps a coordinate [m].
-    axis : ndarray, shape (3,), or None
-        Direction of the tool axis in W, of any length [-]; None keeps the rotary axes.
-    stands : ndarray, shape (n_axes,)
-        Where the machine stands; the nearest solution counts, and extra axes stay [m, rad].
-
-    Returns
-    -------
-    ndarray, shape (n_axes,)
-        Axis positions [m, rad].
-
-    Raises
-    ------
-    BlockError
-        If the rotary axes do not reach the direction within their travel.
-    ValueError
-        If the direction has no length, or the tool of the machine cannot turn to it.
-
+    ``tip`` (3,): tool tip in W; NaN keeps a coordinate [m]; ``axis`` (3,): direction of the tool
+    axis in W, of any length [-]; None keeps the rotary axes; ``stands`` (n_axes,): where the
+    machine stands; the nearest solution counts, and extra axes stay [m, rad]. Raises BlockError if
+    the rotary axes do not reach the direction within their travel. Raises ValueError if the
+    direction has no length, or the tool of the machine cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)

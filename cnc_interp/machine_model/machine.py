@@ -199,12 +199,8 @@ class Machine:
         """
         Read a machine from a YAML file, or by the name of a bundled one.
 
-        Raises
-        ------
-        MachineError
-            If the file is missing or not YAML, or a value is missing, not positive or of the
-            wrong unit size; the message names the key.
-
+        Raises MachineError if the file is missing or not YAML, or a value is missing, not positive
+        or of the wrong unit size; the message names the key.
         """
         path = find_machine_file(path_or_name)
         try:

@@ -114,16 +114,8 @@ class Transform:
         The cosine is ``o . u = c0 + R cos(b - b0)`` (module docstring), so its extremes lie at
         the ends or where b - b0 is a multiple of 180 deg.
 
-        Parameters
-        ----------
-        start, end : ndarray, shape (n, 2)
-            Rotary positions [rad].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Angles to the nearer one of both directions of the pole [rad].
-
+        ``start``, ``end`` (n, 2): rotary positions [rad]. Returns (n,): angles to the nearer one
+        of both directions of the pole [rad].
         """
         inner = 1 - self.outer
         u, w = self.machine.rotary_direction[[self.outer, inner]]
@@ -142,20 +134,9 @@ class Transform:
         """
         Return how far a point on the tool axis moves in W per radian of each rotary axis.
 
-        Parameters
-        ----------
-        stands : ndarray, shape (n, 3)
-            X Y Z plus the extra axes along their directions [m].
-        rotary : ndarray, shape (n, 2)
-            Rotary positions [rad].
-        height : float
-            Height of the point above the tip [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Distances of the point from the primary and the secondary axis [m].
-
+        ``stands`` (n, 3): X Y Z plus the extra axes along their directions [m]; ``rotary`` (n, 2):
+        rotary positions [rad]; ``height``: height of the point above the tip [m]. Returns (n, 2):
+        distances of the point from the primary and the secondary axis [m].
         """
         machine = self.machine
         u1, u2 = machine.rotary_direction
@@ -183,18 +164,9 @@ class Transform:
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
         """
-        Return the tool axis of rotary positions.
+        Return the tool axis of rotary positions, (n, 3).
 
-        Parameters
-        ----------
-        rotary : ndarray, shape (n, 2)
-            Primary and secondary rotary positions [rad].
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Unit tool axis in W.
-
+        ``rotary`` (n, 2): primary and secondary rotary positions [rad].
         """
         q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
         return np.asarray(forward(self.packed, q)[1])
@@ -203,16 +175,8 @@ class Transform:
         """
         Return tool tips and tool axes of axis positions.
 
-        Parameters
-        ----------
-        q : ndarray, shape (n, n_axes)
-            Axis positions [m, rad]; extra axes may be left out and count as 0 then.
-
-        Returns
-        -------
-        tip, axis : ndarray, shape (n, 3)
-            ``p_WT`` [m] and ``o_W`` [-].
-
+        ``q`` (n, n_axes): axis positions [m, rad]; extra axes may be left out and count as 0 then.
+        Returns ``tip``, ``axis`` (n, 3): ``p_WT`` [m] and ``o_W`` [-].
         """
         q = np.asarray(q, float)
         own = 5 if self.machine.has_rotary else 3
@@ -237,16 +201,8 @@ class Transform:
         """
         Return both branches of the rotary positions for one tool axis.
 
-        Parameters
-        ----------
-        axis : ndarray, shape (3,)
-            Unit tool axis in W.
-
-        Returns
-        -------
-        list of ndarray, shape (2,)
-            Primary and secondary position in (-pi, pi] [rad]; empty when unreachable.
-
+        ``axis`` (3,): unit tool axis in W. Returns (2,): primary and secondary position in (-pi,
+        pi] [rad]; empty when unreachable.
         """
         o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
         found = []

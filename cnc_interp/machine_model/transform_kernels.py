@@ -54,25 +54,10 @@ def rotary_jets(
     """
     Solve the rotary axes for a tool axis.
 
-    Parameters
-    ----------
-    packed : ndarray, shape (29 + 3 k,)
-        Geometry of the machine.
-    o : VectorJet
-        Unit tool axis in W [-].
-    branch : float
-        Sign of the tilt, +1 or -1.
-    tilt_near, turn_near : float
-        Positions of inner and outer axis that select the whole turns [rad].
-
-    Returns
-    -------
-    tilt, turn : Jet
-        Positions of inner and outer axis [rad].
-    sine_squared : float
-        Negative where the orientation cannot be reached; zero at the pole, where the jets are
-        not finite.
-
+    ``packed`` (29 + 3 k,): geometry of the machine; ``o``: unit tool axis in W [-]; ``tilt_near``,
+    ``turn_near``: positions of inner and outer axis that select the whole turns [rad]. Returns
+    ``tilt``, ``turn``: positions of inner and outer axis [rad]; ``sine_squared``: negative where
+    the orientation cannot be reached; zero at the pole, where the jets are not finite.
     """
     outer = int(packed[OUTER])
     u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)

@@ -28,27 +28,11 @@ def placed_machine(
 
     So C counts from the turned workpiece, and only the offset m is another one.
 
-    Parameters
-    ----------
-    name : str
-        Bundled machine, or its file.
-    shift : tuple of float
-        How far the workpiece zero moves, in the directions of the table at rest [mm].
-    turn : float
-        Angle by which the workpiece is turned on the table [deg].
-    file : Path
-        The file that is written; its folder is made.
-
-    Returns
-    -------
-    Machine
-        The machine; it names the file, so that `check` and `report` find it.
-
-    Raises
-    ------
-    MachineError
-        If no table of the machine turns about Z, so that a turn would need another program.
-
+    ``shift``: how far the workpiece zero moves, in the directions of the table at rest [mm];
+    ``turn``: angle by which the workpiece is turned on the table [deg]; ``file``: the file that is
+    written; its folder is made. Returns the machine; it names the file, so that `check` and
+    `report` find it. Raises MachineError if no table of the machine turns about Z, so that a turn
+    would need another program.
     """
     machine = Machine.load(name)
     if turn and not _has_turntable(machine):

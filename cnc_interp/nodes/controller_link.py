@@ -26,13 +26,8 @@ def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTraj
     """
     Turn a trajectory into its message.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Points with position, velocity and acceleration, so that a controller takes quintics.
-    joints : sequence of str
-        Names of the joints, one for each axis.
-
+    ``trajectory``: points with position, velocity and acceleration, so that a controller takes
+    quintics.
     """
     message = JointTrajectory(joint_names=list(joints))
     message.header.stamp = Time(**_parts(trajectory.start))

@@ -129,11 +129,7 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     """
     Return the settings that parameters of a node give; choices it does not have are defaults.
 
-    Raises
-    ------
-    SettingsError
-        If a value cannot be chosen.
-
+    Raises SettingsError if a value cannot be chosen.
     """
     known = [choice for choice in choices(Settings) if choice.name in values]
     return Settings(**{choice.name: choice.from_plain(values[choice.name]) for choice in known})

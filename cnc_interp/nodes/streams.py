@@ -37,16 +37,7 @@ def opened(data: bytes, kind: Any) -> Any:
     """
     Read a message and compare its checksum, where one is given.
 
-    Parameters
-    ----------
-    data : bytes
-        The serialised message.
-
-    Raises
-    ------
-    StreamError
-        If the message was spoilt on its way.
-
+    Raises StreamError if the message was spoilt on its way.
     """
     given = int.from_bytes(data[-CHECKSUM:], 'little')
     if given and given != zlib.crc32(data[:-CHECKSUM]):

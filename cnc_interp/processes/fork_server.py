@@ -32,17 +32,6 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
 
     It and its helper outlive Ctrl-C and a closed terminal, so who started it can end its children
     in order. A process has one fork server; a second call changes nothing.
-
-    Parameters
-    ----------
-    modules : sequence of str
-        What it imports before it forks.
-
-    Returns
-    -------
-    ForkServerContext
-        Makes processes that are forked from it.
-
     """
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])

@@ -61,15 +61,8 @@ class Children:
     """
     The nodes of one run.
 
-    Parameters
-    ----------
-    namespace : str
-        ROS namespace of the run.
-    parameters : dict
-        Values for the nodes, by node name, on top of the parameter file.
-    arguments : dict, optional
-        Further ROS arguments, by node name: remappings.
-
+    ``parameters``: values for the nodes, by node name, on top of the parameter file;
+    ``arguments``: further ROS arguments, by node name: remappings.
     """
 
     def __init__(
@@ -115,11 +108,7 @@ class Children:
         """
         Make sure that all nodes run.
 
-        Raises
-        ------
-        InterpError
-            With the last words of the node that ended.
-
+        Raises InterpError with the last words of the node that ended.
         """
         for node in self._nodes.values():
             if node.process.exitcode is not None:

@@ -35,21 +35,7 @@ def chunk_message(
     """
     Convert a chunk to a message.
 
-    Parameters
-    ----------
-    chunk : Chunk
-        Setpoints and their stop tail.
-    lines, tail_lines : list of int
-        Line of the source text of each setpoint.
-    run_id : RunId
-        Run, attempt and plan.
-    first : int
-        Number of the first setpoint in the plan.
-    period : float
-        Interpolation period [s].
-    joins : bool
-        True for the first chunk of a plan that joins the one before in motion.
-
+    ``joins``: true for the first chunk of a plan that joins the one before in motion.
     """
     samples = chunk.samples
     return SetpointChunk(
@@ -119,15 +105,9 @@ class JoinGate:
         """
         Take a chunk and return the chunks that may pass, in order.
 
-        Parameters
-        ----------
-        chunk : SetpointChunk
-            Any chunk. If one of those that are kept is lost, the sender repeats them all.
-        current : RunId
-            The plan that is being received. Its chunks go on at once.
-        limit : int
-            Number of the first setpoint that the sender must not send yet.
-
+        ``chunk``: any chunk. If one of those that are kept is lost, the sender repeats them all;
+        ``current``: the plan that is being received. Its chunks go on at once; ``limit``: number
+        of the first setpoint that the sender must not send yet.
         """
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):

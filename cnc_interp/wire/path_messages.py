@@ -30,17 +30,8 @@ def block_messages(
     """
     Convert rows of a program to messages.
 
-    Parameters
-    ----------
-    blocks : Blocks
-        Consecutive rows.
-    first_sequence : int
-        Number of the first row in the program.
-    flank_height : float
-        Height over the tip at which the orientation tolerance counts [m].
-    end : bool
-        True when the last row is the program's last.
-
+    ``flank_height``: height over the tip at which the orientation tolerance counts [m]; ``end``:
+    true when the last row is the program's last.
     """
     spline = blocks.on_spline
     return [

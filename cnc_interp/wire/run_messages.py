@@ -44,13 +44,8 @@ def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback
     """
     Make the feedback of a run that moves.
 
-    Parameters
-    ----------
-    state : MachineState
-        The machine's last message about the run.
-    path_length : float
-        Length of the smoothed path [m].
-
+    ``state``: the machine's last message about the run; ``path_length``: length of the smoothed
+    path [m].
     """
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
@@ -86,21 +81,9 @@ def setup_table(
     """
     Return the message about the setup of the machine.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        Offsets and tools.
-    file : str
-        Path of the setup file, or empty.
-    zero : mapping of str to float
-        Workpiece zero of the machine file by axis letter [m, rad].
-    program_id : str
-        The run that began with it; empty without one.
-    in_use : iterable of str
-        What the program that runs uses.
-    by, what : str
-        The last change: who made it, and what it was.
-
+    ``zero``: workpiece zero of the machine file by axis letter [m, rad]; ``program_id``: the run
+    that began with it; empty without one; ``by``, ``what``: the last change: who made it, and what
+    it was.
     """
     return SetupTable(
         file=file,

@@ -27,18 +27,8 @@ def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
     """
     Return settings with the choices of a message.
 
-    Parameters
-    ----------
-    pairs : iterable of KeyValue
-        The choices of the message.
-    settings : Settings
-        The choices that the message leaves open.
-
-    Raises
-    ------
-    SettingsError
-        If a name is unknown or given twice, or a value is not possible.
-
+    ``settings``: the choices that the message leaves open. Raises SettingsError if a name is
+    unknown or given twice, or a value is not possible.
     """
     return with_texts(settings, ((pair.key, pair.value) for pair in pairs))
 
@@ -58,18 +48,9 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
     """
     Return the settings that a goal asks for.
 
-    Parameters
-    ----------
-    goal : RunProgram.Goal
-        Its fields with the name of a choice count unless they are 0 or empty; the list of its
-        settings counts before them.
-
-    Raises
-    ------
-    SettingsError
-        If a choice is unknown or not possible, belongs to the nodes and differs from theirs, or
-        is only for `plan`.
-
+    ``goal``: its fields with the name of a choice count unless they are 0 or empty; the list of
+    its settings counts before them. Raises SettingsError if a choice is unknown or not possible,
+    belongs to the nodes and differs from theirs, or is only for `plan`.
     """
     fields = goal.get_fields_and_field_types()
     given = {
@@ -94,18 +75,9 @@ def settings_of_block(block: G1Block, settings: Settings) -> Settings:
     """
     Return the settings of a run from its block 0.
 
-    Parameters
-    ----------
-    block : G1Block
-        Block 0; its flank height is that of the run.
-    settings : Settings
-        The choices that the block leaves open.
-
-    Raises
-    ------
-    SettingsError
-        If a name is unknown or given twice, or a value is not possible.
-
+    ``block``: block 0; its flank height is that of the run; ``settings``: the choices that the
+    block leaves open. Raises SettingsError if a name is unknown or given twice, or a value is not
+    possible.
     """
     return replace(settings_from(block.settings, settings), flank_height=block.flank_height)
 

@@ -21,13 +21,7 @@ class SmoothingRun:
     """
     The smoothing of one run.
 
-    Parameters
-    ----------
-    first : G1Block
-        Its first block; it is still to be taken.
-    smoother : PathSmoother
-        A smoother that has seen no blocks.
-
+    ``smoother``: a smoother that has seen no blocks.
     """
 
     def __init__(self, first: G1Block, smoother: PathSmoother):
@@ -55,16 +49,8 @@ class SmoothingRun:
         """
         Smooth the next batch.
 
-        Returns
-        -------
-        tuple of int and list of PathSegment
-            How many blocks were smoothed, and the segments that are complete with them.
-
-        Raises
-        ------
-        InterpError
-            If a block cannot be smoothed.
-
+        Returns how many blocks were smoothed, and the segments that are complete with them. Raises
+        InterpError if a block cannot be smoothed.
         """
         assert self._smoother is not None
         batch = [self.blocks.popleft() for _ in range(min(BATCH, len(self.blocks)))]
@@ -75,11 +61,7 @@ class SmoothingRun:
         """
         End the path at rest with the last valid block.
 
-        Returns
-        -------
-        tuple of list of PathSegment and str
-            The last segments, and why blocks before the end could not be smoothed.
-
+        Returns the last segments, and why blocks before the end could not be smoothed.
         """
         if self._smoother is None:
             return [], ''

@@ -44,12 +44,9 @@ class WindowedSender(Generic[Item]):
     """
     The sending end.
 
-    Parameters
-    ----------
-    resend_after : float
-        Time without an acknowledgement after which sending starts again [s]; twice as long after
-        each time that was in vain, so that a receiver that is only slow is not buried in repeats.
-
+    ``resend_after``: time without an acknowledgement after which sending starts again [s]; twice
+    as long after each time that was in vain, so that a receiver that is only slow is not buried in
+    repeats.
     """
 
     def __init__(self, resend_after: float):
@@ -142,13 +139,7 @@ class WindowedReceiver:
     """
     The receiving end.
 
-    Parameters
-    ----------
-    stream : str
-        Name of the stream, for the messages.
-    window : int
-        Numbers that may be sent beyond what was consumed.
-
+    ``window``: numbers that may be sent beyond what was consumed.
     """
 
     def __init__(self, stream: str, window: int):
@@ -174,11 +165,7 @@ class WindowedReceiver:
         """
         Check that an item is the next one, or ``begins`` a new program.
 
-        Raises
-        ------
-        StreamError
-            On a gap, a repeat, a foreign or an old program; nothing changes.
-
+        Raises StreamError on a gap, a repeat, a foreign or an old program; nothing changes.
         """
         if not run_id:
             raise StreamError(

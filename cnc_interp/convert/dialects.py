@@ -173,7 +173,7 @@ def _chords(rows: Blocks, height: float) -> Blocks:
 
     allowed = np.full(len(spans), CHORD_SHARE * float(rows.contour_tolerance.min()))
     turned = np.full(len(spans), np.pi / 4.0)  # several pieces for the first trial
-    counts = piece_counts(poses, turned, allowed, allowed / height)
+    counts = piece_counts(poses, turned, allowed, allowed, height)
     span, piece = ragged(counts)
     columns = {name: values[spans[span]] for name, values in rows.columns().items()}
     columns['tip'], columns['axis'] = poses(span, (piece + 1.0) / counts[span])

@@ -41,12 +41,25 @@ from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
+
 #: Stopping distances that must lie between a committed state and the end of its plan [-].
 HORIZON = 3.0
 #: Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-].
 SHORT, LEAST = 2e-4, 1 / 8
 #: Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only.
 SETTLE = 0.1
+AT_REST = (0.0, 0.0)
+#: Largest number of path cells in a part that is handled as one.
+PART = 512
+CONVERGED, DIVIDED, NOT_CONVERGED, OLDER = 'converged', 'divided', 'not converged', 'older plan'
+#: How the law of a committed piece was found. A divided window has one rest more.
+SOLVED_BY = (CONVERGED, DIVIDED, NOT_CONVERGED, OLDER)
+#: Largest number of places at which a window is divided until its first part converges.
+MOST_RESTS = 8
+#: Part of the horizon in which the next window keeps the cells of the older plan [-].
+KEPT_PART = 0.5
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -147,23 +160,6 @@ class WindowScan:
         return (self.cells, True) if finished else None
 
 
-if TYPE_CHECKING:
-    from cnc_interp.feedrate.tool_limit import ToolLimit
-
-AT_REST = (0.0, 0.0)
-
-#: Largest number of path cells in a part that is handled as one.
-PART = 512
-
-CONVERGED, DIVIDED, NOT_CONVERGED, OLDER = 'converged', 'divided', 'not converged', 'older plan'
-#: How the law of a committed piece was found. A divided window has one rest more.
-SOLVED_BY = (CONVERGED, DIVIDED, NOT_CONVERGED, OLDER)
-#: Largest number of places at which a window is divided until its first part converges.
-MOST_RESTS = 8
-#: Part of the horizon in which the next window keeps the cells of the older plan [-].
-KEPT_PART = 0.5
-
-
 @dataclass(frozen=True)
 class PlannedPiece:
     """One committed part of the motion."""
@@ -208,8 +204,8 @@ class FeedPlanner:
     """
 
     def __init__(
-        self, limits: AxisLimits, options: PlanOptions | None = None, start: tuple[float, float] =
-        AT_REST, time: float = 0.0, tool: ToolLimit | None = None,
+        self, limits: AxisLimits, options: PlanOptions | None = None,
+        start: tuple[float, float] = AT_REST, time: float = 0.0, tool: ToolLimit | None = None,
     ):  # fmt: skip
         self.options = options or PlanOptions()
         self._table = limit_table(limits)

@@ -26,6 +26,16 @@ SAMPLES = 96
 GROWTH, LONGEST = 0.3, 16.0
 #: Cells in a ramp between rest and constant speed, and the shortest time of such a cell [s].
 RAMP_CELLS, SHORTEST = 8, 2e-5
+#: Largest number of rounds of speed guess and refinement.
+MOST_ROUNDS = 3
+#: Largest number of path cells in one planner cell.
+LARGEST_GROUP = 32
+#: Largest number of nodes in a window. A coarser grid plans a slower motion, but in time.
+MOST_NODES = 30_000
+#: Cells that take less time than this are always grouped [s].
+ALWAYS_GROUPED = 1e-5
+#: A kink nearer to a border of its cell gets no grid point, as a part of the cell [-].
+NEAR = 1e-6
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -123,16 +133,6 @@ def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatAr
             straight = left[2, k] + u * (right[2, k] - left[2, k])
             worst = max(worst, abs(jet[2] - straight) * by_acceleration)
     return worst
-
-
-#: Largest number of rounds of speed guess and refinement.
-MOST_ROUNDS = 3
-#: Largest number of path cells in one planner cell.
-LARGEST_GROUP = 32
-#: Largest number of nodes in a window. A coarser grid plans a slower motion, but in time.
-MOST_NODES = 30_000
-#: Cells that take less time than this are always grouped [s].
-ALWAYS_GROUPED = 1e-5
 
 
 @dataclass(frozen=True)
@@ -270,10 +270,6 @@ def planning_grid(
     older = np.searchsorted(path.s, kept).astype(np.int64)
     nodes = np.concatenate([np.zeros(1, dtype=np.int64), older, groups[1:]])
     return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])
-
-
-#: A kink nearer to a border of its cell gets no grid point, as a part of the cell [-].
-NEAR = 1e-6
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -34,6 +34,7 @@ from cnc_interp.feedrate.jerk_rows import (
 
 #: Part of the longest step with positive slacks and duals that is taken [-].
 KEPT_STEP = 0.98
+SOLVED, STALLED, BROKEN = 0, 1, 2
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
@@ -231,9 +232,6 @@ def advance(
         add_to(slack[r], change[r], primal)
         add_to(dual[r], next_dual[r], adjoint)
     return primal, adjoint
-
-
-SOLVED, STALLED, BROKEN = 0, 1, 2
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -82,8 +82,8 @@ class ToolLimit:
 
     @staticmethod
     def of(
-        machine: Machine, period: float, largest: float, flank_height: float, model: Machine | None
-        = None,
+        machine: Machine, period: float, largest: float, flank_height: float,
+        model: Machine | None = None,
     ) -> ToolLimit:  # fmt: skip
         """Return the limit before any motion."""
         series = error_series(machine, model)

@@ -9,6 +9,11 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import SELF_STARTING, State
 
+#: A machine that rests for so long after cycle_start has nothing to execute [s].
+SETTLED = 0.1
+#: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
+FILLED = 0.5
+
 
 @dataclass(frozen=True)
 class MachineReport:
@@ -65,12 +70,6 @@ class MachineReport:
     def left(self, run_id: RunId) -> bool:
         """Tell whether the machine has left a plan by its stop tail and rests on the path."""
         return self.run_id == run_id and self.plan_over and self.rests_on_path
-
-
-#: A machine that rests for so long after cycle_start has nothing to execute [s].
-SETTLED = 0.1
-#: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
-FILLED = 0.5
 
 
 class LossRecovery:

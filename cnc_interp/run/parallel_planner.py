@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 ENOUGH = 500
 #: Work that a rest adds: a short stroke costs as much as so many cells on a long path.
 STROKE = 20
+#: Option of ``prctl``: the signal that a process receives when its parent has died.
+PARENT_DEATH_SIGNAL = 1
+#: Sections that are given out ahead, for each process.
+AHEAD = 4
 
 
 @dataclass(frozen=True)
@@ -94,10 +98,6 @@ class RestSections:
         del self._parts[:parts]
         self._work = sum(len(part.s) - 1 for part in self._parts)
         return Section(path, rests)
-
-
-#: Option of ``prctl``: the signal that a process receives when its parent has died.
-PARENT_DEATH_SIGNAL = 1
 
 
 class LostProcessError(InterpError):
@@ -202,10 +202,6 @@ def _send(answers: SimpleQueue[list[PlannedPiece] | Exception], results: Connect
     """Send answers, so that planning does not wait until the parent reads them."""
     while True:
         results.send(answers.get())
-
-
-#: Sections that are given out ahead, for each process.
-AHEAD = 4
 
 
 class ParallelPlanner:

@@ -137,8 +137,8 @@ class PlanFigures:
         self._last = held[-BEFORE:]
 
     def summary(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0, setup: str
-        = '',
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0,
+        setup: str = '',
     ) -> dict[str, Any]:  # fmt: skip
         """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
         if self._last is not None:

@@ -166,8 +166,8 @@ class PlanWriter:
         self._archives['setpoints'].append(columns)
 
     def finish(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0, setup: str
-        = '',
+        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0,
+        setup: str = '',
     ) -> dict[str, Any]:  # fmt: skip
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
         self._write_path()

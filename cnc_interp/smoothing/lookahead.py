@@ -44,8 +44,8 @@ class LookAhead:
     """Round the corners of a stream of blocks."""
 
     def __init__(
-        self, settings: Settings, machine: MachineTraits, choice: Choice | None = None, row: int =
-        0, joined: bool = False, stops: list[int] | None = None,
+        self, settings: Settings, machine: MachineTraits, choice: Choice | None = None,
+        row: int = 0, joined: bool = False, stops: list[int] | None = None,
     ):  # fmt: skip
         self._settings, self._machine = settings, machine
         self._style = Style.of(settings)

@@ -31,6 +31,12 @@ from cnc_interp.smoothing.orientation import cross, dot, norm
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM
+#: Part of the tolerance that can move a path onto the pole [-].
+MOVED = 0.8
+#: Smallest share of corners and curves, and distance that a path keeps from the pole [-].
+LEAST, KEPT = 0.1, 0.7
+#: The deviation of a corner at f is at most this times ``(1 - f)^4`` of the largest [-].
+FADING = 1.4
 
 
 class Upright:
@@ -91,17 +97,9 @@ class Upright:
         )
 
 
-#: Part of the tolerance that can move a path onto the pole [-].
-MOVED = 0.8
-#: Smallest share of corners and curves, and distance that a path keeps from the pole [-].
-LEAST, KEPT = 0.1, 0.7
-#: The deviation of a corner at f is at most this times ``(1 - f)^4`` of the largest [-].
-FADING = 1.4
-
-
 def shares_near_pole(
-    pole: FloatArray, axis: FloatArray, rotation: FloatArray, tolerance: FloatArray, corner: bool =
-    False,
+    pole: FloatArray, axis: FloatArray, rotation: FloatArray, tolerance: FloatArray,
+    corner: bool = False,
 ) -> FloatArray:  # fmt: skip
     """Return what corners and curves may use of the orientation tolerance beside great circles."""
     sense = np.where(axis @ pole < 0.0, -1.0, 1.0)

@@ -34,6 +34,10 @@ from cnc_interp.smoothing.orientation import norm
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
+#: Bisections for the middle of a corner.
+_BISECTIONS = 45
+#: Parameters at which the curve may pass the vertex.
+_PLACES = np.linspace(0.1, 0.9, 33)
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,6 @@ def size_of(step: FloatArray, height: float) -> FloatArray:
     return np.asarray(
         np.sqrt(squares[..., POINT].sum(axis=-1) + turned + squares[..., EXTRA].sum(axis=-1))
     )
-
-
-#: Bisections for the middle of a corner.
-_BISECTIONS = 45
-#: Parameters at which the curve may pass the vertex.
-_PLACES = np.linspace(0.1, 0.9, 33)
 
 
 @dataclass(frozen=True)

@@ -144,8 +144,8 @@ def _top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
 
 
 def fit(
-    corners: Corners, inner: FloatArray, outer: FloatArray, style: Style, ratios: FloatArray | None
-    = None,
+    corners: Corners, inner: FloatArray, outer: FloatArray, style: Style,
+    ratios: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:  # fmt: skip
     """Build corners and shrink them until both tolerances hold."""
     inner, outer = inner.copy(), outer.copy()

@@ -45,6 +45,9 @@ ELLIPSES = np.array([40.0, 16.0, 6.0, 2.5])
 AXIS, LEG, SLOPE, CHORD, SCALARS = range(5)
 #: Columns of the last of these rows: rotation per metre, L2.
 TURN, OUTER = range(2)
+#: Errors below this value are rounding errors of coordinates [m].
+ROUNDING = 1e-14
+BINOMIAL = np.array([[float(comb(n, k)) for k in range(8)] for n in range(8)])
 
 
 @njit(cache=True, nogil=True)
@@ -212,11 +215,6 @@ def _value_range(values: FloatArray) -> tuple[float, float]:
             point += TO_BEZIER[k, j] * values[j]
         low, high = min(low, point), max(high, point)
     return low, high
-
-
-#: Errors below this value are rounding errors of coordinates [m].
-ROUNDING = 1e-14
-BINOMIAL = np.array([[float(comb(n, k)) for k in range(8)] for n in range(8)])
 
 
 def orientation_bounds(

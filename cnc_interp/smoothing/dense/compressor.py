@@ -164,8 +164,8 @@ class Compressor:
         return not self._choice(*ways_of_run(skeleton, start, last))
 
     def _line(
-        self, k: int, leg: EndLine | None = None, leads: bool = False, off: FloatArray | None =
-        None,
+        self, k: int, leg: EndLine | None = None, leads: bool = False,
+        off: FloatArray | None = None,
     ) -> None:  # fmt: skip
         self._rows.append(line_row(self._skeleton, k, leg, leads, off, self._after_curve))
         self._after_curve = False

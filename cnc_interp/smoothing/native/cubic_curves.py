@@ -26,6 +26,9 @@ from cnc_interp.smoothing.segments import CORNER, PathSegments
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+#: Most knot intervals of one segment, and points per interval at which the distance is measured.
+MOST_INTERVALS, PROBES = 512, 8
+
 
 @dataclass(frozen=True)
 class Portion:
@@ -67,10 +70,6 @@ class Portion:
         bottom, top, _ = self.end_span(at_end)
         jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
         return jets.backwards() if at_end else jets
-
-
-#: Most knot intervals of one segment, and points per interval at which the distance is measured.
-MOST_INTERVALS, PROBES = 512, 8
 
 
 @dataclass(frozen=True)

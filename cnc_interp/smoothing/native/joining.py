@@ -28,6 +28,13 @@ from cnc_interp.smoothing.corners.connection import hermite, lacking
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
 
+#: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
+SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
+#: Above this angle between the directions at a join, the tool rests [rad].
+SHARPEST = 0.1
+#: Largest number of times that a span is halved for a join.
+MOST_HALVINGS = 12
+
 
 @dataclass(frozen=True)
 class Jets:
@@ -172,14 +179,6 @@ def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
     rate = rotations_between(start.axis, end.axis) / length
     row = end if at_end else start
     return line_jets(row.tip, step / length, row.axis, rate)
-
-
-#: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
-SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
-#: Above this angle between the directions at a join, the tool rests [rad].
-SHARPEST = 0.1
-#: Largest number of times that a span is halved for a join.
-MOST_HALVINGS = 12
 
 
 @dataclass(frozen=True)

@@ -71,8 +71,8 @@ def join(
 
 
 def linked(
-    portion: Portion, before: Jets | None, after: Jets | None, height: float, tolerance: float =
-    1e-8, septic: bool = False,
+    portion: Portion, before: Jets | None, after: Jets | None, height: float,
+    tolerance: float = 1e-8, septic: bool = False,
 ) -> Linked:  # fmt: skip
     """
     Join a portion with the paths before and after it, if any, by a parametrization spline.

@@ -15,7 +15,7 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.chunk import Wait
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Interpolator
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -98,12 +98,5 @@ class Leg:
         assert self.number_of_zero is not None
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
-        if (
-            time >= piece.law.end_time - SAME_TIME and v < STILL
-        ):  # the sample at rest after the last slice
-            return s, 0.0, 0.0
-        return s, v, a
-
-    def last_sample(self) -> Setpoints:
-        """Return the sample at rest at the end."""
-        return self.interpolator.finish()
+        rests = time >= piece.law.end_time - SAME_TIME and v < STILL  # after the last slice
+        return (s, 0.0, 0.0) if rests else (s, v, a)

@@ -184,7 +184,7 @@ class MotionPlan:
         else:
             assert leg.wait is not None
             self._legs.popleft()
-            last = leg.last_sample() if leg.moves else self._last
+            last = leg.interpolator.finish() if leg.moves else self._last
             if leg.wait is Wait.APPROACH:
                 last = self._context.course.first_rest()
             if last is not None and (leg.moves or leg.wait in (Wait.END, Wait.APPROACH)):

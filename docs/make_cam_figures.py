@@ -27,6 +27,7 @@ from scipy.optimize import fsolve
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
+from cnc_interp.cam.make_program import across
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.next_posture import conditions, nearest_places, resting
@@ -37,7 +38,6 @@ from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.cam.work import across
 from cnc_interp.commands.cli import main as command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM

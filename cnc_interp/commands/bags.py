@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FAILED, FINE, command, positive
+from cnc_interp.commands.parser import FAILED, FINE, command, positive
 
 
 def add_bag_commands(commands: Any) -> None:

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FAILED, FINE, command, count, positive
+from cnc_interp.commands.parser import FAILED, FINE, command, count, positive
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings, settings_from

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import command, machine_option, number, positive
+from cnc_interp.commands.parser import command, machine_option, number, positive
 from cnc_interp.core.units import HOUR
 
 
@@ -169,13 +169,13 @@ def _cutting(added: argparse.ArgumentParser) -> None:
 
 
 def _iso_scallop(options: argparse.Namespace) -> int:
-    from cnc_interp.cam.work import make_program
+    from cnc_interp.cam.make_program import make_program
 
     return make_program(options)
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    from cnc_interp.cam.work import simulate_motion
+    from cnc_interp.cam.make_program import simulate_motion
 
     return simulate_motion(options)
 

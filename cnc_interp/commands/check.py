@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FAILED, FINE, command
+from cnc_interp.commands.parser import FAILED, FINE, command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 

@@ -23,7 +23,7 @@ from cnc_interp.commands.operate import (
     add_mdi_command,
     add_setup_commands,
 )
-from cnc_interp.commands.options import BAD_INPUT, FINE, CommandParser
+from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.sweep import add_sweep_command

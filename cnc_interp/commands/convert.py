@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FINE, command, number, program_options
+from cnc_interp.commands.parser import FINE, command, number, program_options
 from cnc_interp.core.units import MM
 from cnc_interp.settings.command_line import settings_from
 

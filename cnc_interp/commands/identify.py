@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FINE, command, machine_option
+from cnc_interp.commands.parser import FINE, command, machine_option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 

@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE, command, nodes_options, positive
+from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE, command, nodes_options, positive
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 

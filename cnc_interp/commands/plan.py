@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.options import FAILED, FINE, command, count, program_options
+from cnc_interp.commands.parser import FAILED, FINE, command, count, program_options
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import (
+from cnc_interp.commands.parser import (
     FAILED,
     FINE,
     command,

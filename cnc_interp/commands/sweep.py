@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.options import FAILED, FINE, command, count
+from cnc_interp.commands.parser import FAILED, FINE, command, count
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 

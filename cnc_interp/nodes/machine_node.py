@@ -21,7 +21,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import Controls, Overrides
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_machine
-from cnc_interp.nodes.machine_reports import MachineReports
+from cnc_interp.nodes.machine_topics import MachineTopics
 from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
 from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.chunk import Chunk
@@ -82,7 +82,7 @@ class MachineNode(LifecycleNode):
         self._controls = Controls(
             self, self._playback, self._diagnostics, self._give_up, self._pace.wake
         )
-        self._reports = MachineReports(
+        self._topics = MachineTopics(
             self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
         )
         self.create_timer(CLOCK_PERIOD, self._report_clock)
@@ -181,14 +181,14 @@ class MachineNode(LifecycleNode):
             self._published = told
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
-            self._reports.publish_state()
+            self._topics.publish_state()
         self._controls.work(override)  # what was reached before is published
         self._inlet.tick()
         return self._controls.homing.active or playback.busy
 
     def _report_clock(self) -> None:
         """Report how late the drives are stepped in this run, and what compensation does."""
-        self._reports.report_compensation()
+        self._topics.report_compensation()
         clock = self._clock_of_drives
         if clock is not None:
             said = f'{clock.scheduling}; {self._memory}'
@@ -197,7 +197,7 @@ class MachineNode(LifecycleNode):
     def publish_rest(self) -> None:
         """Publish the executed setpoints that are not published yet."""
         self._playback.read()
-        self._reports.publish_executed()
+        self._topics.publish_executed()
 
     def _stop_clock(self) -> None:
         if self._clock_of_drives is not None:

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.session import RunRequest, run_session
-from cnc_interp.commands.options import FAILED
+from cnc_interp.commands.parser import FAILED
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.drives.tool_error import tool_error

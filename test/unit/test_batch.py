@@ -21,7 +21,7 @@ from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
 from cnc_interp.batch.task import Jobs, Outcome, Row, Task, Verdict, programs_of
 from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
 from cnc_interp.settings.choices import Settings
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 
 pytest.importorskip('distributed', reason='needs the optional part batch')
 

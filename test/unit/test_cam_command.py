@@ -13,7 +13,7 @@ from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import programmed
 from cnc_interp.cam.surface import Placed
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
+from cnc_interp.cam.make_program import across
 from cnc_interp.cam.nbuffer import TOP, Heights, cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
@@ -15,7 +16,6 @@ from cnc_interp.cam.simulation import Motion, cross_sections, thinned
 from cnc_interp.cam.spline_pass import CLOSE, SplinePass, chord_error, sampled
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.cam.work import across
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 

@@ -12,7 +12,7 @@ from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, INCH, MM
 
 METRE = '(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT($,.METRE.))'

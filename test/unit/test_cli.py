@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform import Transform

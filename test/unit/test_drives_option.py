@@ -4,7 +4,7 @@ import argparse
 
 import pytest
 
-from cnc_interp.commands.options import drives
+from cnc_interp.commands.parser import drives
 from cnc_interp.machine.drive_kinds import KINDS
 
 

@@ -146,13 +146,13 @@ def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
         if 'cnc_interp.papers' in path.read_text() and room_of(dotted_name(path)) != 'papers'
     }
     assert ports == {
-        'cnc_interp.cam.work': 1,
+        'cnc_interp.cam.make_program': 1,
         'cnc_interp.feedrate.feed_planner': 1,
         'cnc_interp.smoothing.corners.connection': 1,
     }
     script = (
         'import sys, cnc_interp.nodes.feedrate_node, cnc_interp.nodes.lookahead_node, '
-        'cnc_interp.run.chain, cnc_interp.cam.work\n'
+        'cnc_interp.run.chain, cnc_interp.cam.make_program\n'
         "print([name for name in sys.modules if name.startswith('cnc_interp.papers')])"
     )
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)

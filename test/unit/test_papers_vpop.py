@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import KeyValue
 from feedrate_paths import XYZAC, line_path, polyline_path, random_polyline, sampled_ratios
 
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import FINE
+from cnc_interp.commands.parser import FINE
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.feedrate.feed_planner import DIVIDED, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions

@@ -18,7 +18,7 @@ from cnc_interp.batch.sweep import (
     without_effect,
 )
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FAILED, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.commands.options import BAD_INPUT, FINE
+from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.workpiece_place import placed_machine

@@ -41,7 +41,7 @@ class Rate:
             self._publish()
 
 
-class MachineReports:
+class MachineTopics:
     """Publishes state, joints and executed setpoints at the rates of the node's parameters."""
 
     def __init__(

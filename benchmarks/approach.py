@@ -17,7 +17,7 @@ from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.approach import approach
+from cnc_interp.run.start_place import approach
 
 FLANK_HEIGHT = 0.03  # [m]
 

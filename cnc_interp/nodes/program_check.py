@@ -21,9 +21,9 @@ from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
+from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.run.start_place import StartFinder, StartPlace
-from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 

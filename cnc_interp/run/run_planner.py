@@ -13,11 +13,11 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.approach import approach, approach_inside
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
 from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:

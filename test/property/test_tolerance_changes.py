@@ -14,7 +14,7 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.run.path_chain import PathChain, segments_of
-from cnc_interp.run.tolerance_use import ToleranceUse
+from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import SPLINE
 

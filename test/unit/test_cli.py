@@ -18,8 +18,8 @@ from cnc_interp.program import read_text
 from cnc_interp.program.codes import NO_SPINDLE
 from cnc_interp.run import chain
 from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.tolerance_use import ToleranceUse
 from cnc_interp.settings.choices import Settings
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'

@@ -14,10 +14,9 @@ from cnc_interp.program.source import Source
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.approach import approach_inside, way_inside
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.path_chain import PathChain
-from cnc_interp.run.start_place import StartFinder
+from cnc_interp.run.start_place import StartFinder, approach_inside, way_inside
 from cnc_interp.settings.choices import Settings
 
 XYZAC = Machine.load('xyzac')

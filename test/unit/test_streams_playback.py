@@ -18,13 +18,13 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.approach import approach
 from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.leg import SLICE, sliced
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.start_place import approach
 from cnc_interp.wire.machine_messages import executed_setpoints
 from cnc_interp.wire.run_messages import run_id_of
 

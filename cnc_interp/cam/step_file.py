@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.shapes import Cylinder, Plane, Torus
-from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.shapes import BSplineSurface, Cylinder, Plane, RationalSurface, Torus
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
 from cnc_interp.cam.trimmed import Trimmed, joined, within
 from cnc_interp.cam.vectors import norm

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
-from cnc_interp.cam.spline_surfaces import BSplineSurface
+from cnc_interp.cam.shapes import BSplineSurface, Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.step_file import Part
 from cnc_interp.cam.step_process import read_step_safely
 from cnc_interp.cam.surface import Placed, Surface, SurfaceError

@@ -38,7 +38,7 @@ def add_identify_commands(commands: Any) -> None:
 
 def excite_command(options: Namespace) -> int:
     """Write the program that excites all axes."""
-    from cnc_interp.drives.excitation import excitation
+    from cnc_interp.drives.identification import excitation
     from cnc_interp.machine_model.machine import Machine
 
     options.out.write_text(excitation(Machine.load(options.machine)), encoding='utf-8')

@@ -1,5 +1,10 @@
 """
-The model of a drive from what it did: least squares over setpoints and feedback of one axis.
+The model of a drive from what it did: a program that shows it, and a least-squares fit.
+
+The program moves one axis after the other, there and back at several speeds, which shows friction,
+backlash and lags. Then an axis goes on in one direction while its feed alternates faster and
+faster (a chirp), which shows the loops and the flexible mode without sticking. Jerk-limited
+reversals come last. The planner keeps limits and travel, as for any other program.
 
 The loops have the transfer function (f s + kv) / (tau s^2 + (1 + tau B) s + kv). Positions show
 its three ratios only, so viscous friction B is taken from the machine file; kv, f and tau follow.
@@ -9,13 +14,14 @@ without friction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core.errors import InterpError, MachineError
+from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.drives.drive_model import axis_words, follow_all, place, room_of_delay
 from cnc_interp.machine_model.axis_drives import (
     ENTRIES,
@@ -25,7 +31,7 @@ from cnc_interp.machine_model.axis_drives import (
     DriveLoad,
     key_and_unit,
 )
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Axis, Machine
 
 #: A setpoint step below this is rest [m, rad].
 STILL = 1e-8
@@ -345,3 +351,62 @@ def _without_sections(text: str) -> str:
         if not inside:
             kept.append(line)
     return '\n'.join(kept)
+
+
+#: Largest feed of the program, as a share of the axis' velocity, and the least one of the sweep.
+FASTEST, SLOWEST = 0.2, 0.0005
+SPEEDS = 7
+#: Time at a constant speed [s].
+SPEED_HELD = 0.3
+#: Half periods of the chirp [s], their number, and the lower feed over the higher one.
+LONGEST_HALF, SHORTEST_HALF, HALVES, DIP = 0.12, 0.007, 50, 0.4
+#: Largest share of the travel to one side.
+ROOM = 0.4
+
+
+def excitation(machine: Machine) -> str:
+    """
+    Write the program for all axes of a machine; it begins and ends where the axes stand.
+
+    Raises MachineError if an axis has no room to move.
+    """
+    lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
+    moving = [axis for axis in machine.axes if np.ptp(axis.travel) > 1e-6]  # none that is locked
+    lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]
+    for axis in moving:
+        unit = MM if axis.linear else DEG
+        lines.append(f'({axis.name})')
+        for way, speed in _moves(axis):
+            lines.append(f'G1 {axis.name}{way / unit:.5f} F{speed / unit * MINUTE:.4f}')
+    return '\n'.join([*lines, 'M30', ''])
+
+
+def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
+    """Yield way [m or rad] and speed of each move; their sum is zero."""
+    v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
+    room = ROOM * min(abs(axis.travel[0]), abs(axis.travel[1]))
+    if not room > 0.0:
+        raise MachineError('stands at the end of its travel; move it to the middle', axis.name)
+
+    def length(speed: float) -> float:
+        """Return the way of a move with SPEED_HELD at the speed."""
+        ramp = max(speed / a + a / j, 2.0 * np.sqrt(speed / j))
+        return float(min(speed * (SPEED_HELD + ramp), room))
+
+    fastest = min(FASTEST * v, 0.2 * a)
+    for speed in (0.1 * fastest, 0.1 * fastest):  # what came before is forgotten
+        yield length(speed), speed
+        yield -length(speed), speed
+    for speed in np.geomspace(fastest, SLOWEST * v, SPEEDS):
+        yield length(speed), speed
+        yield -length(speed), speed
+    # Half periods t at speeds V and DIP V alternately: the mean speed stays.
+    high = 0.25 * fastest
+    times = np.geomspace(LONGEST_HALF, SHORTEST_HALF, HALVES)
+    for sign in (1.0, -1.0):
+        for k, time in enumerate(times):
+            speed = high * (DIP if k % 2 else 1.0)
+            yield sign * speed * time, speed
+    for way in np.geomspace(length(fastest), 20e-6 if axis.linear else 2e-4, 10):
+        yield way, fastest
+        yield -way, fastest

@@ -19,7 +19,7 @@ from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, Op
 from cnc_interp.client.setup_client import SetupClient, work_coordinates, zero_here
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.description.links import Description, describe_machine
+from cnc_interp.description.urdf import Description, describe_machine
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview

@@ -12,7 +12,7 @@ from nicegui import ui
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.description.links import (
+from cnc_interp.description.urdf import (
     BASE,
     TOOL_TIP,
     WORKPIECE,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tiers import few_of
 
-from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.shapes import BSplineSurface, RationalSurface
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.commands.cli import main

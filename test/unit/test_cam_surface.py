@@ -6,8 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.cam.shapes import Bumps, Cap, Cylinder, Plane, Torus
-from cnc_interp.cam.spline_surfaces import BSplineSurface, RationalSurface
+from cnc_interp.cam.shapes import (
+    BSplineSurface,
+    Bumps,
+    Cap,
+    Cylinder,
+    Plane,
+    RationalSurface,
+    Torus,
+)
 from cnc_interp.cam.surface import Placed, SurfaceError
 from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.core.units import MM

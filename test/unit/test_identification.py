@@ -12,8 +12,7 @@ from plan_directories import stroke
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.drives.excitation import excitation
-from cnc_interp.drives.identification import identify_axis, resolution_of, with_drives
+from cnc_interp.drives.identification import excitation, identify_axis, resolution_of, with_drives
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import yourdfpy
 
-from cnc_interp.description.links import TOOL_TIP, WORKPIECE, describe_machine
-from cnc_interp.description.urdf import urdf_of
+from cnc_interp.description.urdf import TOOL_TIP, WORKPIECE, describe_machine, urdf_of
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
 

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.description.links import describe_machine
+from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.machine import Machine
 
 CONFIG = Path(__file__).parents[2] / 'config'

@@ -74,7 +74,7 @@ def test_rapids_follow_their_override_and_cutting_does_not(bench):
     for value in (7.0, 0.25):
         rapid.publish(Float64(data=value))
     bench.spin_until(lambda: bench.state.rapid_override == 0.25)
-    assert any('7 refused' in text for _, text in bench.diagnostics)
+    bench.spin_until(lambda: any('7 refused' in text for _, text in bench.diagnostics))
     handle = bench.begin('G21 G90 G94\nTRAORI\nG0 X50 Y0 Z0 A10 C0\nG1 X60 F3000\nG0 X-50\nM30\n')
     bench.finish(handle)
     q, s = bench.recorded()

@@ -66,8 +66,8 @@ def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(
         files.append(tmp_path / name)
         files[-1].write_text(text)
     sent = [bench.send(program=str(file)) for file in files]
-    bench.spin_until(lambda: bench.peers.state.state == MachineState.RUNNING)
-    assert any('running a.ngc; then b.ngc, c.ngc' in text for _, text in bench.diagnostics)
+    told = 'running a.ngc; then b.ngc, c.ngc'
+    bench.spin_until(lambda: any(told in text for _, text in bench.diagnostics))
     results = [bench.result_of(handle) for handle, _ in sent]
     assert [result.code for result in results] == [Result.SUCCEEDED] * 3
     assert [loaded.name for loaded in bench.loaded[-3:]] == ['a.ngc', 'b.ngc', 'c.ngc']

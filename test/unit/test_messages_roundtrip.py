@@ -8,7 +8,8 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import G1Block, MachineState, PathSegment, SetpointChunk
 from programs import blocks_of as blocks_of_points
 from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
@@ -27,7 +28,7 @@ from cnc_interp.smoothing.segments import CORNER
 from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness
 from cnc_interp.wire import path_messages as messages
-from cnc_interp.wire.run_messages import run_id_of
+from cnc_interp.wire.run_messages import add_executed, run_id_of
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / 'shared' / 'programs'
@@ -356,3 +357,11 @@ def test_linear_rotary_axes_without_positions_are_refused():
     sent.rotary[8] = np.nan
     with pytest.raises(StreamError, match='control values of the rotary axes'):
         soundness.check_segment(sent)
+
+
+def test_a_result_tells_the_times_of_what_was_executed():
+    state = MachineState(samples=1201, approach_samples=200, interpolation_period=0.002)
+    result = RunProgram.Result()
+    add_executed(result, state)
+    assert (result.samples, result.path_length) == (1001, 0.0)
+    assert (result.cycle_time, result.approach_time) == pytest.approx((2.0, 0.4))

@@ -130,7 +130,6 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
 
 
 def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str:
-    """Write the table."""
     heads = ''.join(f'<th data-sort>{escape(heading)}</th>' for heading, _, _ in shown)
     lines = []
     for row in rows:

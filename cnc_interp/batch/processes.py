@@ -147,7 +147,6 @@ class Processes:
     def _start(
         self, function: Callable[[A], R], call: _Call[A], running: dict[Connection, _Running[A]]
     ) -> None:
-        """Start the process of a call."""
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(
             target=_live, args=(function, call.make(), theirs, self._memory), daemon=True

@@ -35,7 +35,6 @@ def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
 
 
 def _row(job: Job, outcome: Outcome, rate: float | None) -> dict[str, Any]:
-    """Return one row."""
     row = outcome.row
     own = {
         'program': job.program,

@@ -73,7 +73,6 @@ def _processor_time() -> float:
 
 
 def _planned(task: Task, processes: int) -> Row:
-    """Return the row of a task that can be planned."""
     machine = machine_of(task.model)
     settings = with_texts(Settings(), task.settings)
     setup = JobSetup.of_text(task.setup) if task.setup else None
@@ -109,7 +108,6 @@ def _use(proof: Proof, kind: str) -> float:
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Return a hash of the content of files."""
     digest = hashlib.sha256()
     for file in files:
         with file.open('rb') as stream:

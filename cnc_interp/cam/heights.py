@@ -333,7 +333,6 @@ def reduced(cells: FloatArray, kind: str) -> FloatArray:
 
 
 def _zarr() -> Any:
-    """Return the module that writes Zarr."""
     try:
         import zarr
     except ModuleNotFoundError as problem:

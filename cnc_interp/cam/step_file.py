@@ -245,7 +245,6 @@ class StepFace:
 
 
 def _parts(shape: Any, kind: Any) -> list[Any]:
-    """List the parts of a kind of a TopoDS shape."""
     from OCP.TopExp import TopExp_Explorer
 
     found, explorer = [], TopExp_Explorer(shape, kind)

@@ -94,7 +94,6 @@ def cut_by_warp(needle: FloatArray, sweep: Sweep, device: str) -> FloatArray:
 
 @cache
 def _kernel() -> Any:
-    """Return the compiled kernel."""
     import warp as wp
 
     names: dict[str, Any] = {'wp': wp, 'sqrt': wp.sqrt, 'min': wp.min, 'max': wp.max}

@@ -140,7 +140,6 @@ def _mill(added: argparse.ArgumentParser) -> None:
 
 
 def _face(added: argparse.ArgumentParser, several: bool = False) -> None:
-    """Add the choice of faces."""
     text = 'faces of a STEP file, machined in this order' if several else 'face of a STEP file'
     added.add_argument(
         '--face', type=int, metavar='N', nargs='+' if several else 1,

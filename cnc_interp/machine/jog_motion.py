@@ -175,7 +175,6 @@ class JogMotion:
         return found
 
     def _stop(self, state: FloatArray) -> ruckig.Trajectory:
-        """Return the fastest stop."""
         still = np.zeros(state.shape[1])
         return self._solve(state, still, np.full_like(still, np.nan), EACH_ALONE)
 

@@ -206,7 +206,6 @@ class Playback:
         self._forget_figures()
 
     def _empty(self) -> None:
-        """Empty the buffer."""
         self.buffer.clear(self.axes.setpoints[-1])
         #: The chunk that is being played, or whose tail is; and the row of it played last.
         self._current: BufferedChunk | None = None

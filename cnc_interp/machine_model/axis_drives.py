@@ -150,7 +150,6 @@ def axis_drives(
 
 
 def _drive(values: Any, where: str, linear: bool, load: DriveLoad | None) -> AxisDrive:
-    """Read one drive."""
     keys = [key_and_unit(entry, linear) for entry in ENTRIES]
     needed = [key for key, _ in keys[:NEEDED]]
     if not isinstance(values, dict) or not set(needed) <= set(values):

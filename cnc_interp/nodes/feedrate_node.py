@@ -258,7 +258,6 @@ class FeedrateNode(LifecycleNode):
             self._inlet.refuse(receiver.run_id, kind, reason)
 
     def _encode(self, chunk: Chunk, first: int) -> SetpointChunk:
-        """Make the message of one chunk."""
         planner = self._session.planner
         if planner is None:
             raise StreamError('a setpoint was asked for before its run')

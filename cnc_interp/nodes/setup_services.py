@@ -54,7 +54,6 @@ class SetupServices:
         self._publisher.publish(self._message())
 
     def _message(self) -> SetupMessage:
-        """Return the table as a message."""
         table, file = self._table, self._table.file
         return setup_table(
             table.setup, str(file) if file else '', self._zero, self._program_id, self._in_use,

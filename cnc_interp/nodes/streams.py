@@ -192,7 +192,6 @@ class Inlet:
         self._diagnostics.say(self.receiver.stream, *self._named, refused=self._refused.total())
 
     def _news(self) -> tuple[Any, ...]:
-        """Return an acknowledgement."""
         receiver = self.receiver
         return receiver.run_id, receiver.next_number, receiver.limit, receiver.refused
 

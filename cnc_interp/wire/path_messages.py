@@ -113,7 +113,6 @@ def segment_messages(
 def _segment_message(
     segments: PathSegments, i: int, run_id: RunId, sequence: int, height: float, end: bool
 ) -> PathSegment:
-    """Convert one segment to a message."""
     kind = int(segments.kind[i])
     message = PathSegment(
         program_id=run_id.program_id,

@@ -113,5 +113,4 @@ def _offsets(positions: Mapping[str, Position]) -> list[Offset]:
 
 
 def _offset(name: str, position: Position) -> Offset:
-    """Return one position as a message."""
     return Offset(name=name, axes=list(position), values=list(position.values()))

@@ -23,6 +23,9 @@ LINE_CURVE = (1, LINEAR_KNOTS, 2)
 CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
 
+#: Columns of ``Blocks`` whose field in ``G1Block`` has another name.
+FIELDS = {'extra': 'extra_axes'}
+
 
 def block_messages(
     blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
@@ -33,32 +36,19 @@ def block_messages(
     ``flank_height``: height over the tip at which the orientation tolerance counts [m]; ``end``:
     true when the last row is the program's last.
     """
-    spline = blocks.on_spline
+    columns: dict[str, list[Any]] = {'spline': blocks.on_spline.tolist()}
+    for name, declared in Blocks.declared.items():
+        values = getattr(blocks, name)
+        columns[FIELDS.get(name, name)] = list(values) if declared.tail else values.tolist()
+    columns['extra_axes'] = [packed(row) for row in blocks.extra]
     return [
         G1Block(
             program_id=run_id.program_id,
             attempt=run_id.attempt,
             sequence=first_sequence + i,
-            line_number=int(blocks.line_number[i]),
-            tip=blocks.tip[i],
-            axis=blocks.axis[i],
-            rotary=blocks.rotary[i],
-            interpolation=int(blocks.interpolation[i]),
-            rotary_from=blocks.rotary_from[i],
-            extra_axes=packed(blocks.extra[i]),
-            spline=bool(spline[i]),
-            top=blocks.top[i],
-            knot_interval=float(blocks.knot_interval[i]),
-            feedrate=float(blocks.feedrate[i]),
-            duration=float(blocks.duration[i]),
-            rapid=bool(blocks.rapid[i]),
-            contour_tolerance=float(blocks.contour_tolerance[i]),
-            orientation_tolerance=float(blocks.orientation_tolerance[i]),
             flank_height=flank_height,
-            exact_stop=bool(blocks.exact_stop[i]),
-            program_stop=int(blocks.program_stop[i]),
-            corner=int(blocks.corner[i]),
             end_of_program=end and i == len(blocks) - 1,
+            **{field: values[i] for field, values in columns.items()},
         )
         for i in range(len(blocks))
     ]
@@ -71,32 +61,13 @@ def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:
 
 def blocks_from(messages: list[G1Block]) -> Blocks:
     """Collect checked messages into the rows of a program."""
-
-    def column(field: str, kind: Any = np.float64) -> Any:
-        return np.array([getattr(message, field) for message in messages], dtype=kind)
-
-    linear = ~column('spline', np.bool_)
-    top, knot_interval = column('top'), column('knot_interval')
-    top[linear], knot_interval[linear] = np.nan, np.nan
-    return Blocks(
-        tip=column('tip'),
-        axis=column('axis'),
-        rotary=column('rotary'),
-        feedrate=column('feedrate'),
-        duration=column('duration'),
-        rapid=column('rapid', np.bool_),
-        exact_stop=column('exact_stop', np.bool_),
-        contour_tolerance=column('contour_tolerance'),
-        orientation_tolerance=column('orientation_tolerance'),
-        line_number=column('line_number', np.int64),
-        top=top,
-        knot_interval=knot_interval,
-        program_stop=column('program_stop', np.int64),
-        extra=column('extra_axes').reshape(len(messages), len(messages[0].extra_axes)),
-        interpolation=column('interpolation', np.int64),
-        rotary_from=column('rotary_from'),
-        corner=column('corner', np.int64),
-    )
+    columns = {
+        name: np.array([getattr(m, FIELDS.get(name, name)) for m in messages], declared.kind)
+        for name, declared in Blocks.declared.items()
+    }
+    linear = np.array([not message.spline for message in messages])
+    columns['top'][linear] = columns['knot_interval'][linear] = np.nan
+    return Blocks(**columns)
 
 
 def segment_messages(

@@ -77,7 +77,8 @@ class Flow(SiemensFlow):
         if head == 'G' and (match := _GOTO.fullmatch(line)):
             self.jump(match[1], match[2])
             return None
-        return None if self.siemens(line) else line
+        named = line[1:2].isalpha() or line[1:2] == '_' or head == 'L'
+        return None if named and self.siemens(line) else line
 
     def _values(self, text: str) -> list[float]:
         """Return the values of ``[...] [...]``."""

@@ -325,7 +325,7 @@ class GcodeReader:
         if any(key == 'BSPLINE' for key, _ in words.keys):
             self._cycle = None
             self.splines.begin()
-        moves = not {'X', 'Y', 'Z', *mover.rotary_letters}.isdisjoint(values)
+        moves = self._called is not None and not set('XYZ').isdisjoint(values)
         self._move(words, f is not None)
         for cycle in drilling or ([self._called] if moves and self._called else []):
             cycle.make()
@@ -343,7 +343,9 @@ class GcodeReader:
 
     def _siemens_cycle(self, words: BlockWords) -> list[SiemensCycle]:
         """Take the drilling cycles of Siemens out of a block; return those that it runs."""
-        mover, modal, found = self.mover, False, []
+        mover, modal, found = self.mover, False, list[SiemensCycle]()
+        if not words.keys:
+            return found
         for key, given in words.keys:
             if key == 'MCALL':
                 modal, self._called = True, None
@@ -351,8 +353,7 @@ class GcodeReader:
                 found.append(SiemensCycle(key, given, mover))
             elif key in siemens_cycles.PATTERNS:
                 self._drill_pattern(key, given)
-        own = {'MCALL', 'CYCLE80', *siemens_cycles.CYCLES, *siemens_cycles.PATTERNS}
-        words.keys[:] = [key for key in words.keys if key[0] not in own]
+        words.keys[:] = [key for key in words.keys if key[0] not in siemens_cycles.WORDS]
         if modal and found:
             self._called = found.pop()
         return found

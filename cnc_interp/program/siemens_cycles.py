@@ -20,6 +20,7 @@ from cnc_interp.program.motion import Mover
 
 CYCLES = {f'CYCLE{number}' for number in (81, 82, 83, 84, 840, 85, 86, 87, 88, 89)}
 PATTERNS = {'HOLES1', 'HOLES2'}
+WORDS = {'MCALL', 'CYCLE80', *CYCLES, *PATTERNS}
 _TAPPING = {'CYCLE84', 'CYCLE840'}
 _FEED_OUT = {*_TAPPING, 'CYCLE85', 'CYCLE89'}
 #: How far the tool goes back to break the chip, and how near it comes again [m].

@@ -145,7 +145,7 @@ def test_a_machine_of_ones_own_is_found_again_by_check(tmp_path, capsys):
             ':5: this loop does not end',
         ),
         ('word.ngc', 'F1000\nG1 X0\nG1 X10 Q2\n', ':3: Q2: this word has no meaning'),
-        ('tcp.ngc', 'F1000\nM428\nG0 G53 Z0\n', ':3: machine coordinates while tool-tip'),
+        ('tcp.nc', 'F1000\nG0 A5\nM428\nG0 G53 Z0\n', ':4: machine coordinates with tool-tip'),
         ('axis.apt', 'GOTO/0,0,0,0,0,1\nGOTO/9,0,0,0,0,0\n', ':2: GOTO: the tool axis is not'),
         ('travel.ngc', TCP + 'G1 X900\n', ':4: axis X would have to go to 940.000 mm'),
         ('feed.ngc', 'F-100\nG1 X0\nG1 X10\n', ':1: F-100: the feedrate must be greater'),

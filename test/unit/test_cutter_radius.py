@@ -1,6 +1,7 @@
 """Cutter radius compensation: the distance of the path from the contour, corners, refusals."""
 
 import re
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
@@ -205,3 +206,28 @@ def test_rotary_motion_is_refused_beside_a_contour():
         read('G41 D1\nG0 X0')
     with pytest.raises(ProgramError, match='upright'):
         read('TRAORI\nG0 X-20 Y0 A20 C0\nG41 D1\nG1 X0 Y0 F900\nX40', AC)
+
+
+@pytest.mark.parametrize('name', ['part.nc', 'part.ngc'])
+def test_edges_and_arcs_of_the_size_of_the_cutter_are_followed_or_refused(name):
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        radius, place = rng.choice([1.0, 2.0, 5.0]), 0j
+        lines = [
+            'G0 X-20 Y-20 Z0 F900',
+            f'{rng.choice(["G41.1", "G42.1"])} D{2 * radius}',
+            'X0 Y0',
+        ]
+        for size in radius * rng.choice([0.5, 1.0, 1.0001, 2.0, 1e-3], rng.integers(2, 9)):
+            arm = size * np.exp(1j * DEG * rng.choice([0, 90, 180, 270, rng.uniform(0, 360)]))
+            turn = DEG * rng.choice([90, 180, 360, rng.uniform(1, 359)]) * rng.choice([-1, 0, 1])
+            end = place + (arm if not turn else arm * (1 - np.exp(1j * turn)))
+            code = (
+                'G1'
+                if not turn
+                else f'{"G3" if turn > 0 else "G2"} I{arm.real:.5f} J{arm.imag:.5f}'
+            )
+            lines.append(f'{code} X{end.real:.4f} Y{end.imag:.4f}')
+            place = complex(round(end.real, 4), round(end.imag, 4))
+        with suppress(ProgramError):
+            read('\n'.join([*lines, 'G40 G1 X-30 Y-30', 'M2']), name=name)

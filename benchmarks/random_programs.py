@@ -17,6 +17,7 @@ It prints what is doubtful with its seed, and a table at the end.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import re
 import signal
@@ -693,7 +694,7 @@ def main() -> None:
     reasons: Counter[str] = Counter()
     signal.signal(signal.SIGPROF, too_long)
     begun = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
+    with contextlib.suppress(KeyboardInterrupt), tempfile.TemporaryDirectory() as folder:
         for seed in range(options.first, options.first + options.count):
             text, writer = made(seed, machines)
             proof = seed % options.proof == 0
@@ -711,7 +712,8 @@ def main() -> None:
                 reasons['refused: ' + re.sub(r'[-+]?\d[\d.e+-]*', '#', doubts[0])[:90]] += 1
             if what != 'sound':
                 print(seed, writer.machine.name, what, *doubts[-7:], sep='\n  ', flush=True)
-    print(json.dumps({'programs': options.count, **counts,
+    ended = sum(counts[what] for what in ('sound', 'doubtful', 'refused', 'traceback'))
+    print(json.dumps({'programs': ended, **counts,
                       'all [CPU s]': round(time.process_time() - begun)}))  # fmt: skip
     for reason, times in reasons.most_common():
         print(f'{times:6} {reason}')

@@ -47,6 +47,8 @@ SEARCH, LAST = 6, 60
 GAIN = 1e-4
 #: Share of feedback positions that are whole steps of a measuring system's resolution.
 WHOLE = 0.98
+#: Errors further apart in time are not correlated, unless the axis stands at the same place [s].
+CORRELATED = 0.1
 #: Two-sided 95 % of the normal distribution.
 SIGMAS = 1.96
 
@@ -171,6 +173,34 @@ def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
     return near
 
 
+def spreads_of(
+    jacobian: FloatArray, residual: FloatArray, place: FloatArray, lags: int
+) -> FloatArray:
+    """
+    Return the standard deviations of numbers fitted by least squares, shape (k,).
+
+    With P = (J^T J)^-1 J^T the covariance is P S P^T. S has two parts, whose common diagonal
+    counts once: errors near in time, by the autocorrelation of the residual; and errors at one
+    place. The rounding of a measuring system is the same whenever the axis stands there, and does
+    not average out. Places nearer than half the residual are one.
+    """
+    weights, count = np.linalg.pinv(jacobian), len(residual)
+    size = 1 << (2 * count - 1).bit_length()
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2, size)[:count] / count
+    covariance[lags:] = 0.0
+    covariance[:lags] *= 1.0 - np.arange(lags) / lags  # so that no variance is negative
+    spectrum = np.abs(np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]), size))
+    width = max(0.5 * float(np.std(residual)), 1e-15)
+    cell = np.unique(np.floor((place - place.min()) / width), return_inverse=True)[1]
+    found = []
+    for row in weights:
+        in_time = row @ np.fft.irfft(np.fft.rfft(row, size) * spectrum, size)[:count]
+        scores = row * residual
+        in_place = (np.bincount(cell, weights=scores) ** 2).sum() - (scores**2).sum()
+        found.append(in_time + max(float(in_place), 0.0))
+    return np.asarray(np.sqrt(np.maximum(found, 0.0)))
+
+
 class _Fit:
     """The fit of one axis."""
 
@@ -267,23 +297,15 @@ class _Fit:
         residual: FloatArray,
     ) -> dict[str, float]:
         """
-        Return half widths of 95 % intervals: SIGMAS sqrt(diag(P^T S P)), P = (J^T J)^-1 J^T.
+        Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers.
 
-        S is the covariance of the residual, of which the autocorrelation is taken.
+        The positions of the model tell where the measuring system was read.
         """
-        weights = np.linalg.pinv(jacobian)
-        count = len(residual)
-        size = 1 << (2 * count - 1).bit_length()
-        power = np.abs(np.fft.rfft(residual, size)) ** 2
-        covariance = np.fft.irfft(power, size)[:count] / count
-        lags = min(count - 1, round(0.1 / self._period))
-        covariance[lags:] = 0.0
-        covariance[:lags] *= 1.0 - np.arange(lags) / lags  # so that no variance is negative
-        spectrum = np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]), size)
-        widths = {}
-        for parameter, row in zip(parameters, weights, strict=True):
-            spread = np.fft.irfft(np.fft.rfft(row, size) * np.abs(spectrum), size)[:count]
-            widths[parameter.name] = SIGMAS * float(np.sqrt(max(row @ spread, 0.0)))
+        place = self.answer(*self._model(values))[self._counts]
+        lags = min(len(residual) - 1, round(CORRELATED / self._period))
+        spreads = SIGMAS * spreads_of(jacobian, residual, place, lags)
+        names = (each.name for each in parameters)
+        widths = dict(zip(names, spreads.tolist(), strict=True))
         if self._load is not None:
             inertia = self._load.inertia
             both = np.hypot(widths['coulomb'], widths['static'])

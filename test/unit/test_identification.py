@@ -12,7 +12,13 @@ from plan_directories import stroke
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.drives.identification import excitation, identify_axis, resolution_of, with_drives
+from cnc_interp.drives.identification import (
+    excitation,
+    identify_axis,
+    resolution_of,
+    spreads_of,
+    with_drives,
+)
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file
@@ -86,6 +92,21 @@ def test_the_resolution_is_seen_in_positions():
     way = 3 * MM * np.sin(np.arange(3000) * 2e-3)
     assert resolution_of(0.5 * UM * np.round(way / (0.5 * UM))) == pytest.approx(0.5 * UM)
     assert resolution_of(way) == 0.0
+
+
+def test_rounding_that_comes_back_at_each_rest_widens_the_intervals():
+    """A number is fitted from rests at 40 places; within one all samples are rounded alike."""
+    rng = np.random.default_rng(3)
+    rest = np.repeat(np.arange(40), 100)
+    lever = rng.normal(size=(40, 1))[rest]
+    place = rng.uniform(0.0, 1.0, 40)[rest]
+    fitted_by, off, wide = np.linalg.pinv(lever)[0], [], []
+    for _ in range(200):
+        error = rng.uniform(-0.5, 0.5, 40)[rest] * UM + rng.normal(scale=0.1 * UM, size=len(rest))
+        off.append(fitted_by @ error)
+        wide.append(spreads_of(lever, error - lever[:, 0] * off[-1], place, 1)[0])
+    assert np.mean(wide) == pytest.approx(np.std(off), rel=0.15)
+    assert 0.9 < np.mean(np.abs(off) < 1.96 * np.array(wide)) < 0.99
 
 
 @pytest.mark.parametrize('name', ['xyzac', 'ram_mill', 'head_head', 'xyza'])

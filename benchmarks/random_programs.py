@@ -155,6 +155,11 @@ class Writer:
         ))  # fmt: skip
         self.words, self.next_stops = path[-1].copy(), False
 
+    def shares(self, end: Rows) -> Rows:
+        """Return shares of a line, closer where axes turn far, shape (n, 1)."""
+        turn = np.abs(end - self.words)[self.turning].max(initial=0.0)
+        return np.linspace(0.0, 1.0, POSES * (1 + int(4.0 * turn)))[:, None]
+
     def feed(self) -> str:
         """Return the feed word of a block."""
         if self.timed:
@@ -176,7 +181,7 @@ class Writer:
         back, self.absolute = '' if self.absolute else 'G90 ', True
         text, end = self.printed(self.target(0.0), self.axes())
         line = self.say(f'{back}G0 {text}')
-        share = np.linspace(0.0, 1.0, POSES)[:, None] if known else np.ones((1, 1))
+        share = self.shares(end) if known else np.ones((1, 1))
         self.move(line, self.words + share * (end - self.words), known)
 
     def axes(self) -> list[int]:
@@ -219,8 +224,7 @@ class Writer:
         stop = 'G9 ' if self.siemens and rng.random() < 0.2 else ''
         self.next_stops = bool(stop)
         line = self.say(f'{stop}{code} {text}{feed}')
-        share = np.linspace(0.0, 1.0, POSES)[:, None]
-        self.move(line, self.words + share * (end - self.words))
+        self.move(line, self.words + self.shares(end) * (end - self.words))
 
     def arc(self) -> None:
         """Write an arc or a helix, with rotary motion at times."""

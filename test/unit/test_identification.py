@@ -106,7 +106,7 @@ def test_rounding_that_comes_back_at_each_rest_widens_the_intervals():
         off.append(fitted_by @ error)
         wide.append(spreads_of(lever, error - lever[:, 0] * off[-1], place, 1)[0])
     assert np.mean(wide) == pytest.approx(np.std(off), rel=0.15)
-    assert 0.9 < np.mean(np.abs(off) < 1.96 * np.array(wide)) < 0.99
+    assert 0.85 < np.mean(np.abs(off) < 1.96 * np.array(wide)) < 0.99
 
 
 @pytest.mark.parametrize('name', ['xyzac', 'ram_mill', 'head_head', 'xyza'])

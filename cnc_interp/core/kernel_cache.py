@@ -8,9 +8,11 @@ imports from this package, directly or through others.
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import re
+import sys
 from collections.abc import Callable, MutableMapping
 from functools import cache
 from pathlib import Path
@@ -58,6 +60,33 @@ def folder() -> Path:
     return Path(cache_home) / PACKAGE.name / 'kernels'
 
 
+@cache
+def _one_process_at_a_time() -> None:
+    """
+    Let numba's files be written by one process while no other reads or writes them.
+
+    numba numbers the forms of a kernel. Two processes that compile different forms at once would
+    take the same number, and one form would be called by the machine code of the other.
+    """
+    from numba.core.caching import IndexDataCacheFile as Files
+
+    def locked(act: Callable[..., Any], how: int) -> Callable[..., Any]:
+        def after_lock(files: Any, *given: Any) -> Any:
+            try:
+                lock = os.open(Path(files._cache_path, 'lock'), os.O_RDONLY | os.O_CREAT, 0o666)
+            except OSError:  # no folder yet, or one that nobody may write
+                return act(files, *given)
+            try:
+                fcntl.flock(lock, how)
+                return act(files, *given)
+            finally:
+                os.close(lock)
+
+        return after_lock
+
+    Files.save, Files.load = locked(Files.save, fcntl.LOCK_EX), locked(Files.load, fcntl.LOCK_SH)
+
+
 class KernelLocator:
     """Tells numba where the code of a kernel is kept, and whether it is current."""
 
@@ -71,6 +100,7 @@ class KernelLocator:
         from cnc_interp.core import compile_time  # noqa: F401 - it needs numba, and hears it
 
         path = Path(file).resolve()
+        _one_process_at_a_time()
         return cls(path) if path.is_relative_to(PACKAGE) else None
 
     def ensure_cache_path(self) -> None:
@@ -95,3 +125,5 @@ def register(environment: MutableMapping[str, str]) -> None:
     """Let numba ask this module first; other packages keep numba's own way."""
     ours = f'{__name__}.{KernelLocator.__name__}'
     environment.setdefault(LOCATORS, f'{ours},InTreeCacheLocator,UserWideCacheLocator')
+    if 'numba.core.config' in sys.modules:  # somebody else has imported numba before
+        sys.modules['numba.core.config'].reload_config()

@@ -37,18 +37,34 @@ def package(tmp_path):
     return folder
 
 
-def outer(package):
-    """What the outer kernel says in a fresh process, and whether its code was there."""
-    environment = {
+TWICE = 'from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return x + x\n'
+#: Compiles one form of a kernel; between reading numba's index and writing it time passes.
+SLOWLY = (
+    'import time\nfrom numba.core.caching import IndexDataCacheFile as Files\n'
+    'from pack.twice import twice\nread = Files._load_index\n'
+    'def slow(self):\n    found = read(self)\n    time.sleep(1.0)\n    return found\n'
+    'Files._load_index = slow\nprint(twice({value}))\n'
+)
+
+
+def environment(package):
+    """Variables of a process that finds the package, and its kernels in the package's folder."""
+    found = {
         **os.environ,
         'PYTHONPATH': str(package.parent),
         'PYTHONDONTWRITEBYTECODE': '1',  # Python itself misses a change within the same second
     }
     for name in (kernel_cache.LOCATORS, kernel_cache.FOLDER):
-        environment.pop(name, None)
+        found.pop(name, None)
+    return found
+
+
+def outer(package):
+    """What the outer kernel says in a fresh process, and whether its code was there."""
     done = subprocess.run(
-        [sys.executable, '-c', ASK], env=environment, capture_output=True, text=True, check=True
-    )
+        [sys.executable, '-c', ASK], env=environment(package), capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
     said, found = done.stdout.split()
     return int(said), found == '1'
 
@@ -62,6 +78,25 @@ def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package
     (package / 'inner.py').write_text(INNER.replace('return VALUE', 'return 10 * VALUE'))
     assert outer(package) == (20, False)
     assert outer(package) == (20, True)
+
+
+def test_two_processes_that_compile_two_forms_at_once_keep_both(package):
+    (package / 'twice.py').write_text(TWICE)
+    values = [2, 0.75]
+    started = [
+        subprocess.Popen(
+            [sys.executable, '-c', SLOWLY.format(value=value)],
+            env=environment(package), stdout=subprocess.PIPE, text=True,
+        )
+        for value in values
+    ]  # fmt: skip
+    assert [float(process.communicate()[0]) for process in started] == [4.0, 1.5]
+    ask = 'from pack.twice import twice; print(twice(2), twice(0.75), twice.stats.cache_misses)'
+    done = subprocess.run(
+        [sys.executable, '-c', ask], env=environment(package), capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ['4', '1.5', 'Counter()']
 
 
 def test_every_kernel_of_the_package_is_told_apart():

@@ -216,7 +216,7 @@ def test_missing_things_get_one_line(tmp_path, capsys):
     for arguments, says in (
         (['plan', 'nowhere.ngc', '--out', str(tmp_path)], 'nowhere.ngc: cannot be opened'),
         (['plan', program, '--machine', 'hermle', '--out', str(tmp_path)], "no machine 'hermle'"),
-        (['plan', program, '--out', str(blocked / 'plan')], 'Not a directory'),
+        (['plan', program, '--out', str(blocked / 'plan')], 'a file stands where'),
         (['check', str(tmp_path)], 'summary.json: cannot be read'),
         (['report', str(tmp_path)], 'summary.json: cannot be read'),
     ):

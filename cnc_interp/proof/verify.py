@@ -342,7 +342,9 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
     chord = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     timed = np.isfinite(duration) & (duration > 0.0)
     feed = np.where(np.isnan(blocks['feed']), np.inf, blocks['feed'])
-    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK))
+    # Rows that do not move at all are left out of the path, and take no time.
+    turned = plan.flank_height * np.abs(np.diff(blocks['axis'], axis=0)).max(axis=1)
+    turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK) & (turned > SLACK))
     if lines is not None:
         turning = turning[~lines.linear[turning]]
         chord = np.where(lines.linear, lines.lengths, chord)

@@ -97,13 +97,13 @@ class Walk:
 
     def touch_off(self) -> None:
         """Say what the axes read here."""
-        self._tab.click('offsets')
+        self._tab.click('show touch off')
         for axis in 'XYZ':
             self._tab.fill(f'here {axis}', '0')
-        self.picture('touch_off', 'here X', 'touch off', 'G54 X', 'new tool number')
+        self.picture('touch_off', 'here X', 'touch off', 'work X', 'offsets')
         self._tab.click('touch off')
         self._tab.wait(lambda: self._tab.text('work Z') == '0.000')
-        self._tab.click('close setup')
+        self._tab.click('show touch off')
         self._tab.wait(lambda: self._tab.text('status') == 'planned')
         self.give('G0 Z40')
 

@@ -118,7 +118,8 @@ class Desk:
         self.lines = LineHistory()
         self.switched = dict.fromkeys(SWITCHES, False)
         self.tube, self.tube_number = b'', 0
-        self._drawn = np.zeros(0)  # path lengths at the points of the tube [m]
+        # path lengths at the points of the tube [m], and lines of the blocks that lead there
+        self._drawn, self._drawn_lines = np.zeros(0), np.zeros(0, dtype=np.int64)
         self._jobs = 0
         self._planner: Planner | None = None
         self._running: Job | None = None
@@ -165,6 +166,11 @@ class Desk:
     def drawn_until(self, s: float) -> int:
         """Return the number of the drawn point that lies before a path length [m]."""
         return max(0, int(np.searchsorted(self._drawn, s, side='right')) - 1)
+
+    def drawn_line(self, point: int) -> int:
+        """Return the line of the program that leads to a drawn point; 0 if there is none."""
+        lines = self._drawn_lines
+        return int(lines[point]) if 0 <= point < len(lines) else 0
 
     def feeds(self, state: MachineState) -> tuple[float, float]:
         """Return programmed feed and limit of the axes where the machine is; NaN if unknown."""
@@ -275,8 +281,8 @@ class Desk:
     def _set_job(self, planner: Planner, job: Job) -> Job:
         """Make a job the loaded one and plan it."""
         self._jobs += 1
-        before = self.job.name if self.job is not None else ''
-        self.nodes.alarms.hide(lambda alarm: alarm.source in ('program', before))
+        # What others than the machine told was about the program before.
+        self.nodes.alarms.hide(lambda alarm: 'machine_node' not in alarm.source)
         job.number, job.status, job.proven = self._jobs, 'planning', None
         job.failed, job.fault_lines = False, ()
         self.job = job
@@ -306,7 +312,7 @@ class Desk:
         self.tube, drawn = await asyncio.to_thread(
             tube, plan.tip, plan.feed, plan.usual_feed, radius
         )
-        self._drawn = plan.s[drawn]
+        self._drawn, self._drawn_lines = plan.s[drawn], plan.line[drawn]
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
         warnings = warnings_of(plan.notices)

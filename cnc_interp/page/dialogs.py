@@ -167,11 +167,6 @@ class SetupDialog:
                     ui.label(text).classes('name')
                 for name in (*WORK_OFFSETS, 'G92'):
                     self._offset_row(name, axes)
-                self._name('here reads')
-                for letter in axes:
-                    self._field(f'here {letter}', '')
-                ui.label('')
-                self._reading_key('touch off', 'touch off', partial(self._touch_off, axes))
             ui.label('tools [mm]').classes('title')
             with ui.element('div').classes('rows tools'):
                 for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
@@ -303,12 +298,6 @@ class SetupDialog:
         if values is not None:
             await self._ask('set_offset', offset=name, clear=True, **_of_axes(values))
 
-    async def _touch_off(self, axes: list[str]) -> None:
-        """Set the active offset from where the axes stand."""
-        values = self._values({k: (f'here {k}', unit_of(k)) for k in axes})
-        if values is not None:
-            await self._ask('touch_off', **_of_axes(values))
-
     async def _set_tool(self, mark: str, number: int | None) -> None:
         """Set a tool to what its fields say."""
         marks = {name: (f'{mark} {name}', MM) for name in LENGTHS}
@@ -330,3 +319,55 @@ class SetupDialog:
 def _of_axes(values: dict[str, float]) -> dict[str, Any]:
     """Return values by axis letter as fields of a request."""
     return {'axes': list(values), 'values': list(values.values())}
+
+
+class TouchOffField:
+    """What the axes read where they stand, in one page; it covers nothing but the view."""
+
+    def __init__(
+        self,
+        setup: SetupClient,
+        axes: tuple[str, ...],
+        length: Callable[[], float],
+        command: Command,
+    ):
+        self._setup, self._length, self._command = setup, length, command
+        self._fields: dict[str, Any] = {}
+        with ui.element('div').classes('pose touch') as self._box:
+            ui.label('touch off: here reads, in the active offset').classes('small wide')
+            for name in axes:
+                field = ui.input().props('dense outlined inputmode=decimal autocomplete=off')
+                self._fields[name] = field.props(f'prefix={name} data-mark="here {name}"')
+            key = ui.button('touch off', color='blue-grey-8')
+            key.props('dense unelevated no-caps data-mark="touch off"').classes('wide')
+            act_on_shown(key, 'click', self._fields.values(), self._touch_off)
+        self._box.set_visibility(False)
+
+    def toggle(self) -> None:
+        """Show the fields, or hide them."""
+        self._box.set_visibility(not self._box.visible)
+
+    async def _touch_off(self) -> None:
+        """Set the active offset from where the axes stand; what is empty stays as it is."""
+        texts = {name: str(field.value or '').strip() for name, field in self._fields.items()}
+        try:
+            values = {
+                name: float(text.replace(',', '.'))
+                * (self._length() if unit_of(name) == MM else unit_of(name))
+                for name, text in texts.items()
+                if text
+            }
+            if not values or not all(map(math.isfinite, values.values())):
+                raise ValueError
+        except ValueError:
+            ui.notify('write numbers; a field that is empty stays as it is', type='warning')
+            return
+
+        async def asked() -> Answer:
+            request = self._setup.ask('touch_off', **_of_axes(values))
+            answer = await asyncio.wrap_future(request)
+            if answer.ok:
+                ui.notify(answer.message.partition(': ')[2])
+            return answer
+
+        await self._command(asked)

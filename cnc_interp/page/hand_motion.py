@@ -31,6 +31,8 @@ ARROWS = {
     'ArrowLeft': ('X', -1), 'ArrowRight': ('X', 1), 'ArrowDown': ('Y', -1), 'ArrowUp': ('Y', 1),
     'PageDown': ('Z', -1), 'PageUp': ('Z', 1),
 }  # fmt: skip
+#: Axes whose keys form a cross, with those of Z beside it.
+CROSS = 'XYZ'
 #: Name of the motion along the tool among the axes.
 TOOL = 'tool'
 #: Step of a key [mm, deg]; without one the axis moves while the key is held.
@@ -79,7 +81,12 @@ class JogPad:
         with ui.element('div').classes('jog') as self._pad:
             steps = ui.toggle([HOLD, *STEPS], value=HOLD, on_change=self._choose)
             steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
-            for name in (*self._names, TOOL):
+            crossed = [name for name in CROSS if name in self._names]
+            with ui.element('div').classes('cross'):
+                for name in crossed:
+                    for sign in (-1, 1):
+                        self._key(name, sign, f'{name}{"+" if sign > 0 else "−"}')
+            for name in (*(name for name in self._names if name not in crossed), TOOL):
                 with ui.element('div').classes('pairs'):
                     self._key(name, -1)
                     ui.label(name).classes('name')
@@ -93,10 +100,11 @@ class JogPad:
         self._pad.props(f'data-step={HOLD}').set_visibility(False)
         ui.on('jog', self._beat)
 
-    def _key(self, name: str, sign: int) -> None:
+    def _key(self, name: str, sign: int, text: str = '') -> None:
         """Make one key."""
-        text = '+' if sign > 0 else '−'
+        text = text or ('+' if sign > 0 else '−')
         key = ui.button(text, color='blue-grey-8').classes('moves')
+        key.classes(f'{name.lower()}{"plus" if sign > 0 else "minus"}')
         key.props(f'dense unelevated no-caps data-mark="jog {name}{"+" if sign > 0 else "-"}"')
         key.on(
             'pointerdown',

@@ -36,10 +36,28 @@ window.listing = {
     this.go();
   },
   pick(row) {
-    if (!row) return;
-    this.picked = Number(row.firstElementChild.textContent);
-    emitEvent('pick_line', { line: this.picked });
+    if (row) this.choose(Number(row.firstElementChild.textContent), false);
+  },
+  // Take a line for the next start; one that was not pressed here is brought into sight.
+  choose(number, scrolls = true) {
+    this.picked = number;
+    emitEvent('pick_line', { line: number });
+    const [box] = this.parts();
+    if (scrolls) {
+      this.follows = false;
+      box.scrollTop = (number - 1) * this.ROW - 0.45 * box.clientHeight;
+    }
     this.draw();
+  },
+  // The next line after the picked one that has the text, from the top again after the last.
+  find(text) {
+    const count = this.lines.length;
+    const wanted = text.trim().toUpperCase();
+    for (let k = 0; wanted && k < count; k++) {
+      const at = (this.picked + k) % count;
+      if (this.lines[at].toUpperCase().includes(wanted)) return this.choose(at + 1);
+    }
+    if (wanted) Quasar.Notify.create({ type: 'warning', message: `${wanted}: in no line of the program` });
   },
   let_go() {
     this.follows = false;

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.compile_time import COMPILING
 from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.temporary_folder import TemporaryFolder
@@ -67,6 +67,7 @@ class Preview:
     #: (N,): Path length at the end of the block that leads to the point [m].
     block_end: FloatArray
     rapid: BoolArray  #: (N,): Whether that block is a rapid.
+    line: IntArray  #: (N,): Its line of the program.
     cycle_time: float  #: Of the whole program [s].
     notices: tuple[str, ...] = ()  #: What had no effect or was simplified.
     bound: str = ''  #: The least time that any motion takes, in words.
@@ -108,13 +109,14 @@ class Preview:
                 for name in ('tip', 'axis', 'feed', 'programmed_feed', 'feed_limit')
             }
         with np.load(directory / 'blocks.npz') as blocks:
-            rapid = blocks['rapid'][block[rows]]
+            rapid, line = blocks['rapid'][block[rows]], blocks['line'][block[rows]]
         summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
         return Preview(
             s=s[rows],
             time=time,
             block_end=block_end,
             rapid=rapid,
+            line=line,
             cycle_time=summary['cycle_time'],
             notices=notices,
             bound=bound_text(summary),

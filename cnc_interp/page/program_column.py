@@ -21,6 +21,9 @@ class Listing:
     def __init__(self) -> None:
         self._number = -1
         self._marked: tuple[int, tuple[int, ...], int] = (0, (), 0)
+        find = ui.input(placeholder='find in the program, Enter for the next')
+        find.props('dense outlined autocomplete=off spellcheck=false data-mark="find"')
+        find.on('keydown.enter', js_handler='(event) => listing.find(event.target.value)')
         ui.html('<ol></ol>', sanitize=False).classes('lines').props('tabindex=0 data-mark="lines"')
         key = ui.button('to the line').props('dense no-caps unelevated color=blue-grey-8')
         key.props('data-mark="to the line"').classes('to-line')

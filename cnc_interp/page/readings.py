@@ -10,7 +10,7 @@ from nicegui import ui
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.operator_client import MachineState
 from cnc_interp.client.setup_client import shown
-from cnc_interp.core.units import MM, MM_PER_MIN, MS, UM
+from cnc_interp.core.units import INCH, MM, MM_PER_MIN, MS, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.desk import TIP_CODE, Desk
 from cnc_interp.page.preview import Preview
@@ -19,6 +19,23 @@ from cnc_interp.wire.machine_state import state_of
 NOTHING = '–'
 #: Shifts and turns of the program, whose amounts no node tells.
 NOT_SHOWN = ('G52', 'TRANS', 'ROT', 'G68', 'G68.2', 'CYCLE800')
+
+
+#: Read-outs of lengths, and of feeds, beside those of linear axes.
+LENGTHS = ('tip x', 'tip y', 'tip z', 'to go')
+FEEDS = ('feed', 'programmed')
+
+
+def in_inches(words: dict[str, str], machine: Machine | None) -> dict[str, str]:
+    """Return read-outs in inches and inches per minute, of those in mm."""
+    found, linear = dict(words), []
+    if machine is not None:
+        linear = [a.name for a, yes in zip(machine.axes, machine.is_linear, strict=True) if yes]
+    lengths = {*LENGTHS, *(f'{what} {name}' for what in ('work', 'axis') for name in linear)}
+    for name, digits in (*((name, 4) for name in lengths), *((name, 1) for name in FEEDS)):
+        if words.get(name, NOTHING) != NOTHING:
+            found[name] = f'{float(words[name]) * MM / INCH:z.{digits}f}'
+    return found
 
 
 def readings(desk: Desk) -> dict[str, str]:
@@ -134,7 +151,7 @@ def clock(seconds: float) -> str:
 def alarms_html(alarms: list[Alarm]) -> str:
     """Return alarms as paragraphs."""
     return ''.join(
-        f'<p class="{alarm.level}">{alarm.time} {escape(alarm.source)}: {escape(alarm.message)}'
+        f'<p class="{alarm.level}">{alarm.time} {escape(alarm.message)}'
         + (f' <b>({alarm.count} times)</b></p>' if alarm.count > 1 else '</p>')
         for alarm in alarms
     )
@@ -148,6 +165,8 @@ def history_text(alarms: list[Alarm]) -> str:
     )
 
 
+#: Messages by weight: what needs hands stands first.
+WEIGHTS = ('error', 'warning', 'notice')
 #: Messages shown beside the program.
 SHOWN = 30
 
@@ -186,7 +205,9 @@ class Messages:
 
     def show(self) -> None:
         """Show what is new."""
-        alarms = self._alarms.newest_first[:SHOWN]
+        alarms = sorted(self._alarms.newest_first, key=lambda one: WEIGHTS.index(one.level))[
+            :SHOWN
+        ]
         if alarms != self._shown:
             self._shown = alarms
             self._list.set_content(alarms_html(alarms))

@@ -290,6 +290,8 @@ class MachineView:
             self._path.delete()
         with self._scene, self._workpiece:
             self._path = self._scene.gltf(f'/path/{number}.glb')
+        words = self._scene.id, self._path.id, SIDES
+        ui.run_javascript(f'scene.pickable({", ".join(map(json.dumps, words))})')
         self._extent = plan.tip.min(axis=0), plan.tip.max(axis=0)
         self._done = 0
         self._show_triad()

@@ -34,6 +34,7 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'keyboard': {'MARKS': MARKS},
     'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN},
     'scene': {},
+    'preferences': {},
 }
 
 

@@ -10,16 +10,16 @@ from nicegui import events, ui
 
 from cnc_interp.client.operator_client import SWITCHES, Answer
 from cnc_interp.client.setup_client import work_zero
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core.units import INCH, MM, MM_PER_MIN
 from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
 from cnc_interp.page.contact import AGAIN, LATE, Contact, pressing
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
-from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
+from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, TouchOffField, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField
 from cnc_interp.page.overrides import OverrideSlider, RapidKeys, Switch
 from cnc_interp.page.program_column import Listing, MdiField, StartField
-from cnc_interp.page.readings import NOTHING, Messages, progress, readings
+from cnc_interp.page.readings import NOTHING, Messages, in_inches, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.settings.choices import Settings
 
@@ -40,6 +40,7 @@ class Page:
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         self._zeros: list[Any] = []
+        self._units: list[tuple[Any, str]] = []  # labels that name a unit, and their text in mm
         self._count = 0
         self._waits = False
         access.enter(tab, trusted)
@@ -59,6 +60,10 @@ class Page:
         self._settings = SettingsDialog(self._use)
         self._setup = SetupDialog(desk.setup, self._command_in_sight)
         self._keyboard = keyboard_list()
+        self._inch = False
+        ui.on('inch', lambda event: self._use_inches(bool(event.args)))
+        ui.on('pick_point', self._pick_point)
+        ui.run_javascript('preferences.apply()')
         ui.timer(PACE, self._show)
         ui.context.client.on_connect(self._override.show_again)
         ui.context.client.on_connect(self._listing.show_again)
@@ -77,6 +82,10 @@ class Page:
             marked(ui.element('div').classes('contact'), 'contact')
             keyboard = ui.button('?', on_click=lambda: self._keyboard.open())
             marked(keyboard.props('dense outline no-caps'), 'keyboard').tooltip('keyboard')
+            for mark, act in (('inch', '() => preferences.toggle("inch")'),
+                              ('light', '() => preferences.toggle("light")')):  # fmt: skip
+                key = ui.button(mark).props('dense outline no-caps').on('click', js_handler=act)
+                marked(key, mark)
             self._label('rights', '')
             self._take = ui.button('take over', on_click=self._take_over)
             marked(self._take.props('dense outline no-caps'), 'take over')
@@ -95,7 +104,7 @@ class Page:
         for title, mark, letters in (
             ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
         ):  # fmt: skip
-            ui.html(f'<h2>{title}</h2>', sanitize=False)
+            self._unit(ui.label(title).classes('heading'), title)
             with ui.element('div').classes('three'):
                 for letter, name in zip(letters, 'xyz', strict=True):
                     with ui.element('div'):
@@ -132,11 +141,15 @@ class Page:
             key.props('dense flat no-caps').tooltip(f'{mark}: {hint}')
             self._zeros.append(marked(key.classes('moves' if 'go' in mark else ''), mark))
 
+    def _unit(self, label: Any, text: str) -> None:
+        """Remember a label whose text names a unit."""
+        self._units.append((label, text))
+
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
             ui.label(title).classes('name')
             self._label(name)
-            ui.label(unit).classes('unit' if unit else '')
+            self._unit(ui.label(unit).classes('unit' if unit else ''), unit)
 
     def _build_view(self) -> None:
         description = self._desk.description
@@ -151,6 +164,8 @@ class Page:
             marked(jog, 'jog')
             pose = ui.button('pose').props('dense no-caps unelevated color=blue-grey-9')
             marked(pose, 'pose')
+            touch = ui.button('touch off').props('dense no-caps unelevated color=blue-grey-9')
+            marked(touch, 'show touch off')
             offsets = ui.button('offsets', on_click=lambda: self._setup.open())
             marked(offsets.props('dense no-caps unelevated color=blue-grey-9'), 'offsets')
         self._pad: JogPad | None = None
@@ -164,6 +179,13 @@ class Page:
             jog.on_click(pad.toggle)
             field = PoseField(self._desk.nodes, lambda: pad.speed, self._command_in_sight)
             pose.on_click(field.toggle)
+            reads = TouchOffField(
+                self._desk.setup,
+                self._desk.machine.axis_names,
+                lambda: self._length,
+                self._command_in_sight,
+            )
+            touch.on_click(reads.toggle)
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -337,6 +359,22 @@ class Page:
                 type='warning',
             )
 
+    @property
+    def _length(self) -> float:
+        """The unit of lengths on this page [m]."""
+        return INCH if self._inch else MM
+
+    def _use_inches(self, on: bool) -> None:
+        """Show lengths and feeds in inches, or in mm."""
+        self._inch = on
+        for label, text in self._units:
+            label.set_text(text.replace('mm', 'in') if on else text)
+
+    def _pick_point(self, event: events.GenericEventArguments) -> None:
+        """Take the line that leads to the point of the path that was pressed in the view."""
+        if line := self._desk.drawn_line(int(event.args['point'])):
+            ui.run_javascript(f'listing.choose({line})')
+
     def _look(self, event: events.ValueChangeEventArguments) -> None:
         if self._view is not None:
             self._view.look_at_part(event.value == 'part')
@@ -361,6 +399,8 @@ class Page:
         desk = self._desk
         state, job = desk.nodes.state, desk.job
         words = readings(desk)
+        if self._inch:
+            words = in_inches(words, desk.machine)
         words['program'] = job.name if job else 'no program'
         if self._changed('failed', job is not None and job.failed):
             failed = ' failed' if self._shown['failed'] else ''
@@ -393,8 +433,9 @@ class Page:
                 self._view.show_path(desk.tube_number, job.plan)
                 if desk.shown_plan(state) is not None:
                     self._view.show_done(desk.drawn_until(state.path_position))
-                top = job.plan.usual_feed / MM_PER_MIN
-                if self._changed('scale', f'0 to {top:.0f} mm/min, planned feed'):
+                top = job.plan.usual_feed / (MM_PER_MIN * self._length / MM)
+                unit = 'in/min' if self._inch else 'mm/min'
+                if self._changed('scale', f'0 to {top:.0f} {unit}, planned feed'):
                     self._labels['scale'].set_text(self._shown['scale'])
         self._count += 1
         if self._count % CHART_EVERY == 0:

@@ -87,13 +87,13 @@ def test_the_task_list(panel, part):
 
     # Touch off: here is X 0, Y 0, Z 10 of G54.
     zero = tip() - (0.0, 0.0, 10.0)
-    tab.click('offsets')
+    tab.click('show touch off')
     for name, value in (('X', '0'), ('Y', '0'), ('Z', '10')):
         tab.fill(f'here {name}', value)
     tab.click('touch off')
     panel.spin_until(lambda: 'G54' in JobSetup.of_text(panel.told[-1].text).work_offsets)
     tab.wait(lambda: (tab.text('work X'), tab.text('work Z')) == ('0.000', '10.000'))
-    tab.click('close setup')
+    tab.click('show touch off')
     tab.wait(lambda: tab.text('status') == 'planned')
 
     # Jog by a step, then move by a line.
@@ -421,4 +421,102 @@ def test_the_choice_of_a_line_is_forgotten_with_its_program(panel, part):
     tab.wait(lambda: tab.text('start') == '')
     panel.begin(tab)
     assert panel.loaded[-1].start_line == 0
+    assert tab.faults == []
+
+
+def test_all_refused_lines_are_marked_and_go_with_their_program(panel, part):
+    tab = panel.open_in_charge()
+    panel.load(tab, part)
+    bad = part.with_name('bad.ngc')
+    bad.write_text('G21 G90 G94\nTRAORI\nGO X0\nG0 X30,5\nG1 X10 F500\nG1 X10 Y@\nM30\n')
+    tab.choose_file('input[type=file]', bad)
+    tab.wait(lambda: 'and 2 more' in tab.text('status'))
+    rows = '[...document.querySelectorAll(".lines .wrong i")].map(row => row.textContent)'
+    tab.wait(lambda: tab.run(rows) == ['3', '4', '6'])
+    told = '[...document.querySelectorAll(".alarms .error")].map(one => one.textContent)'
+    tab.wait(lambda: len(tab.run(told)) == 3)
+    for line in (3, 4, 6):
+        assert f'bad.ngc:{line}:' in ''.join(tab.run(told))
+    assert tab.text('scale') == 'no path: the program was refused'
+    tab.click_with_mouse('check')
+    tab.wait(lambda: tab.run('document.querySelector(".q-notification").textContent').count('GO:'))
+    panel.load(tab, part)
+    tab.wait(lambda: tab.run(told) == [] and tab.run(rows) == [])
+    assert tab.text('scale').endswith('planned feed') and tab.faults == []
+
+
+def test_lines_are_found_by_text_and_picked_in_the_view(panel, part):
+    tab = panel.open_in_charge()
+    panel.load(tab, part)
+    line = 'Number(document.querySelector("[data-mark=\'start line\']").value)'
+    tab.fill('find', 'y40')
+    tab.type_key('Enter', 13)
+    tab.wait(lambda: tab.run(line) == 9)
+    # The end of the path, where the browser shows it: the last vertex of the tube.
+    place = """(() => {
+      const view = getElement(Number(document.querySelector('.scene').id.slice(1)));
+      const canvas = view.renderer.domElement.getBoundingClientRect();
+      let at = null;
+      for (const object of view.objects.values()) object.mesh?.traverse?.((part) => {
+        if (!part.isMesh || !part.geometry.attributes.color) return;
+        const vertices = part.geometry.attributes.position;
+        const place = part.position.clone().fromBufferAttribute(vertices, vertices.count - 1);
+        place.applyMatrix4(part.matrixWorld).project(view.camera);
+        at = [canvas.left + (0.5 + place.x / 2) * canvas.width,
+              canvas.top + (0.5 - place.y / 2) * canvas.height];
+      });
+      return at;
+    })()"""
+    tab.wait(lambda: tab.run(place))
+    tab.run('void listing.choose(1)')
+    tab.wait(lambda: tab.run(line) == 1)
+
+    def picked():
+        at = tab.run(place)
+        for kind in ('move', 'press', 'release'):
+            tab.pointer(kind, *at)
+        return tab.run(line) == 9
+
+    tab.wait(picked)
+    assert tab.run('document.querySelector(".lines .picked i").textContent') == '9'
+    assert tab.faults == []
+
+
+def test_a_coordinate_is_set_to_zero_and_gone_to(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    tab.click_with_mouse('zero Z')
+    tab.wait(lambda: tab.text('work Z') == '0.000')
+    before = np.array(panel.next_state().commanded_positions)
+    tab.fill('mdi', 'G0 G91 Z-4')
+    tab.type_key('Enter', 13)
+    tab.wait(lambda: tab.text('work Z') == '-4.000' and tab.text('state') == 'idle')
+    panel.press_key(
+        tab, 'go to zero Z', lambda: abs(panel.peers.state.positions[2] - before[2]) < 1e-5
+    )
+    tab.wait(lambda: tab.text('work Z') == '0.000')
+    assert tab.faults == []
+
+
+def test_lengths_in_inches_and_a_light_page_are_remembered(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    millimetres = [float(tab.text(name)) for name in ('axis Y', 'work Z', 'work A')]
+    tab.click_with_mouse('inch')
+    tab.click_with_mouse('light')
+    ratios = np.array([25.4, 25.4, 1.0])
+    for _ in range(2):
+        tab.wait(lambda: tab.run('document.documentElement.className') == 'light')
+        tab.wait(lambda: np.abs(
+            [float(tab.text(name)) for name in ('axis Y', 'work Z', 'work A')]
+            - millimetres / ratios).max() < 1e-4)  # fmt: skip
+        tab.reload()
+        tab.wait(lambda: tab.text('rights') == 'in charge')
+    tab.click('show touch off')
+    tab.fill('here X', '1')
+    tab.click('touch off')
+    tab.wait(lambda: tab.text('work X') == '1.0000')
+    for key in ('inch', 'light'):
+        tab.click_with_mouse(key)
+    tab.wait(lambda: tab.text('work X') == '25.400')
     assert tab.faults == []

@@ -439,7 +439,11 @@ def test_all_refused_lines_are_marked_and_go_with_their_program(panel, part):
         assert f'bad.ngc:{line}:' in ''.join(tab.run(told))
     assert tab.text('scale') == 'no path: the program was refused'
     tab.click_with_mouse('check')
-    tab.wait(lambda: tab.run('document.querySelector(".q-notification").textContent').count('GO:'))
+    tab.wait(
+        lambda: tab.run('(document.querySelector(".q-notification")?.textContent ?? "")').count(
+            'GO:'
+        )
+    )
     panel.load(tab, part)
     tab.wait(lambda: tab.run(told) == [] and tab.run(rows) == [])
     assert tab.text('scale').endswith('planned feed') and tab.faults == []

@@ -80,17 +80,19 @@ def test_edit_touch_off_and_run(panel, tmp_path):
     tab.fill('G54 X', 'ten')
     tab.click('set G54')
     tab.wait(lambda: tab.run('document.body.textContent.includes("write a number")'))
+    tab.click('close setup')
     move(panel, X=0.1, Y=-0.05, Z=0.3)
+    tab.click('show touch off')
     tab.fill('here X', '2')
     tab.fill('here Y', '0')
     tab.fill('here Z', '10')
-    see(panel, tab, 'touch off', lambda s: 'G55' in s.work_offsets)
+    tab.click('touch off')
+    panel.spin_until(lambda: 'G55' in setup_of(panel).work_offsets)
     wanted = {'X': 0.098, 'Y': -0.05, 'Z': 0.3 - 0.0755 - 0.01}
     assert setup_of(panel).work_offsets == {'G55': pytest.approx(wanted)}
     assert panel.told[-1].changed_by.startswith('page of ')
     tab.wait(lambda: (tab.text('work X'), tab.text('work Z')) == ('2.000', '10.000'))
     tab.wait(lambda: tab.text('axis X') == '100.000')
-    tab.click('close setup')
     program = tmp_path / 'lands.ngc'
     program.write_text('G21 G90\nG43 H3\nG0 X0 Y0 Z30\nG1 X12 Y0 Z10 F3000\n')
     panel.load(tab, program)

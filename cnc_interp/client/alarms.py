@@ -43,11 +43,7 @@ class AlarmList:
     """
     The latest alarms; a repeated one is kept once, with its count.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns a steady time [s].
-
+    ``clock``: returns a steady time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -137,11 +137,7 @@ class BagWriter:
         """
         Write index and metadata.
 
-        Raises
-        ------
-        OSError
-            If this or a message could not be written: the disk is full.
-
+        Raises OSError if this or a message could not be written: the disk is full.
         """
         try:
             if self._fault is not None:
@@ -200,16 +196,7 @@ class Bag:
     """
     A bag being read.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the bag.
-
-    Raises
-    ------
-    InterpError
-        If it cannot be read; also while reading.
-
+    Raises InterpError if it cannot be read; also while reading.
     """
 
     def __init__(self, path: Path):
@@ -273,13 +260,8 @@ class Bag:
         """
         Return a message.
 
-        Raises
-        ------
-        StreamError
-            If its checksum is wrong.
-        InterpError
-            If it is none of this topic.
-
+        Raises StreamError if its checksum is wrong. Raises InterpError if it is none of this
+        topic.
         """
         kind = TOPICS[topic][0]
         try:

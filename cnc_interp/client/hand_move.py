@@ -84,11 +84,7 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
     """
     Move axes of a running machine and wait for the end; Ctrl-C stops them.
 
-    Raises
-    ------
-    InterpError
-        If no machine answers, or it refuses the move.
-
+    Raises InterpError if no machine answers, or it refuses the move.
     """
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)
@@ -115,16 +111,7 @@ def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[s
     """
     Home axes of a running machine, all where none is named; Ctrl-C stops them.
 
-    Returns
-    -------
-    list of str
-        The axes that are not homed at the end.
-
-    Raises
-    ------
-    InterpError
-        If no machine answers, or it refuses.
-
+    Raises InterpError if no machine answers, or it refuses.
     """
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)

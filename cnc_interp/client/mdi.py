@@ -78,16 +78,8 @@ def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iter
     """
     Have lines executed one after the other until one is refused; Ctrl-C stops the motion.
 
-    Yields
-    ------
-    LineEnd
-        The end of each line; without lines, the modal state and the place.
-
-    Raises
-    ------
-    InterpError
-        If no nodes answer.
-
+    Returns the end of each line; without lines, the modal state and the place. Raises InterpError
+    if no nodes answer.
     """
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)

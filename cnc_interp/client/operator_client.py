@@ -67,17 +67,8 @@ class OperatorClient:
 
     Commands may come from any thread.
 
-    Parameters
-    ----------
-    name : str
-        Name of the ROS node.
-    namespace : str
-        ROS namespace of the nodes.
-    domain : int, optional
-        Their ROS domain; None takes that of the environment.
-    on_state : callable, optional
-        Called with every ``MachineState``, in the thread that serves the node.
-
+    ``domain``: their ROS domain; None takes that of the environment; ``on_state``: called with
+    every ``MachineState``, in the thread that serves the node.
     """
 
     def __init__(

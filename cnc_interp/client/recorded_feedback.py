@@ -31,11 +31,7 @@ def recorded_feedback(bag: Bag) -> RecordedFeedback:
     """
     Read the last run in which the machine moved, its approach included.
 
-    Raises
-    ------
-    InterpError
-        If nothing was executed, or setpoints or feedback are not complete.
-
+    Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """
     chunks = bag.read('executed_setpoints')
     if not chunks:

@@ -43,11 +43,8 @@ def recorded_lesson(bag: Bag) -> Lesson:
     """
     Learn from the last run in a bag.
 
-    Raises
-    ------
-    InterpError
-        If the run was not compensated, or its setpoints are not those of the plan in one piece.
-
+    Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
+    in one piece.
     """
     told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
     name, model, learnt = (told[key] for key in NAMES)

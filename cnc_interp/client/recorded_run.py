@@ -74,11 +74,7 @@ class RecordedRun:
 
         The approach is left out, and the way by hand away from a hold and back.
 
-        Raises
-        ------
-        InterpError
-            If a setpoint is missing, a message is not sound, or the period changes.
-
+        Raises InterpError if a setpoint is missing, a message is not sound, or the period changes.
         """
         count = 0
         for part in self._executed(machine):
@@ -92,11 +88,7 @@ class RecordedRun:
         """
         Return the executed positions beside the program: the approach, by hand and back.
 
-        Returns
-        -------
-        list of ndarray, shape (K, n_axes)
-            Each from rest to rest [m, rad].
-
+        Returns (K, n_axes): each from rest to rest [m, rad].
         """
         stretches: list[list[FloatArray]] = []
         before, inside = np.zeros((0, len(machine.axis_names))), True
@@ -165,11 +157,7 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     """
     Find a run in a bag by its id, or the last one in which the machine moved.
 
-    Raises
-    ------
-    InterpError
-        If nothing was executed, or blocks or segments are missing.
-
+    Raises InterpError if nothing was executed, or blocks or segments are missing.
     """
     executed = bag.spooled('executed_setpoints')
     if not executed:
@@ -218,20 +206,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
     Blocks, path and setpoints are those of the wire. The feed of the path is that of the executed
     setpoints.
 
-    Parameters
-    ----------
-    run : RecordedRun
-        The run.
-    machine : Machine
-        The machine that executed it.
-    directory : Path
-        For the plan files.
-
-    Returns
-    -------
-    dict
-        The summary as written to ``summary.json``; SI units.
-
+    Returns the summary as written to ``summary.json``; SI units.
     """
     way = ExecutedWay(run.setpoints(machine), run.period)
     settings, blocks = run.settings, blocks_from(run.blocks)

@@ -147,11 +147,7 @@ def record(path: Path, namespace: str) -> int:
     """
     Record until Ctrl-C or SIGTERM; returns the number of messages.
 
-    Raises
-    ------
-    InterpError
-        If the bag cannot be made.
-
+    Raises InterpError if the bag cannot be made.
     """
     refuse_existing(path)  # before ROS starts
     with stop_signals() as stop, OperatorClient('record', namespace) as client:

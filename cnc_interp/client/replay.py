@@ -78,18 +78,8 @@ def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
     """
     Compute the setpoints of all runs in a bag again from its blocks, and compare.
 
-    Parameters
-    ----------
-    bag : Bag
-        The bag.
-    machine : str
-        Another machine than the bag names.
-
-    Raises
-    ------
-    InterpError
-        If blocks or setpoints are missing.
-
+    ``machine``: another machine than the bag names. Raises InterpError if blocks or setpoints are
+    missing.
     """
     name = machine or bag.parameters.get('machine_node.machine', '')
     if not name:
@@ -227,17 +217,8 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
     """
     Publish the machine's messages of a bag again, at their pace; return their number.
 
-    Parameters
-    ----------
-    bag : Bag
-        The bag.
-    namespace : str
-        ROS namespace to publish in.
-    rate : float
-        Times as fast as it was [-].
-    clock : bool
-        Publish the time of the bag on ``/clock``, too.
-
+    ``rate``: times as fast as it was [-]; ``clock``: publish the time of the bag on ``/clock``,
+    too.
     """
     stay_on_this_host()
     context = rclpy.Context()

@@ -90,18 +90,8 @@ class RunConsole:
         """
         Run one program after the other, each to its end.
 
-        Parameters
-        ----------
-        machine : Machine
-            The machine of the nodes.
-        started : float
-            When the command began, in monotonic time [s].
-
-        Raises
-        ------
-        InterpError
-            When the first program was refused before anything moved, or a node ended.
-
+        ``started``: when the command began, in monotonic time [s]. Raises InterpError when the
+        first program was refused before anything moved, or a node ended.
         """
         self._wait_for_nodes()
         programs = [self._send(program) for program in self._request.programs]

@@ -183,26 +183,9 @@ def run_session(
     """
     Start the nodes, run one or more programs through them, and end the nodes.
 
-    Parameters
-    ----------
-    request : RunRequest
-        Programs to run, and how.
-    companion : Companion, optional
-        Process beside the nodes.
-    started : float, optional
-        When the command began, in monotonic time; None for now [s].
-
-    Returns
-    -------
-    list of RunResult
-        One for each program that was started.
-
-    Raises
-    ------
-    InterpError
-        If the first program cannot be read or executed (nothing has moved then), if the machine
-        file is wrong, or if a node cannot start.
-
+    ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
+    the first program cannot be read or executed (nothing has moved then), if the machine file is
+    wrong, or if a node cannot start.
     """
     started = time.monotonic() if started is None else started
     for program in request.programs:
@@ -253,11 +236,7 @@ def check_place(namespace: str, domain: int) -> None:
     """
     Refuse a namespace or a domain that ROS 2 does not allow.
 
-    Raises
-    ------
-    InterpError
-        If one of them is wrong; the message says what is allowed.
-
+    Raises InterpError if one of them is wrong; the message says what is allowed.
     """
     from rclpy.exceptions import InvalidNamespaceException
     from rclpy.validate_namespace import validate_namespace

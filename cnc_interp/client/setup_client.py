@@ -27,13 +27,8 @@ class SetupClient:
     """
     Hears the table of offsets and tools, and asks for changes.
 
-    Parameters
-    ----------
-    nodes : OperatorClient
-        The ROS node; not yet served by a thread.
-    who : str
-        Name of this client in the log of changes.
-
+    ``nodes``: the ROS node; not yet served by a thread; ``who``: name of this client in the log of
+    changes.
     """
 
     def __init__(self, nodes: OperatorClient, who: str):
@@ -87,24 +82,9 @@ def work_coordinates(
     """
     Return what the coordinates read with a work offset, G92 and the tool in the spindle.
 
-    Parameters
-    ----------
-    table : SetupTable
-        The table.
-    setup : JobSetup
-        The same as offsets and tools.
-    positions : sequence of float
-        Positions of the axes of the machine [m, rad].
-    name : str
-        The work offset; empty for the active one.
-    tip : sequence of float, optional
-        The tool tip in W [m]: X Y Z are its coordinates, as with tool-tip programming.
-
-    Returns
-    -------
-    dict
-        Coordinate by axis letter [m, rad].
-
+    ``positions``: positions of the axes of the machine [m, rad]; ``name``: the work offset; empty
+    for the active one; ``tip``: the tool tip in W [m]: X Y Z are its coordinates, as with tool-tip
+    programming. Returns coordinate by axis letter [m, rad].
     """
     machine = dict(zip(table.axes, positions, strict=False))
     zero = dict(zip(table.axes, table.zero, strict=True))
@@ -116,19 +96,7 @@ def work_coordinates(
 def zero_here(
     table: SetupTable, setup: JobSetup, name: str, reads: dict[str, float], letter: str
 ) -> dict[str, float]:
-    """
-    Return the values of a work offset with which one coordinate reads 0 [m, rad].
-
-    Parameters
-    ----------
-    table, setup, name
-        As of ``work_coordinates``.
-    reads : dict
-        What it returned.
-    letter : str
-        The coordinate.
-
-    """
+    """Return the values of a work offset with which one coordinate reads 0 [m, rad]."""
     row = offset_row(table, setup, name)
     change = {letter: reads[letter]}
     if letter in 'XY' and row[ROTATION]:

@@ -26,18 +26,8 @@ class SetupConsole:
     """
     A connection to the table of running nodes.
 
-    Parameters
-    ----------
-    namespace : str
-        ROS namespace of the nodes.
-    domain : int, optional
-        Their ROS domain; None takes that of the environment.
-
-    Raises
-    ------
-    InterpError
-        If no program_node answers there.
-
+    ``domain``: their ROS domain; None takes that of the environment. Raises InterpError if no
+    program_node answers there.
     """
 
     def __init__(self, namespace: str, domain: int | None):
@@ -66,11 +56,7 @@ class SetupConsole:
         """
         Change something; returns what was changed.
 
-        Raises
-        ------
-        InterpError
-            If it is refused.
-
+        Raises InterpError if it is refused.
         """
         answer = self._client.granted(self._setup.ask(service, **request))
         return answer.message.partition(': ')[2]

@@ -77,13 +77,8 @@ class ModesOfBlocks:
         """
         Take the states of further blocks.
 
-        Parameters
-        ----------
-        states : ndarray, shape (n, 3)
-            Number of the state, motion code, and feed of each block, as for ``moving``.
-        first : int
-            Row of the first of these blocks.
-
+        ``states`` (n, 3): number of the state, motion code, and feed of each block, as for
+        ``moving``.
         """
         before = np.vstack([self._last, states[:-1]])
         rows = np.flatnonzero((states != before).any(axis=1))

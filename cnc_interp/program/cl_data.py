@@ -101,12 +101,8 @@ class ClReader:
         """
         Read all statements up to FINI, and yield the blocks in batches.
 
-        Raises
-        ------
-        ProgramError
-            If statements are refused: all of them, at the end of the file. No blocks are yielded
-            after the first.
-
+        Raises ProgramError if statements are refused: all of them, at the end of the file. No
+        blocks are yielded after the first.
         """
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')

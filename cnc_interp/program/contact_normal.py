@@ -50,18 +50,9 @@ class Cutter:
 
     def shift(self, normal: FloatArray, axis: FloatArray) -> FloatArray:
         """
-        Return the way from the contact point to the tip.
+        Return the way from the contact point to the tip, (3,) [m].
 
-        Parameters
-        ----------
-        normal, axis : ndarray, shape (3,)
-            Unit normal of the surface, and unit tool axis [-].
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            Shift [m].
-
+        ``normal``, ``axis`` (3,): unit normal of the surface, and unit tool axis [-].
         """
         across = normal - (normal @ axis) * axis
         sine = float(np.linalg.norm(across))
@@ -82,20 +73,8 @@ class ContactPath:
         """
         Take the normal out of a block: I J K, or A5 B5 C5. Without one, the last one counts.
 
-        Parameters
-        ----------
-        words : BlockWords
-            The block.
-        turn : ndarray, shape (3, 3)
-            Rotation from its coordinates to W.
-        fault : callable
-            Returns the error for the line.
-
-        Raises
-        ------
-        ProgramError
-            If it has no direction.
-
+        ``turn`` (3, 3): rotation from its coordinates to W. Raises ProgramError if it has no
+        direction.
         """
         named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
         given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
@@ -112,22 +91,9 @@ class ContactPath:
         """
         Return the tip of the tool at the end of a block.
 
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Programmed point [m].
-        axis : ndarray, shape (3,)
-            Unit tool axis at the point [-].
-        cuts : bool
-            Whether the motion there is a feed.
-        fault : callable
-            Returns the error for the line.
-
-        Raises
-        ------
-        ProgramError
-            If there is no normal, or the tool cannot touch the surface or would cut into it.
-
+        ``point`` (3,): programmed point [m]; ``axis`` (3,): unit tool axis at the point [-];
+        ``cuts``: whether the motion there is a feed. Raises ProgramError if there is no normal, or
+        the tool cannot touch the surface or would cut into it.
         """
         normal = self._normal
         if normal is None:

@@ -207,21 +207,8 @@ class CutterRadius:
         """
         Take the next row of the program.
 
-        Parameters
-        ----------
-        row : ndarray
-            Row of targets.
-
-        Returns
-        -------
-        list of ndarray
-            Rows of the path of the tool centre that are final.
-
-        Raises
-        ------
-        ProgramError
-            If the cutter does not fit, or the row cannot be compensated.
-
+        Returns rows of the path of the tool centre that are final. Raises ProgramError if the
+        cutter does not fit, or the row cannot be compensated.
         """
         if np.abs(np.nan_to_num(row[ROTARY] - self._rotary)).max() > 0.0:
             raise self._fault('rotary motion in cutter compensation; write G40 before', row)

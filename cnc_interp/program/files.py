@@ -31,18 +31,7 @@ def called_files(path: Path, text: bytes) -> dict[str, bytes]:
     """
     Return the files beside a program that it may call, and that these may call.
 
-    Parameters
-    ----------
-    path : Path
-        The program.
-    text : bytes
-        Its content.
-
-    Returns
-    -------
-    dict of str to bytes
-        Name and content of each file. There may be too many, never too few.
-
+    Returns name and content of each file. There may be too many, never too few.
     """
     found: dict[str, bytes] = {}
     waiting = [text]

@@ -44,16 +44,8 @@ class Flow(SiemensFlow):
         """
         Execute a line if it is a flow statement.
 
-        Parameters
-        ----------
-        line : str
-            The line in upper case, without comments and line number.
-
-        Returns
-        -------
-        str or None
-            The rest of the line after a label or THEN; None if nothing is left.
-
+        ``line``: the line in upper case, without comments and line number. Returns the rest of the
+        line after a label or THEN; None if nothing is left.
         """
         if ':' in line and (match := _LABEL.match(line)):
             line = line[match.end() :]

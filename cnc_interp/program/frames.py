@@ -22,15 +22,8 @@ class Frames:
     """
     The active frames at one moment of the program.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        Work offsets and G92 at the start.
-    zero : ndarray, shape (3,)
-        Machine coordinates of the workpiece zero in the machine file [m].
-    rotary_letters : tuple of str
-        Letters of the rotary axes.
-
+    ``setup``: work offsets and G92 at the start; ``zero`` (3,): machine coordinates of the
+    workpiece zero in the machine file [m].
     """
 
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
@@ -137,36 +130,18 @@ class Frames:
 
     def point(self, program: Vector) -> Vector:
         """
-        Convert program coordinates to points.
+        Convert program coordinates to points, (3,) [m].
 
-        Parameters
-        ----------
-        program : ndarray, shape (3,) or (n, 3)
-            Program coordinates [m].
-
-        Returns
-        -------
-        ndarray, shape (3,) or (n, 3)
-            Points [m].
-
+        ``program`` (3,): program coordinates [m].
         """
         turned = program @ self.turn.T if self.rotated else program
         return np.asarray(turned + self.origin)
 
     def program(self, point: Vector) -> Vector:
         """
-        Convert a point to program coordinates.
+        Convert a point to program coordinates, (3,) [m].
 
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Point [m].
-
-        Returns
-        -------
-        ndarray, shape (3,)
-            Program coordinates [m].
-
+        ``point`` (3,): point [m].
         """
         return np.asarray(self.turn.T @ (point - self.origin))
 
@@ -182,15 +157,7 @@ class Frames:
         """
         Shift the frame along its own axes, then turn it by a code of the program.
 
-        Parameters
-        ----------
-        code : str
-            The code, for the modal state.
-        shift : ndarray, shape (3,)
-            Shift [m].
-        turn : ndarray, shape (3, 3)
-            Rotation.
-
+        ``shift`` (3,): shift [m]; ``turn`` (3, 3): rotation.
         """
         self.tilt_code = code
         self.shift = self.shift + self.programmed_turn @ shift
@@ -209,11 +176,7 @@ class Frames:
         """
         Shift the frame along its own axes.
 
-        Parameters
-        ----------
-        shift : ndarray, shape (3,)
-            Shift [m].
-
+        ``shift`` (3,): shift [m].
         """
         self.shift = self.shift + self.programmed_turn @ shift
         self.update()

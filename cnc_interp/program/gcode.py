@@ -142,12 +142,8 @@ class GcodeReader:
         """
         Read the program and yield its blocks in batches.
 
-        Raises
-        ------
-        ProgramError
-            If lines are refused: all of them, at the end of the program. No blocks are yielded
-            after the first.
-
+        Raises ProgramError if lines are refused: all of them, at the end of the program. No blocks
+        are yielded after the first.
         """
         flow, targets, refused = self.flow, self.mover.targets, Refusals()
         while self._goes_on(refused):

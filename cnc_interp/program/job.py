@@ -130,21 +130,7 @@ class JobSetup:
         """
         Read a setup from a YAML file in mm and deg.
 
-        Parameters
-        ----------
-        path : Path
-            The setup file.
-
-        Returns
-        -------
-        JobSetup
-            The settings in SI units.
-
-        Raises
-        ------
-        ProgramError
-            If the file is missing or not YAML, or a key or value is wrong.
-
+        Raises ProgramError if the file is missing or not YAML, or a key or value is wrong.
         """
         try:
             content = read_yaml(path)

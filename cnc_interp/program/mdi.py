@@ -24,17 +24,7 @@ MDI = 'MDI'
 
 
 class MdiLine(ProgramStream):
-    """
-    One line on its way to blocks; block 0 is the pose at which the machine stands.
-
-    Parameters
-    ----------
-    reader : GcodeReader
-        Reader of this line alone.
-    notices : Notices
-        Where the reader puts its notices.
-
-    """
+    """One line on its way to blocks; block 0 is the pose at which the machine stands."""
 
     def __init__(self, reader: GcodeReader, notices: Notices):
         self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
@@ -46,13 +36,8 @@ class MdiReader:
     """
     Reads lines by hand, one after the other.
 
-    Parameters
-    ----------
-    geometry : Transform
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the lines do not give, and choices of the user.
-
+    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the lines do
+    not give, and choices of the user.
     """
 
     def __init__(self, geometry: Transform, settings: Settings):
@@ -63,20 +48,8 @@ class MdiReader:
         """
         Begin to read a line; the modal state changes with ``keep``.
 
-        Parameters
-        ----------
-        text : str
-            The line.
-        stands : ndarray, shape (n_axes,)
-            Axis positions of the machine [m, rad].
-        setup : JobSetup
-            Offsets and tools of the machine.
-
-        Raises
-        ------
-        ProgramError
-            If the text is not one line.
-
+        ``stands`` (n_axes,): axis positions of the machine [m, rad]. Raises ProgramError if the
+        text is not one line.
         """
         if len(text.splitlines()) != 1:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)

@@ -99,19 +99,10 @@ class ModalState:
     """
     The position and the modal settings of a program, and the targets so far.
 
-    Parameters
-    ----------
-    geometry : Transform
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup
-        Work offsets, tool lengths and reference points.
-    flow : Flow
-        Position of the reader, for line numbers and errors.
-    notices : Notices
-        Collects notices about harmless words.
-
+    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the program
+    does not give, and choices of the user; ``setup``: work offsets, tool lengths and reference
+    points; ``flow``: position of the reader, for line numbers and errors; ``notices``: collects
+    notices about harmless words.
     """
 
     def __init__(

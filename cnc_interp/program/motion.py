@@ -36,15 +36,9 @@ class Mover(ModalState):
         """
         Move to the axis words of a block, if it has any. Missing words keep their value.
 
-        Parameters
-        ----------
-        words : BlockWords
-            Words of the block; axis words and arc words are removed.
-        feed_given : bool
-            Whether the block has an F.
-        machine : bool
-            Whether the words are machine coordinates (G53, SUPA).
-
+        ``words``: words of the block; axis words and arc words are removed; ``feed_given``:
+        whether the block has an F; ``machine``: whether the words are machine coordinates (G53,
+        SUPA).
         """
         arc_words = self._take_arc(words)
         named = self._has_axes(words)
@@ -172,16 +166,7 @@ class Mover(ModalState):
         """
         Remove the axis words of a block and return its target.
 
-        Parameters
-        ----------
-        words : BlockWords
-            Words of the block; axis words are removed.
-
-        Returns
-        -------
-        ndarray, shape (5,)
-            Program coordinates [m, rad].
-
+        Returns (5,): program coordinates [m, rad].
         """
         if self.beside is not None and not set('XYZ').isdisjoint(words.values):
             along = 'XYZ'[PLANES[self.plane][2]]
@@ -287,21 +272,10 @@ class Mover(ModalState):
         """
         Add the target of one block.
 
-        Parameters
-        ----------
-        point : ndarray, shape (3,)
-            Target point [m].
-        rotary : ndarray, shape (2,)
-            Target of the rotary axes [rad].
-        vector : ndarray, shape (3,), optional
-            Unit tool axis from direction words [-].
-        arc : tuple of 7 floats
-            Centre [m], normal [-] and sweep [rad] of an arc, NaN without.
-        feed_given : bool
-            Whether the block has an F.
-        rapid : bool, optional
-            Whether the motion is a rapid. Without it, the modal motion code decides.
-
+        ``point`` (3,): target point [m]; ``rotary`` (2,): target of the rotary axes [rad];
+        ``vector`` (3,): unit tool axis from direction words [-]; ``arc``: centre [m], normal [-]
+        and sweep [rad] of an arc, NaN without; ``feed_given``: whether the block has an F;
+        ``rapid``: whether the motion is a rapid. Without it, the modal motion code decides.
         """
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))

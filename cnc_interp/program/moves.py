@@ -59,23 +59,13 @@ class Moves:
     """
     Motions between consecutive targets, which can be evaluated at any parameter.
 
-    Attributes
-    ----------
-    interpolation : ndarray of int, shape (n,)
-        What runs linearly in each motion, as in ``Blocks``.
-    dense, led, since_arc : int, bool, int
-        The same before the next motion.
-    undecided : int
-        Number of last motions whose ``interpolation`` depends on the next ones.
-    beside : ndarray of bool, shape (n,)
-        Motions of axes in which extra axes move and rotary axes do not.
-    rests : ndarray of bool, shape (n,)
-        Motions with tool-tip programming in which words turn the rotary axes about a resting tip.
-    beside_arcs : ndarray of bool, shape (n,)
-        Motions that have the tolerance of an arc: arcs, however short, and short lines beside
-        them. A curve of dense programs ends where the tolerance changes, and both shall become
-        one curve.
-
+    ``interpolation`` (n,): what runs linearly in each motion, as in ``Blocks``; ``dense``,
+    ``led``, ``since_arc``: the same before the next motion; ``undecided``: number of last motions
+    whose ``interpolation`` depends on the next ones; ``beside`` (n,): motions of axes in which
+    extra axes move and rotary axes do not; ``rests`` (n,): motions with tool-tip programming in
+    which words turn the rotary axes about a resting tip; ``beside_arcs`` (n,): motions that have
+    the tolerance of an arc: arcs, however short, and short lines beside them. A curve of dense
+    programs ends where the tolerance changes, and both shall become one curve.
     """
 
     def __init__(
@@ -241,20 +231,9 @@ class Moves:
 
     def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
         """
-        Return rotary positions on motions.
+        Return rotary positions on motions, (m, 2) [rad].
 
-        Parameters
-        ----------
-        row : ndarray of int, shape (m,)
-            Indices of the motions.
-        u : ndarray, shape (m,)
-            Parameters in [0, 1].
-
-        Returns
-        -------
-        ndarray, shape (m, 2)
-            Rotary positions [rad].
-
+        ``row`` (m,): indices of the motions; ``u`` (m,): parameters in [0, 1].
         """
         at = self._before[row, ROTARY] + u[:, None] * self.sweep[row]
         return np.where((u == 1.0)[:, None], self.rows[row, ROTARY], at)
@@ -263,18 +242,8 @@ class Moves:
         """
         Return poses on motions.
 
-        Parameters
-        ----------
-        row : ndarray of int, shape (m,)
-            Indices of the motions.
-        u : ndarray, shape (m,)
-            Parameters in [0, 1].
-
-        Returns
-        -------
-        tip, axis : ndarray, shape (m, 3)
-            Tool tips [m] and unit tool axes [-].
-
+        ``row`` (m,): indices of the motions; ``u`` (m,): parameters in [0, 1]. Returns ``tip``,
+        ``axis`` (m, 3): tool tips [m] and unit tool axes [-].
         """
         end, point, final = self.rows[row], self._points(row, u), u == 1.0
         rotary = self.rotary(row, u)
@@ -350,11 +319,7 @@ class Moves:
         axes run linearly beside the tip, the duration follows from its speed. So it does where
         extra axes move; F is the speed of the faster one of tip and extra axis.
 
-        Returns
-        -------
-        feedrate, duration : ndarray, shape (n,)
-            Speed of the tip [m/s], and time [s].
-
+        Returns ``feedrate``, ``duration`` (n,): speed of the tip [m/s], and time [s].
         """
         feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
         turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)

@@ -32,11 +32,7 @@ class NamedWords:
         """
         Execute the named words of a block, then its assignments.
 
-        Parameters
-        ----------
-        words : BlockWords
-            Words of the block; CR and TURN become letters.
-
+        ``words``: words of the block; CR and TURN become letters.
         """
         for key, given in words.keys:
             self._key_word(key, given, words)

@@ -72,20 +72,9 @@ class Refusals:
         """
         Keep a refusal; raise all of them if there are too many to go on.
 
-        Parameters
-        ----------
-        problem : ProgramError
-            The refusal.
-        of_place : bool
-            True for a refusal that may only follow from a wrong position before the line.
-        of_state : bool
-            True for a refusal that may only follow from any line that was passed over.
-
-        Raises
-        ------
-        ProgramError
-            The refusals so far.
-
+        ``of_place``: true for a refusal that may only follow from a wrong position before the
+        line; ``of_state``: true for a refusal that may only follow from any line that was passed
+        over. Raises the refusals so far.
         """
         follows = (of_place and self._is_lost) or (of_state and self._count > 0)
         self._count += 1
@@ -107,16 +96,7 @@ class Refusals:
         """
         Return the error with all refusals.
 
-        Parameters
-        ----------
-        ended : bool
-            Whether the reading has ended before the end of the program.
-
-        Returns
-        -------
-        ProgramError
-            A single refusal as it is, or ``RefusedLinesError``.
-
+        ``ended``: whether the reading has ended before the end of the program.
         """
         first = list(self._first.values())
         if len(first) == 1 and self._count == 1:

@@ -39,24 +39,10 @@ class ProgramStream:
     Iteration yields batches of blocks in order. The first row of the first batch is the start
     pose. All batches together are the blocks of ``Program``.
 
-    Parameters
-    ----------
-    source : Source
-        The text of the program.
-    geometry : Transform
-        Axis names and kinematics of the machine.
-    settings : Settings
-        Values that the program does not give, and choices of the user.
-    setup : JobSetup, optional
-        Work offsets, tool lengths and reference points. Without it, the file that the settings
-        name is read.
-
-    Raises
-    ------
-    ProgramError
-        If the setup file cannot be read. During iteration, as soon as something cannot be read;
-        nothing is skipped silently.
-
+    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the program
+    does not give, and choices of the user; ``setup``: work offsets, tool lengths and reference
+    points. Without it, the file that the settings name is read. Raises ProgramError if the setup
+    file cannot be read, and during iteration as soon as something cannot be read.
     """
 
     def __init__(

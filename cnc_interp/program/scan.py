@@ -39,22 +39,10 @@ def scan_lines(
     """
     Scan lines of G-code.
 
-    Parameters
-    ----------
-    text : ndarray of uint8, shape (n,)
-        The text; every line ends with a newline (10).
-    first, last : ndarray of int, shape (m,)
-        Output: offset of the first character and of the newline of each line.
-    kind, code : ndarray of int8, shape (m,)
-        Output: EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE.
-    values : ndarray, shape (m, 11)
-        Output: numbers of plain lines in mm, deg or mm/min; NaN for missing words.
-
-    Returns
-    -------
-    int
-        Number of lines.
-
+    ``text`` (n,): the text; every line ends with a newline (10); ``first``, ``last`` (m,): output:
+    offset of the first character and of the newline of each line; ``kind``, ``code`` (m,): output:
+    EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE; ``values`` (m, 11): output: numbers of
+    plain lines in mm, deg or mm/min; NaN for missing words.
     """
     at, line, size = 0, 0, len(text)
     while at < size:

@@ -33,11 +33,7 @@ def values_by_axis(
     """
     Return the value of each axis named [m, rad].
 
-    Raises
-    ------
-    InterpError
-        If the machine has no such axis, or a value is missing or not possible.
-
+    Raises InterpError if the machine has no such axis, or a value is missing or not possible.
     """
     if len(letters) != len(values) or len(set(letters)) != len(letters):
         raise InterpError('name each axis once, with one value for each')
@@ -55,24 +51,10 @@ def offset_changes(
     """
     Return the changes of a work offset or of G92.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        The setup as it is.
-    name : str
-        G54 to G59.3, or G92; empty for the active work offset.
-    values : position
-        The values that change [m, rad].
-    clear : bool
-        Whether all values before are removed.
-    activate : bool
-        Whether the work offset becomes the active one.
-
-    Raises
-    ------
-    InterpError
-        If there is no such offset, or nothing is asked for.
-
+    ``name``: G54 to G59.3, or G92; empty for the active work offset; ``values``: the values that
+    change [m, rad]; ``clear``: whether all values before are removed; ``activate``: whether the
+    work offset becomes the active one. Raises InterpError if there is no such offset, or nothing
+    is asked for.
     """
     name = name or setup.offset
     if not values and not clear and not activate:
@@ -99,24 +81,8 @@ def tool_changes(
     """
     Return the changes of a tool.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        The setup as it is.
-    number : int
-        Number of the tool; with ``load`` 0 for none.
-    given : mapping
-        The fields of ``Tool`` that change.
-    remove : bool
-        Whether the tool is taken out of the table.
-    load : bool
-        Whether this tool is in the spindle from now on.
-
-    Raises
-    ------
-    InterpError
-        If a value is not possible, or nothing is asked for.
-
+    ``remove``: whether the tool is taken out of the table; ``load``: whether this tool is in the
+    spindle from now on. Raises InterpError if a value is not possible, or nothing is asked for.
     """
     if not 1 <= number <= MOST_TOOL and not (load and number == 0 and not given and not remove):
         raise InterpError(f'tool {number}: tools have numbers from 1 to {MOST_TOOL}')
@@ -166,24 +132,9 @@ def touch_off_changes(
     Rz is the rotation of the work offset about Z. Where it is not 0, the zeros of X and Y both
     change, so that the other coordinate reads what it did.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        The setup as it is.
-    name : str
-        G54 to G59.3; empty for the active one.
-    values : position
-        What the coordinates shall read [m, rad].
-    machine : position
-        Where the axes stand [m, rad].
-    zero : position
-        Workpiece zero of the machine file [m, rad].
-
-    Raises
-    ------
-    InterpError
-        If there is no such offset, or no axis is named.
-
+    ``values``: what the coordinates shall read [m, rad]; ``machine``: where the axes stand [m,
+    rad]; ``zero``: workpiece zero of the machine file [m, rad]. Raises InterpError if there is no
+    such offset, or no axis is named.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
@@ -207,20 +158,9 @@ def work_coordinates(
     """
     Return what the coordinates read with a work offset, G92 and the tool in the spindle.
 
-    Parameters
-    ----------
-    setup : JobSetup
-        Offsets and tools.
-    name : str
-        The work offset; empty for the active one.
-    machine, zero : position
-        Where the axes stand, and the workpiece zero of the machine file [m, rad].
-
-    Returns
-    -------
-    dict
-        Coordinate by axis letter [m, rad].
-
+    ``name``: the work offset; empty for the active one; ``machine``, ``zero``: where the axes
+    stand, and the workpiece zero of the machine file [m, rad]. Returns coordinate by axis letter
+    [m, rad].
     """
     name = name or setup.offset
     origin = {**zero, **setup.work_offsets.get(name, {})}

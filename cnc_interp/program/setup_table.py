@@ -22,17 +22,8 @@ class SetupTable:
     ``.log`` at the end of its name: one line for each change with time, who, what, and the values
     before and after. While it is open, no other table can keep the same file.
 
-    Parameters
-    ----------
-    file : Path, optional
-        The setup file. It need not be there yet, nor its folder. Without it nothing outlives this
-        object.
-
-    Raises
-    ------
-    InterpError
-        If the file cannot be read, or another table keeps it.
-
+    ``file``: the setup file. It need not be there yet, nor its folder. Without it nothing outlives
+    this object. Raises InterpError if the file cannot be read, or another table keeps it.
     """
 
     def __init__(self, file: Path | None):
@@ -59,23 +50,8 @@ class SetupTable:
         """
         Change the table, all of it or nothing.
 
-        Parameters
-        ----------
-        changes : sequence of SetupChange
-            What changes, in order.
-        who : str
-            Who asked for it.
-
-        Returns
-        -------
-        str
-            What was changed, with the values before and after; empty if nothing was.
-
-        Raises
-        ------
-        InterpError
-            If it cannot be written.
-
+        Returns what was changed, with the values before and after; empty if nothing was. Raises
+        InterpError if it cannot be written.
         """
         after = self.setup
         for change in changes:

@@ -43,17 +43,10 @@ class Curve:
     """
     The control points of one curve, added block by block.
 
-    Parameters
-    ----------
-    tip, axis : tuple of float
-        Pose of the tool: the first control point [m] and the unit tool axis [-].
-    second : tuple of float or None
-        Second point at the start if the program has named it [m].
-    height : float
-        Distance of the second point from the tip if the program names none [m].
-    source : str
-        File name for error messages.
-
+    ``tip``, ``axis``: pose of the tool: the first control point [m] and the unit tool axis [-];
+    ``second``: second point at the start if the program has named it [m]; ``height``: distance of
+    the second point from the tip if the program names none [m]; ``source``: file name for error
+    messages.
     """
 
     def __init__(self, tip: Point, axis: Point, second: Point | None, height: float, source: str):
@@ -74,23 +67,10 @@ class Curve:
         """
         Add a control point.
 
-        Parameters
-        ----------
-        tip, second : tuple of float
-            Control points of the tip and of the second curve [m]. None if the block has no word
-            of the second curve.
-        interval : float
-            Knot interval before the control point [-].
-        speed_and_tolerances : tuple of float
-            Feedrate [m/s], contour and orientation tolerance [m].
-        line_number : int
-            Program line of the block.
-
-        Raises
-        ------
-        ProgramError
-            If the block gives no tool axis, or the curve cannot begin with it.
-
+        ``tip``, ``second``: control points of the tip and of the second curve [m]. None if the
+        block has no word of the second curve; ``interval``: knot interval before the control point
+        [-]; ``speed_and_tolerances``: feedrate [m/s], contour and orientation tolerance [m].
+        Raises ProgramError if the block gives no tool axis, or the curve cannot begin with it.
         """
 
         def fault(message: str) -> ProgramError:
@@ -130,21 +110,8 @@ class Curve:
         """
         Return the curve as spline rows; None if it has only the first control point.
 
-        Parameters
-        ----------
-        line_number : int
-            Program line of the end of the curve, for error messages.
-
-        Returns
-        -------
-        Blocks or None
-            One row per control point.
-
-        Raises
-        ------
-        ProgramError
-            If there are too few control points, or knots interrupt the curve.
-
+        ``line_number``: program line of the end of the curve, for error messages. Raises
+        ProgramError if there are too few control points, or knots interrupt the curve.
         """
         count = len(self._rows) + 1
         if count == 1:

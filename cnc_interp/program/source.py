@@ -76,13 +76,7 @@ class Source:
     """
     The text of a program.
 
-    Parameters
-    ----------
-    stream : binary file
-        The text. A stream that cannot be positioned is read into memory.
-    name : str
-        File name for error messages.
-
+    ``stream``: the text. A stream that cannot be positioned is read into memory.
     """
 
     def __init__(self, stream: BinaryIO, name: str):

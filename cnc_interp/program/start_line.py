@@ -29,17 +29,10 @@ class StartLine:
 
     The reader reads the program from its top, so that all state is as if it had been run.
 
-    Parameters
-    ----------
-    line : int
-        The line in the main program, from 1; 0 where the run starts at the top.
-    which : int
-        The execution of the line that is wanted, from 1; 0 where there must be only one.
-    source : str
-        File name for error messages.
-    row : int, optional
-        Row of the start, where it is known before the blocks are: of a recorded run.
-
+    ``line``: the line in the main program, from 1; 0 where the run starts at the top; ``which``:
+    the execution of the line that is wanted, from 1; 0 where there must be only one; ``source``:
+    file name for error messages; ``row``: row of the start, where it is known before the blocks
+    are: of a recorded run.
     """
 
     def __init__(self, line: int, which: int, source: str, row: int | None = None):
@@ -71,12 +64,8 @@ class StartLine:
         """
         Return the start after the whole program was read.
 
-        Raises
-        ------
-        ProgramError
-            If the line is not executed, executed several times and none was named, or if no
-            motion follows.
-
+        Raises ProgramError if the line is not executed, executed several times and none was named,
+        or if no motion follows.
         """
         count, which = self.passes, self._which
         if not count:

@@ -59,25 +59,13 @@ def piece_counts(
     """
     Compute how many pieces keep curved motion within tolerances of chords and great circles.
 
-    Parameters
-    ----------
-    poses : callable
-        Function of block indices, shape (m,), and block parameters in [0, 1], shape (m,). It
-        returns tool tips [m] and unit tool axes [-], shape (m, 3) each.
-    turned : ndarray, shape (n,)
-        Angle through which each block turns, of its rotary axes together or of its arc [rad].
-    allowed_tip, allowed_top : ndarray, shape (n,)
-        Largest distance of the tip, and of the point at flank height, from their chords [m]. The
-        second one bounds the turn of the tool axis times the height, too.
-    height : float
-        Flank height [m].
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        Number of equal pieces per block, each with a turn below 90 deg. A count above
-        ``MOST_PIECES`` is only a lower bound.
-
+    ``poses``: function of block indices, shape (m,), and block parameters in [0, 1], shape (m,).
+    It returns tool tips [m] and unit tool axes [-], shape (m, 3) each; ``turned`` (n,): angle
+    through which each block turns, of its rotary axes together or of its arc [rad];
+    ``allowed_tip``, ``allowed_top`` (n,): largest distance of the tip, and of the point at flank
+    height, from their chords [m]. The second one bounds the turn of the tool axis times the
+    height, too; ``height``: flank height [m]. Returns (n,): number of equal pieces per block, each
+    with a turn below 90 deg. A count above ``MOST_PIECES`` is only a lower bound.
     """
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
     trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)
@@ -127,16 +115,8 @@ def ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
     """
     Return block index and piece index of every piece.
 
-    Parameters
-    ----------
-    counts : ndarray of int, shape (n,)
-        Number of pieces of each block.
-
-    Returns
-    -------
-    row, piece : ndarray of int, shape (sum of counts,)
-        Index of the block, and index of the piece in its block, counted from 0.
-
+    ``counts`` (n,): number of pieces of each block. Returns ``row``, ``piece`` (sum of counts,):
+    index of the block, and index of the piece in its block, counted from 0.
     """
     row = np.repeat(np.arange(len(counts)), counts)
     first = np.cumsum(counts) - counts

@@ -92,17 +92,12 @@ class TargetColumns:
         """
         Add one target.
 
-        Parameters
-        ----------
-        row : tuple of 29 floats
-            Point: tool tip, or axis positions minus those of the workpiece zero [m]; tool axis
-            [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
-            rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s];
-            duration [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance
-            [m]; line number; 1 if the point is axis positions; feedrate of rotary axes [rad/s];
-            centre [m], normal [-] and sweep [rad] of an arc, NaN without;
-            positions of the extra axes U V W [m].
-
+        ``row``: point: tool tip, or axis positions minus those of the workpiece zero [m]; tool
+        axis [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
+        rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s]; duration
+        [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance [m]; line
+        number; 1 if the point is axis positions; feedrate of rotary axes [rad/s]; centre [m],
+        normal [-] and sweep [rad] of an arc, NaN without; positions of the extra axes U V W [m].
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)
@@ -144,12 +139,8 @@ class TargetColumns:
         """
         Add many targets.
 
-        Parameters
-        ----------
-        rows : ndarray, shape (n, WIDTH)
-            Targets with the columns of ``add``, motion code and feed; the others are filled in
-            here.
-
+        ``rows`` (n, WIDTH): targets with the columns of ``add``, motion code and feed; the others
+        are filled in here.
         """
         if len(self._rows) >= self._full:
             self._convert(last=False)

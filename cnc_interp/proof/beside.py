@@ -21,17 +21,7 @@ def with_beside(
     """
     Add to a proof the limits and the travel of the motion beside the program.
 
-    Parameters
-    ----------
-    proof : Proof
-        The proof of the program.
-    machine : Machine
-        Limits and travel.
-    period : float
-        Interpolation period [s].
-    stretches : sequence of ndarray, shape (K, n_axes)
-        Positions, each from rest to rest [m, rad].
-
+    ``stretches`` (K, n_axes): positions, each from rest to rest [m, rad].
     """
     if not stretches:
         return proof

@@ -207,24 +207,11 @@ class VertexSearch:
         """
         Search each vertex among the samples of its rows; if it is missed, among more samples.
 
-        Parameters
-        ----------
-        points_of : callable
-            Points, shape (k, 3), of axis positions, shape (k, n).
-        vertices : ndarray, shape (M, 3)
-            A point for each program row.
-        tolerance : ndarray, shape (M,)
-            Largest distance from it.
-        unit : ndarray, shape (M, 3), optional
-            Units in which the distance counts; then the tolerance is 1 of them.
-
-        Returns
-        -------
-        distance : ndarray, shape (M,)
-            Distance of each vertex from the motion.
-        sample : ndarray of int, shape (M,)
-            Sample before the nearest point.
-
+        ``points_of``: points, shape (k, 3), of axis positions, shape (k, n); ``vertices`` (M, 3):
+        a point for each program row; ``tolerance`` (M,): largest distance from it; ``unit`` (M,
+        3): units in which the distance counts; then the tolerance is 1 of them. Returns
+        ``distance`` (M,): distance of each vertex from the motion; ``sample`` (M,): sample before
+        the nearest point.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))

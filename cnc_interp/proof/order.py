@@ -89,19 +89,10 @@ class Pursuit:
         """
         Follow the pieces with further samples of the motion.
 
-        Parameters
-        ----------
-        points : ndarray, shape (k + 3, D)
-            The next k samples, with two before them and one after them; beyond the ends of the
-            motion its end samples are repeated.
-        first, count : int
-            Number of the first of the k samples, and of all samples.
-
-        Returns
-        -------
-        first, last : ndarray of int, shape (k,)
-            First and last piece that the motion can have reached at each sample; -1 where none.
-
+        ``points`` (k + 3, D): the next k samples, with two before them and one after them; beyond
+        the ends of the motion its end samples are repeated; ``first``, ``count``: number of the
+        first of the k samples, and of all samples. Returns ``first``, ``last`` (k,): first and
+        last piece that the motion can have reached at each sample; -1 where none.
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
         bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)

@@ -122,22 +122,9 @@ def read_plan(directory: Path) -> PlanFiles:
     """
     Read and check the files of a plan directory.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory written by ``cnc-interp plan``.
-
-    Returns
-    -------
-    PlanFiles
-        The plan, with all optional columns present. Columns of setpoints and path that ``plan``
-        wrote stay in their files.
-
-    Raises
-    ------
-    InterpError
-        If a file or column is missing, cannot be read, has a wrong shape or contains NaN.
-
+    ``directory``: directory written by ``cnc-interp plan``. Returns the plan, with all optional
+    columns present. Columns of setpoints and path that ``plan`` wrote stay in their files. Raises
+    InterpError if a file or column is missing, cannot be read, has a wrong shape or contains NaN.
     """
     if not directory.is_dir():
         raise InterpError(f'{directory}: no such directory; give one written by cnc-interp plan')

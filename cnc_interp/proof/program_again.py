@@ -59,25 +59,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     """
     Read a program by other readers and compare it with the rows of a plan.
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        Its machine.
-    program : Path
-        Text of the program.
-
-    Returns
-    -------
-    Agreement
-        Of both readers, where both can read it.
-
-    Raises
-    ------
-    InterpError
-        If no reader knows all words of the text, or it cannot be read.
-
+    Raises InterpError if no reader knows all words of the text, or it cannot be read.
     """
     settings = plan.summary.get('settings')
     settings = settings if isinstance(settings, dict) else {}

@@ -60,20 +60,8 @@ def measure(program: Program, position: FloatArray, block: IntArray) -> Deviatio
     """
     Measure positions against a program.
 
-    Parameters
-    ----------
-    program : Program
-        The program.
-    position : ndarray, shape (K, n)
-        Axis positions [m, rad].
-    block : ndarray of int, shape (K,)
-        Program row that each of them executes.
-
-    Returns
-    -------
-    Deviation
-        Distances of the positions from the program.
-
+    ``position`` (K, n): axis positions [m, rad]; ``block`` (K,): program row that each of them
+    executes.
     """
     tip, axis = program.transform.forward(position)
     result = measure_widely(program, tip, axis, block, position)
@@ -121,16 +109,7 @@ def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
     """
     Return the tolerances at the program vertices: the smaller one of both adjacent blocks.
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        Plan with M program rows.
-
-    Returns
-    -------
-    contour, orientation : ndarray, shape (M,)
-        Tolerances [m].
-
+    Returns ``contour``, ``orientation`` (M,): tolerances [m].
     """
     both = []
     for name in ('contour_tolerance', 'orientation_tolerance'):

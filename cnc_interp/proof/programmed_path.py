@@ -70,23 +70,11 @@ class ProgrammedPath:
         """
         Build the path from the vertices of the program.
 
-        Parameters
-        ----------
-        tip, axis : ndarray, shape (M, 3)
-            Tool tip [m] and unit tool axis [-] at the end of each row; row 0 is the start pose.
-        rotary : ndarray, shape (M, 2)
-            Programmed rotary positions [rad], NaN where a row has no rotary words.
-        height : float
-            Flank height [m].
-        linear : ndarray of bool, shape (M,), optional
-            Rows whose rotary axes run linearly. They are no lines of the tip and great circles, so
-            no pose is near to them (``programmed_axes.py``).
-
-        Returns
-        -------
-        ProgrammedPath
-            One line and one great circle per row.
-
+        ``tip``, ``axis`` (M, 3): tool tip [m] and unit tool axis [-] at the end of each row; row 0
+        is the start pose; ``rotary`` (M, 2): programmed rotary positions [rad], NaN where a row
+        has no rotary words; ``height``: flank height [m]; ``linear`` (M,): rows whose rotary axes
+        run linearly. They are no lines of the tip and great circles, so no pose is near to them
+        (``programmed_axes.py``). Returns one line and one great circle per row.
         """
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
@@ -121,20 +109,9 @@ class ProgrammedPath:
         """
         Return the deviation of poses from the program rows near those being executed.
 
-        Parameters
-        ----------
-        tip, axis : ndarray, shape (K, 3)
-            Tool tips [m] and unit tool axes [-].
-        block : ndarray of int, shape (K,)
-            Program row that each pose executes.
-        reach : ndarray, shape (K,), optional
-            Search all rows within this distance of the executed row, measured at flank height [m].
-
-        Returns
-        -------
-        Deviation
-            Distances of the K poses.
-
+        ``tip``, ``axis`` (K, 3): tool tips [m] and unit tool axes [-]; ``block`` (K,): program row
+        that each pose executes; ``reach`` (K,): search all rows within this distance of the
+        executed row, measured at flank height [m].
         """
         low = np.maximum(block - WINDOW, 0)
         high = np.minimum(block + WINDOW, len(self.start) - 1)

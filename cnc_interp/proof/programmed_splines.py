@@ -36,23 +36,9 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     """
     Replace the native splines of a plan by short linear rows.
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        Any plan. A plan without splines is returned as it is.
-    machine : Machine
-        Machine with the forward kinematics to use.
-
-    Returns
-    -------
-    PlanFiles
-        The plan with new program rows. Samples and grid points name the new rows.
-
-    Raises
-    ------
-    InterpError
-        If control points do not form a clamped curve.
-
+    ``plan``: any plan. A plan without splines is returned as it is. Returns the plan with new
+    program rows. Samples and grid points name the new rows. Raises InterpError if control points
+    do not form a clamped curve.
     """
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
@@ -88,16 +74,8 @@ def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int
     """
     Divide the program rows into linear parts and native splines.
 
-    Parameters
-    ----------
-    on_spline, exact_stop : ndarray of bool, shape (M,)
-        Whether a row is a control point, and whether the motion stops after it.
-
-    Returns
-    -------
-    list of tuple of int
-        First row and last row (exclusive) of each part, in order.
-
+    ``on_spline``, ``exact_stop`` (M,): whether a row is a control point, and whether the motion
+    stops after it. Returns first row and last row (exclusive) of each part, in order.
     """
     changes = (on_spline[1:] != on_spline[:-1]) | (on_spline & exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
@@ -135,29 +113,11 @@ def chords(
     """
     Replace one native spline by linear rows.
 
-    Parameters
-    ----------
-    blocks : mapping
-        Columns of the program rows, as in ``blocks.npz``.
-    first, last : int
-        First row of the control points, and last row (exclusive).
-    height : float
-        Flank height [m].
-    chord : float
-        Largest distance of tip and point at flank height from the curve [m].
-
-    Returns
-    -------
-    rows : dict of ndarray
-        Columns of the n new rows.
-    poses : ndarray, shape (n, 6)
-        Tips and points at flank height of these rows [m].
-
-    Raises
-    ------
-    InterpError
-        If the control points do not form a clamped curve.
-
+    ``blocks``: columns of the program rows, as in ``blocks.npz``; ``first``, ``last``: first row
+    of the control points, and last row (exclusive); ``height``: flank height [m]; ``chord``:
+    largest distance of tip and point at flank height from the curve [m]. Returns ``rows``: columns
+    of the n new rows; ``poses`` (n, 6): tips and points at flank height of these rows [m]. Raises
+    InterpError if the control points do not form a clamped curve.
     """
     line = int(blocks['line'][first])
     interval = np.asarray(blocks['knot_interval'][first:last], dtype=float)

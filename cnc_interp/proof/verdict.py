@@ -290,21 +290,7 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
     """
     List what the proof of a plan takes as given.
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan.
-    machine : Machine
-        The machine that it is checked with.
-    name : str
-        Bundled machine or YAML file.
-    source : Path
-        Folder of the plan, or a bag.
-
-    Returns
-    -------
-    tuple of Given
-
+    ``name``: bundled machine or YAML file.
     """
     blocks, summary = plan.blocks, plan.summary
     in_bag = not (source / 'blocks.npz').is_file()

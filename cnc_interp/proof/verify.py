@@ -57,23 +57,9 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
     """
     Check the plan files of a directory.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory written by ``cnc-interp plan``.
-    machine : Machine
-        Machine with the limits and the forward kinematics to use.
-
-    Returns
-    -------
-    Proof
-        Largest use of every limit, and all failures.
-
-    Raises
-    ------
-    InterpError
-        If the files cannot be read.
-
+    ``directory``: directory written by ``cnc-interp plan``; ``machine``: machine with the limits
+    and the forward kinematics to use. Returns largest use of every limit, and all failures. Raises
+    InterpError if the files cannot be read.
     """
     return verify(read_plan(directory), machine)
 
@@ -82,23 +68,10 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     """
     Check a plan in memory.
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        Setpoints and program. With an empty ``path``, the grid of the planner is not checked.
-    machine : Machine
-        Machine with the limits and the forward kinematics to use.
-
-    Returns
-    -------
-    Proof
-        Largest use of every limit, and all failures.
-
-    Raises
-    ------
-    InterpError
-        If the flank height is 0 on a machine with rotary axes.
-
+    ``plan``: setpoints and program. With an empty ``path``, the grid of the planner is not
+    checked; ``machine``: machine with the limits and the forward kinematics to use. Returns
+    largest use of every limit, and all failures. Raises InterpError if the flank height is 0 on a
+    machine with rotary axes.
     """
     if machine.has_rotary and plan.flank_height <= 0.0:
         raise InterpError(

@@ -58,20 +58,7 @@ ALPHABET = '0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&(
 
 
 def section(heading: str, text: str, content: str) -> str:
-    """
-    Write a section with a heading.
-
-    Parameters
-    ----------
-    heading, text, content : str
-        HTML of the heading, of the text below it and of the content.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
+    """Write a section with a heading."""
     return f'<section><h2>{heading}</h2><p>{text}</p>{content}</section>'
 
 
@@ -126,11 +113,7 @@ def document(title: str, body: str, style: str = '') -> str:
     Its figures and their library are compressed: a third of their size, and a browser of 2023 or
     later unpacks them.
 
-    Raises
-    ------
-    InterpError
-        If plotly is missing.
-
+    Raises InterpError if plotly is missing.
     """
     try:
         from plotly.offline import get_plotlyjs

@@ -21,16 +21,7 @@ def base_layout(height: int) -> dict[str, Any]:
     """
     Return the layout that all figures share.
 
-    Parameters
-    ----------
-    height : int
-        Height of the figure [px].
-
-    Returns
-    -------
-    dict
-        Arguments of ``update_layout``.
-
+    ``height``: height of the figure [px].
     """
     return {
         'height': height,

@@ -89,20 +89,9 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
 
 def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
     """
-    Differentiate the emitted positions and divide by the limits.
+    Differentiate the emitted positions and divide by the limits [-].
 
-    Parameters
-    ----------
-    plan : PlanFiles
-        The plan, with K setpoints.
-    table : ndarray, shape (7, n_axes, m)
-        Limits over position; see ``core/limit_table.py``.
-
-    Returns
-    -------
-    ndarray, shape (3, K, n_axes)
-        Signed shares of the limits [-].
-
+    ``table`` (7, n_axes, m): limits over position; see ``core/limit_table.py``.
     """
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = limit_shares(held, table, plan.period)

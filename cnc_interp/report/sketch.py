@@ -19,21 +19,8 @@ def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
     """
     Draw the speed of the tool tip over time.
 
-    Parameters
-    ----------
-    directory : Path
-        Plan files.
-    width : int
-        Characters in a line.
-    unicode : bool
-        Whether block elements may be used.
-
-    Returns
-    -------
-    str
-        ``ROWS`` lines of the profile and one line with the ends of the time axis. Every column
-        shows the mean speed of its interval.
-
+    ``unicode``: whether block elements may be used. Returns ``ROWS`` lines of the profile and one
+    line with the ends of the time axis. Every column shows the mean speed of its interval.
     """
     with np.load(directory / 'setpoints.npz') as run:
         time, s = run['time'], run['s']

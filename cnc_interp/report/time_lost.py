@@ -21,13 +21,7 @@ def at_limits(use: FloatArray, axis_names: tuple[str, ...]) -> dict[str, BoolArr
     """
     Tell when each axis is at each of its limits.
 
-    Parameters
-    ----------
-    use : ndarray, shape (3, K, n_axes)
-        Shares of the limits; see ``series.axis_use``.
-    axis_names : tuple of str
-        Names of the axes.
-
+    ``use`` (3, K, n_axes): shares of the limits; see ``series.axis_use``.
     """
     return {
         f'{axis} {kind}': np.abs(use[k, :, j]) > AT_LIMIT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import string
 import zlib
 from html import escape
 from typing import Any
@@ -54,7 +55,12 @@ CONTROLS = json.dumps({
     'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
 })  # fmt: skip
 #: The letters of the base 85 that Python writes.
-ALPHABET = '0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;<=>?@^_`{|}~'
+ALPHABET = (
+    string.digits
+    + string.ascii_uppercase
+    + string.ascii_lowercase
+    + ''.join(mark for mark in string.punctuation if mark not in '"\',./:[\\]')
+)
 
 
 def section(heading: str, text: str, content: str) -> str:
@@ -78,10 +84,10 @@ UNPACK = """
 (async () => {
   const packed = document.getElementById('packed'), text = packed.textContent;
   const bytes = new Uint8Array(text.length * 7 / 8);
-  for (let i = 0, k = 0, bits = 0, count = 0; i < text.length; i++) {
+  for (let i = 0, k = 0, bits = 0, count = 0; i < text.length; i += 1) {
     bits = (bits << 7 | text.charCodeAt(i) & 127) & 0xffff;
     count += 7;
-    if (count > 7) bytes[k++] = bits >> (count -= 8);
+    if (count > 7) { bytes[k] = bits >> (count -= 8); k += 1; }
   }
   const whole = new Blob([bytes.slice(0, packed.dataset.size)]);
   const unpacked = whole.stream().pipeThrough(new DecompressionStream('deflate'));

@@ -193,7 +193,8 @@ class Tab:
                 f'(() => {{ const mark = document.querySelector(`[data-mark="{name}"]`);'
                 'const field = mark?.matches("input") ? mark : mark?.querySelector("input");'
                 'field?.focus(); field?.select();'
-                f'return !!field && document.execCommand("insertText", false, `{text}`); }})()'
+                'return field && document.activeElement === field &&'
+                f'document.execCommand("insertText", false, `{text}`); }})()'
             )
         )
 

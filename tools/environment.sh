@@ -131,7 +131,7 @@ install_system_packages() {
 # --- the environment ---------------------------------------------------------------------------
 
 start_over() {
-  say 'setting up .venv, once: 0.9 GB; 2 to 4 minutes on two idle cores, longer on busy ones'
+  say 'setting up .venv, once: 0.9 GB; about 2 minutes on two idle cores, longer on busy ones'
   local free
   rm -rf "$venv"
   free=$(df -Pk "$root" | awk 'NR == 2 {print int($4 / 1024)}')

@@ -2,7 +2,7 @@
 The kinds of drives: what each needs to be told, and how it is made.
 
 The parameters of machine_node and the option ``--drives`` come from this table. A new kind of
-drives is one more entry, and its class behind the port of ``drives.py``.
+drives is one more entry, and a class that fills the port ``drives.py``.
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ waits until the next one is known. Points in the plane are complex numbers.
 
 The first line leads to the contour: beside the start of the next element, or beside its own end,
 as LinuxCNC has it. There an arc may lead, too; it keeps its direction at its end. Where a contour
-comes back to its beginning, the elements before and behind are leads, into which the tool may cut.
+comes back to its beginning, the elements before and after it are leads. The tool may cut into
+them.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ SMOOTH = 1e-6
 SHORTEST, ROUNDING = 1e-9, 1e-9
 #: A cutter can touch the contour again within so many elements; more are not compared.
 COMPARED = 60
-#: So many elements before and behind a closed contour can be leads; how near it closes [m].
+#: So many elements before and after a closed contour can be leads; how near it closes [m].
 LEADS, CLOSED = 4, 0.01 * MM
 #: Offsets that do not meet at a smaller inner turn are joined as they are [rad].
 NEARLY_SMOOTH = 0.05
@@ -355,7 +356,7 @@ class CutterRadius:
         """
         Raise if the tool centre is nearer to the contour than its radius and the tolerance.
 
-        What may be a lead, before or behind a closed contour, is judged when that is known.
+        What may be a lead, before or after a closed contour, is judged when that is known.
         """
         if distance >= abs(self._distance) - row[CONTOUR]:
             return

@@ -56,15 +56,21 @@ class Hole:
     feed_out: float | None = None
 
 
+def go_along(
+    mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool, rapid: bool = True
+) -> None:
+    """Go to a level of the drilling axis [m] at a place in program coordinates, (5,) [m, rad]."""
+    target = place.copy()
+    target[axis] = along
+    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=rapid)
+
+
 def make_hole(mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given: bool) -> None:
     """Drill at a place in program coordinates, shape (5,) [m, rad]."""
 
-    def go(along: float, rapid: bool, aside: FloatArray | float = 0.0) -> None:
-        target = place.copy()
-        target[axis] = along
-        rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-        point = mover.frames.point(target[:3] + aside)
-        mover.go(point, rotary, feed_given=feed_given, rapid=rapid)
+    def go(along: float, rapid: bool, at: FloatArray = place) -> None:
+        go_along(mover, at, axis, along, feed_given, rapid)
 
     for peck in hole.pecks:
         go(peck, False)
@@ -84,8 +90,10 @@ def make_hole(mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given
         go(hole.retract, False)
         mover.feedrate = kept
     elif hole.shift is not None:
-        go(hole.bottom, True, hole.shift)
-        go(hole.clear, True, hole.shift)
+        beside = place.copy()
+        beside[:3] += hole.shift
+        go(hole.bottom, True, beside)
+        go(hole.clear, True, beside)
     go(hole.clear, True)
 
 
@@ -174,11 +182,11 @@ class CannedCycle:
         levels = [level, retract]
         if level < retract:
             levels = [retract]
-            _rapid(mover, here, axis, retract, feed_given)
+            go_along(mover, here, axis, retract, feed_given)
         for along in levels:
-            _rapid(mover, start, axis, along, feed_given)
+            go_along(mover, start, axis, along, feed_given)
         if start is not place:
-            _rapid(mover, place, axis, retract, feed_given)
+            go_along(mover, place, axis, retract, feed_given)
         make_hole(mover, hole, place, axis, feed_given)
 
     def _shift(self, mover: Mover) -> FloatArray | None:
@@ -202,11 +210,3 @@ class CannedCycle:
         if not count <= _MOST_PECKS:
             raise mover.fault(f'more than {_MOST_PECKS} pecks; enlarge Q', self.code)
         return [max(retract - peck * step, bottom) for peck in range(1, int(count))]
-
-
-def _rapid(mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool) -> None:
-    """Go to a level above a place in a rapid."""
-    target = place.copy()
-    target[axis] = along
-    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=True)

@@ -21,11 +21,12 @@ from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.cursor import Loop
-from cnc_interp.program.cycles import Hole, make_hole
+from cnc_interp.program.cycles import Hole, go_along, make_hole
 from cnc_interp.program.expressions import UNSET
 from cnc_interp.program.frames import rotation
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
+from cnc_interp.program.source import Place
 from cnc_interp.program.words import BlockWords
 
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
@@ -48,9 +49,11 @@ _PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
 _TURNING = re.compile(r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
                       r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)')  # fmt: skip
 #: Words that move nothing.
-_IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|FN 1[4-69]\b|FN ?2\d|\*|PRINT|STRUCTURE)')
+_IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE)')
 _IDLE_M = {'M94', 'M97', 'M98', 'M101', 'M102', 'M103', 'M107', 'M108', 'M109', 'M110', 'M111',
            'M116', 'M117', 'M120', 'M124', 'M138', 'M141', 'M143', 'M148', 'M149'}  # fmt: skip
+#: Those that mean something here only.
+_OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
 _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M140', 'M144', 'M150'}
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
@@ -148,6 +151,15 @@ class HeidenhainReader(GcodeReader):
         number = rb'0*%d(?!\d)' % int(label) if label.isdigit() else re.escape(label.encode())
         return rb'(?:\d+\s+)?LBL\s*' + number
 
+    def _label(self, label: str) -> Place:
+        """Return the line of a label."""
+        source = self.flow.source
+        pattern = re.compile(rb'(?mi)^[ \t/]*' + self._pattern(label))
+        place = source.find(pattern, source.start)
+        if place is None:
+            raise self.fault('no such label; correct it', f'LBL {label}')
+        return place
+
     def _call(self, label: str, repeats: str | None) -> None:
         """Process CALL LBL: run a subprogram once, or repeat the section since a label."""
         flow = self.flow
@@ -156,11 +168,7 @@ class HeidenhainReader(GcodeReader):
             return
         key = f'LBL {label} {flow.line_number}'
         if not (flow.loops and flow.loops[-1].label == key):
-            place = flow.source.find(re.compile(rb'(?mi)^[ \t/]*' + self._pattern(label)),
-                                     flow.source.start)  # fmt: skip
-            if place is None:
-                raise self.fault('no such label; correct it', f'LBL {label}')
-            flow.loops.append(Loop(key, place, int(repeats)))
+            flow.loops.append(Loop(key, self._label(label), int(repeats)))
         loop = flow.loops[-1]
         if loop.rounds > 0:
             loop.rounds -= 1
@@ -176,12 +184,7 @@ class HeidenhainReader(GcodeReader):
                 raise self.fault('write IF +Q1 EQU +Q2 GOTO LBL 1', f'FN {number}')
             left, right = (formula(match[i], self._q) for i in (1, 3))
             if CONDITIONS[number](left, right):
-                place = self.flow.source.find(
-                    re.compile(rb'(?mi)^[ \t/]*' + self._pattern(match[4])),
-                    self.flow.source.start,
-                )
-                if place is None:
-                    raise self.fault('no such label; correct it', f'LBL {match[4]}')
+                place = self._label(match[4])
                 self.flow.loops.clear()
                 self.flow.back_or_on(place)
             return
@@ -299,17 +302,7 @@ class HeidenhainReader(GcodeReader):
         for code in words.m[:]:
             if code in _REFUSED_M:
                 raise self.fault('this M code is not supported; post without it', code)
-            if code in _IDLE_M or code in (
-                'M89',
-                'M91',
-                'M99',
-                'M126',
-                'M127',
-                'M136',
-                'M137',
-                'M13',
-                'M14',
-            ):
+            if code in _IDLE_M or code in _OWN_M:
                 words.m.remove(code)
             if code in _IDLE_M:
                 self.notice(code, 'no effect, it does not move the tool')
@@ -462,7 +455,7 @@ class HeidenhainReader(GcodeReader):
         if (
             abs(vertex - start) < 1e-9
             or abs(end - vertex) < 1e-9
-            or after[across] != corner[across]
+            or np.ptp([place[across] for place in (here, corner, after)]) > 1e-9
         ):
             raise self.fault('needs two lines in the plane', kind)
         into, out = ((q - p) / abs(q - p) for p, q in ((start, vertex), (vertex, end)))
@@ -606,9 +599,7 @@ class HeidenhainReader(GcodeReader):
             )
         breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
         kept, here = mover.feedrate, mover.here()
-        target = here.copy()
-        target[axis] = retract
-        mover.go(mover.frames.point(target[:3]), mover.rotary, rapid=True)
+        go_along(mover, here, axis, retract, feed_given=True)
         feed = of('Q206') * unit / MINUTE
         if self.cycle == 207:
             feed = abs(of('Q239')) * unit * mover.spindle_speed / MINUTE

@@ -15,7 +15,7 @@ import numpy as np
 from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
-from cnc_interp.program.cycles import Hole, make_hole
+from cnc_interp.program.cycles import Hole, go_along, make_hole
 from cnc_interp.program.motion import Mover
 
 CYCLES = {f'CYCLE{number}' for number in (81, 82, 83, 84, 840, 85, 86, 87, 88, 89)}
@@ -51,8 +51,7 @@ class SiemensCycle:
         axis = PLANES[mover.plane][2]
         reference, depth = self._value(1) * unit, self._at(3)
         bottom = reference - self._value(4) * unit if depth is None else depth * unit
-        up = 1.0 if reference >= bottom else -1.0
-        if up < 0.0:
+        if reference < bottom:
             raise mover.fault('the reference plane lies below the depth', self.name)
         retract, clear = reference + self._value(2) * unit, self._value(0) * unit
         if clear < retract:
@@ -76,10 +75,8 @@ class SiemensCycle:
         )
         kept = mover.feedrate
         here = mover.here()
-        start = here.copy()
         for along in (clear, retract) if here[axis] < retract else (retract,):
-            start[axis] = along
-            mover.go(mover.frames.point(start[:3]), mover.rotary, rapid=True)
+            go_along(mover, here, axis, along, feed_given=True)
         mover.feedrate = self._feed(kept)
         hole = Hole(
             retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,

@@ -169,13 +169,13 @@ class SiemensFlow(Cursor):
         """Jump to a line number or a label."""
         name = re.fullmatch(r'[A-Z_][A-Z_]\w*', target)
         if name and not self.variables.exists(target):
-            patterns = [rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:']
+            pattern = rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:'
         else:
             value = self.condition(re.sub(r'^[N:](?=\d)', '', target))
             if not 0 <= value < 1e9:
                 raise self.fault('not a line number; write for example GOTO 100', target)
-            patterns = [rb'(?mi)^[ \t/]*[N:][ \t]*0*%d(?!\d)' % round(value)]
-        search = re.compile(patterns[0])
+            pattern = rb'(?mi)^[ \t/]*[N:][ \t]*0*%d(?!\d)' % round(value)
+        search = re.compile(pattern)
         after = self.window.place(self.row + 1)
         place = self.source.find(search, after) if way != 'B' else None
         if place is None and way != 'F':

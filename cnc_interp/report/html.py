@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import string
 import zlib
 from html import escape
 from typing import Any
@@ -54,13 +53,6 @@ CONTROLS = json.dumps({
     'showSendToCloud': False,
     'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
 })  # fmt: skip
-#: The letters of the base 85 that Python writes.
-ALPHABET = (
-    string.digits
-    + string.ascii_uppercase
-    + string.ascii_lowercase
-    + ''.join(mark for mark in string.punctuation if mark not in '"\',./:[\\]')
-)
 
 
 def section(heading: str, text: str, content: str) -> str:

@@ -116,6 +116,7 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('C X+1 Y+1', 'DR'), ('CR X+1 DR+', 'radius'), ('CT X+1 Y+1', 'CT needs'),
         ('CC X+0 Y+5|CP IPA-90 DR+', 'different directions'),
         ('RND R1|L X+1', 'between two lines'), ('L X+5 F9|RND R9|L Y+3', 'does not fit'),
+        ('L X+5 Z-1 F9|RND R1|L Y+3', 'lines in the plane'),
         ('CALL LBL 9', 'not in this file'),
         ('CALL LBL 9 REP 2', 'no such label'), ('FN 18: SYSREAD Q1 = ID270', 'SYSREAD'),
         ('L X+Q9 F9', 'before it is set'), ('Q1 = 1 / 0', 'no value'),

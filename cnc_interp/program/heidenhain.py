@@ -23,8 +23,8 @@ from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.cursor import Loop
 from cnc_interp.program.cycles import Hole, go_along, make_hole
 from cnc_interp.program.expressions import UNSET
-from cnc_interp.program.frames import rotation
 from cnc_interp.program.gcode import GcodeReader
+from cnc_interp.program.heidenhain_frames import HeidenhainFrames
 from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
 from cnc_interp.program.source import Place
 from cnc_interp.program.words import BlockWords
@@ -75,11 +75,7 @@ class HeidenhainReader(GcodeReader):
         self.modal_cycle = False  # M89
         self.cycle = 0  # number of the cycle that is defined
         self.defining = False  # whether lines with Q belong to the cycle before
-        #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.
-        self._shift: dict[str, float] = {}
-        self._turn: FloatArray | None = None
-        self._angle = 0.0
-        self._plane_angles: dict[str, float] = {}
+        self._frames = HeidenhainFrames(self.mover, self._plane)
 
     def _run(self, first: int, end: int) -> None:
         """Execute lines one by one."""
@@ -500,41 +496,15 @@ class HeidenhainReader(GcodeReader):
                 words.values[name], words.texts[name] = values[name], f'{name}{values[name]:g}'
         self._execute(words)
 
-    def _frame(self) -> None:
-        """Put datum shift, plane and rotation together: in this order, each in the one before."""
-        frames, unit = self.mover.frames, self.mover.unit
-        frames.reset_frame()
-        frames.move(np.array([self._shift.get(letter, 0.0) * unit for letter in 'XYZ']))
-        if self._turn is not None:
-            frames.tilt('PLANE', np.zeros(3), self._turn)
-        if self._angle:
-            axis = 'XYZ'[PLANES[self.mover.plane][2]]
-            frames.rotate({axis: self._angle * DEG})
-        for i, letter in enumerate(self.mover.rotary_letters):
-            frames.local[3 + i] = self._shift.get(letter, 0.0) * DEG
-        frames.update()
-
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
         """Process CYCL DEF."""
         if number in (7, 10, 19) and part == '0':
-            self._plane_angles = {} if number == 19 else self._plane_angles
-        elif number == 7 and part:
-            if self._turn is not None:
-                raise self.fault('a datum shift in a tilted plane; write PLANE RESET before',
-                                 'CYCL DEF 7')  # fmt: skip
-            values, _, _ = self._words(rest)
-            for name, value in values.items():
-                before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
-                self._shift[name.removeprefix('I')] = before + value
-            self._frame()
-        elif number == 10 and part:
-            values, _, _ = self._words(rest)
-            self._angle = values.get('ROT', self._angle)
-            self._frame()
-        elif number == 19 and part:
-            values, _, _ = self._words(rest)
-            self._plane_angles |= values
-            self._stand_on(self._plane_angles)
+            if number == 19:
+                self._frames.begin_angles()
+        elif number in (7, 10, 19) and part:
+            frames = self._frames
+            act = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}[number]
+            act(self._words(rest)[0])
         elif number in (8, 11, 26) and part:
             if re.search(r'[1-9XYZ]', rest):
                 raise self.fault('mirroring and scaling are not supported', f'CYCL DEF {number}')
@@ -614,111 +584,12 @@ class HeidenhainReader(GcodeReader):
         )  # fmt: skip
         mover.feedrate = kept
 
-    # --- planes --------------------------------------------------------------------------------
-
     def _tilt(self, kind: str, rest: str) -> None:
         """Process PLANE."""
-        how = {name: found for found in _TURNING.finditer(rest) for name in found.groups() if name}
+        how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}
         values, _, _ = self._words(_TURNING.sub(' ', rest))
         if 'TABLE' in how:
             raise self.fault('TABLE ROT is not supported; post with COORD ROT', 'PLANE')
-        if kind == 'RESET':
-            self._plane.cancel()
-            self._turn = None
-            self._frame()
-            if 'STAY' not in how:
-                self._position('TURN' if 'TURN' in how else 'MOVE', 0)
-                self.mover.set_oriented(False)
-            return
         choice = 1 if '+' in how else 2 if '-' in how else 0
         way = next((word for word in ('MOVE', 'TURN', 'STAY') if word in how), '')
-        self._turn = self._plane_of(kind, values)
-        self._frame()
-        self._position(way, choice)
-
-    def _plane_of(self, kind: str, values: dict[str, float]) -> FloatArray:
-        """Return the rotation of a plane, shape (3, 3)."""
-
-        def angle(name: str) -> float:
-            return values.get(name, 0.0) * DEG
-
-        if kind == 'SPATIAL':  # about the axes at rest: X, then Y, then Z
-            return (
-                rotation(2, angle('SPC')) @ rotation(1, angle('SPB')) @ rotation(0, angle('SPA'))
-            )
-        if kind == 'EULER':
-            return (rotation(2, angle('EULPR')) @ rotation(0, angle('EULNU'))
-                    @ rotation(2, angle('EULROT')))  # fmt: skip
-        if kind == 'VECTOR':
-            along, normal = (np.array([values.get(c + x, 0.0) for x in 'XYZ']) for c in 'BN')
-            if np.linalg.norm(np.cross(along, normal)) < 1e-9:
-                raise self.fault('give two directions, BX BY BZ and NX NY NZ', 'PLANE VECTOR')
-            z = normal / np.linalg.norm(normal)
-            x = along - (along @ z) * z
-            x = x / np.linalg.norm(x)
-            return np.stack([x, np.cross(z, x), z], axis=1)
-        if kind == 'AXIAL':
-            return self._turn_of_axes(values)
-        raise self.fault('of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
-                         f'PLANE {kind}')  # fmt: skip
-
-    def _turn_of_axes(self, values: dict[str, float]) -> FloatArray:
-        """Return the plane on which the tool stands upright with the rotary axes at angles."""
-        rotary = self.mover.rotary.copy()
-        for letter, value in values.items():
-            if letter not in self.mover.rotary_letters:
-                raise self.fault(f'the machine has no axis {letter}', 'PLANE AXIAL')
-            rotary[self.mover.rotary_letters.index(letter)] = value * DEG
-        if not self.mover.rotary_letters:
-            return np.eye(3)
-        z = self.mover.geometry.tool_axis(rotary[None])[0]
-        up = np.array([0.0, 0.0, 1.0])
-        angle = float(np.arccos(np.clip(z @ up, -1.0, 1.0)))
-        axis = np.cross(up, z)
-        if np.linalg.norm(axis) < 1e-9:
-            return np.eye(3)
-        if len({abs(round(c)) for c in axis / np.linalg.norm(axis)} - {0, 1}) or not _along(axis):
-            raise self.fault('the turn of X and Y in this plane depends on the machine; post with '
-                             'PLANE SPATIAL', 'PLANE AXIAL')  # fmt: skip
-        which = int(np.argmax(np.abs(axis)))
-        return rotation(which, float(np.copysign(angle, axis[which])))
-
-    def _stand_on(self, values: dict[str, float]) -> None:
-        """Process CYCL DEF 19: A, B, C are angles in space, or positions of axes."""
-        angles = {name: value for name, value in values.items() if name in 'ABC'}
-        turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
-        others = [name for name, value in angles.items() if value]
-        if len(others) > 1:
-            raise self.fault('angles in space on some machines, positions of axes on others; post '
-                             'with PLANE SPATIAL or PLANE AXIAL', 'CYCL DEF 19')  # fmt: skip
-        if not others:
-            self._turn = None
-            self.mover.set_oriented(False)
-            self._frame()
-            return
-        self._turn = turn
-        self._frame()
-        self._position('STAY', 0)
-
-    def _position(self, way: str, choice: int) -> None:
-        """Turn the rotary axes to the plane, or demand that they stand there."""
-        mover = self.mover
-        if way in ('TURN', 'MOVE') and mover.rotary_letters:
-            self._plane.stand_up('G53.1' if way == 'TURN' else 'G53.6', choice, BlockWords())
-            return
-        if not mover.rotary_letters:
-            if mover.frames.turn[2, 2] < 1.0 - 1e-9:
-                raise self.fault(
-                    'the tool cannot be turned; this machine has no rotary axes', 'PLANE'
-                )
-            return
-        axis = mover.geometry.tool_axis(mover.rotary[None])[0]
-        if axis @ mover.frames.turn[:, 2] < 1.0 - 1e-9:
-            raise self.fault('the tool does not stand upright on the plane; turn the axes before '
-                             'it, or write TURN or MOVE', 'PLANE')  # fmt: skip
-        mover.set_oriented(True)
-
-
-def _along(axis: FloatArray) -> bool:
-    """Tell whether a direction is that of X, Y or Z."""
-    return bool(np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis))
+        self._frames.tilt(kind, values, way, choice)

@@ -1,0 +1,167 @@
+"""
+Frames of Heidenhain: datum shift (cycle 7), rotation (10), tilted planes (PLANE and cycle 19).
+
+Each lies in the one before: the rotation in the plane, the plane in the shifted datum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG
+from cnc_interp.program.arcs import PLANES
+from cnc_interp.program.frames import rotation
+from cnc_interp.program.motion import Mover
+from cnc_interp.program.tilted_plane import TiltedPlane
+from cnc_interp.program.words import BlockWords
+
+
+class HeidenhainFrames:
+    """The frames that are active, and where the rotary axes stand for them."""
+
+    def __init__(self, mover: Mover, tilted: TiltedPlane):
+        self._mover, self._tilted, self._fault = mover, tilted, mover.fault
+        #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.
+        self._shift: dict[str, float] = {}
+        self._turn: FloatArray | None = None
+        self._angle = 0.0
+        self._angles: dict[str, float] = {}
+
+    def shift(self, values: Mapping[str, float]) -> None:
+        """Process cycle 7; I before a letter is incremental."""
+        if self._turn is not None:
+            raise self._fault(
+                'a datum shift in a tilted plane; write PLANE RESET before', 'CYCL DEF 7'
+            )
+        for name, value in values.items():
+            before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
+            self._shift[name.removeprefix('I')] = before + value
+        self._frame()
+
+    def rotate(self, values: Mapping[str, float]) -> None:
+        """Process cycle 10."""
+        self._angle = values.get('ROT', self._angle)
+        self._frame()
+
+    def begin_angles(self) -> None:
+        """Begin with the lines of cycle 19."""
+        self._angles = {}
+
+    def add_angles(self, values: Mapping[str, float]) -> None:
+        """Process a line of cycle 19: A, B, C are angles in space, or positions of axes."""
+        self._angles |= values
+        angles = {name: value for name, value in self._angles.items() if name in 'ABC'}
+        turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
+        others = [name for name, value in angles.items() if value]
+        if len(others) > 1:
+            raise self._fault('angles in space on some machines, positions of axes on others; '
+                              'post with PLANE SPATIAL or PLANE AXIAL', 'CYCL DEF 19')  # fmt: skip
+        if not others:
+            self._turn = None
+            self._mover.set_oriented(False)
+            self._frame()
+            return
+        self._turn = turn
+        self._frame()
+        self._position('STAY', 0)
+
+    def tilt(self, kind: str, values: Mapping[str, float], way: str, choice: int) -> None:
+        """Process PLANE: the axes go there (MOVE, TURN), or stand there already (STAY)."""
+        if kind == 'RESET':
+            self._tilted.cancel()
+            self._turn = None
+            self._frame()
+            if way != 'STAY':
+                self._position('TURN' if way == 'TURN' else 'MOVE', 0)
+                self._mover.set_oriented(False)
+            return
+        self._turn = self._plane_of(kind, values)
+        self._frame()
+        self._position(way, choice)
+
+    def _frame(self) -> None:
+        """Put datum shift, plane and rotation together: in this order, each in the one before."""
+        frames, unit = self._mover.frames, self._mover.unit
+        frames.reset_frame()
+        frames.move(np.array([self._shift.get(letter, 0.0) * unit for letter in 'XYZ']))
+        if self._turn is not None:
+            frames.tilt('PLANE', np.zeros(3), self._turn)
+        if self._angle:
+            axis = 'XYZ'[PLANES[self._mover.plane][2]]
+            frames.rotate({axis: self._angle * DEG})
+        for i, letter in enumerate(self._mover.rotary_letters):
+            frames.local[3 + i] = self._shift.get(letter, 0.0) * DEG
+        frames.update()
+
+    def _plane_of(self, kind: str, values: Mapping[str, float]) -> FloatArray:
+        """Return the rotation of a plane, shape (3, 3)."""
+
+        def angle(name: str) -> float:
+            return values.get(name, 0.0) * DEG
+
+        if kind == 'SPATIAL':  # about the axes at rest: X, then Y, then Z
+            return (
+                rotation(2, angle('SPC')) @ rotation(1, angle('SPB')) @ rotation(0, angle('SPA'))
+            )
+        if kind == 'EULER':
+            return (rotation(2, angle('EULPR')) @ rotation(0, angle('EULNU'))
+                    @ rotation(2, angle('EULROT')))  # fmt: skip
+        if kind == 'VECTOR':
+            along, normal = (np.array([values.get(c + x, 0.0) for x in 'XYZ']) for c in 'BN')
+            if np.linalg.norm(np.cross(along, normal)) < 1e-9:
+                raise self._fault('give two directions, BX BY BZ and NX NY NZ', 'PLANE VECTOR')
+            z = normal / np.linalg.norm(normal)
+            x = along - (along @ z) * z
+            x = x / np.linalg.norm(x)
+            return np.stack([x, np.cross(z, x), z], axis=1)
+        if kind == 'AXIAL':
+            return self._turn_of_axes(values)
+        raise self._fault('of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
+                         f'PLANE {kind}')  # fmt: skip
+
+    def _turn_of_axes(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the plane on which the tool stands upright with the rotary axes at angles."""
+        rotary = self._mover.rotary.copy()
+        for letter, value in values.items():
+            if letter not in self._mover.rotary_letters:
+                raise self._fault(f'the machine has no axis {letter}', 'PLANE AXIAL')
+            rotary[self._mover.rotary_letters.index(letter)] = value * DEG
+        if not self._mover.rotary_letters:
+            return np.eye(3)
+        z = self._mover.geometry.tool_axis(rotary[None])[0]
+        up = np.array([0.0, 0.0, 1.0])
+        angle = float(np.arccos(np.clip(z @ up, -1.0, 1.0)))
+        axis = np.cross(up, z)
+        if np.linalg.norm(axis) < 1e-9:
+            return np.eye(3)
+        if not _along(axis):
+            raise self._fault('the turn of X and Y in this plane depends on the machine; post '
+                              'with PLANE SPATIAL', 'PLANE AXIAL')  # fmt: skip
+        which = int(np.argmax(np.abs(axis)))
+        return rotation(which, float(np.copysign(angle, axis[which])))
+
+    def _position(self, way: str, choice: int) -> None:
+        """Turn the rotary axes to the plane, or demand that they stand there."""
+        mover = self._mover
+        if way in ('TURN', 'MOVE') and mover.rotary_letters:
+            self._tilted.stand_up('G53.1' if way == 'TURN' else 'G53.6', choice, BlockWords())
+            return
+        if not mover.rotary_letters:
+            if mover.frames.turn[2, 2] < 1.0 - 1e-9:
+                raise self._fault(
+                    'the tool cannot be turned; this machine has no rotary axes', 'PLANE'
+                )
+            return
+        axis = mover.geometry.tool_axis(mover.rotary[None])[0]
+        if axis @ mover.frames.turn[:, 2] < 1.0 - 1e-9:
+            raise self._fault('the tool does not stand upright on the plane; turn the axes '
+                              'before it, or write TURN or MOVE', 'PLANE')  # fmt: skip
+        mover.set_oriented(True)
+
+
+def _along(axis: FloatArray) -> bool:
+    """Tell whether a direction is that of X, Y or Z."""
+    return bool(np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis))

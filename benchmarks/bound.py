@@ -20,6 +20,7 @@ import numpy as np
 from dense import read
 from paths import Case, cases, dense_cases
 from programs import CASES
+from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.differences import BEFORE, limit_shares
@@ -32,7 +33,6 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chain import LONGEST_STEP
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.run.setpoints import Interpolator
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 from paths import dome
 from programs import CASES, PROGRAMS, program_file
+from whole_plans import Kept
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
@@ -38,7 +39,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import Chain, Kept
+from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.choices import Settings

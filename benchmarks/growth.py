@@ -9,11 +9,12 @@ import numpy as np
 from figures import Figures
 from paths import blocks_of, smoothed
 from rivals import topp3
+from whole_plans import Kept
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import Chain, Kept
+from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH
 from cnc_interp.settings.choices import Settings
 

@@ -145,7 +145,7 @@ class LongRun(NodesUnderTest):
 
     def go(self, program: Path, patience: float) -> RunProgram.Result:
         """Run the program to its end and print what there is to see on the way."""
-        usage = Usage(self.children.process_ids)
+        usage = Usage({name: node.process.pid for name, node in self.children.nodes.items()})
         handle = self.start(program=str(program))
         wanted = handle.get_result_async()
         self.spin_until(lambda: (self.executed > 0 and self.loaded) or wanted.done(), patience)
@@ -154,7 +154,7 @@ class LongRun(NodesUnderTest):
             print(f'nothing moved: {unmoved.message}')
             return unmoved
         memory, began = usage.memory(), time.monotonic()
-        usage = Usage(self.children.process_ids)
+        usage = Usage({name: node.process.pid for name, node in self.children.nodes.items()})
         print('progress  ' + '  '.join(f'{name:>14}' for name in memory) + '  resident MB')
         shown = 0
 

@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 from active import share_active
 from rotary_words import files_of
+from whole_plans import Plan, plan_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
@@ -29,7 +30,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import Plan, plan_program
 from cnc_interp.settings.choices import Settings
 
 #: A program is slower than its stops from this part of the time on [-].

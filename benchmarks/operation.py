@@ -122,7 +122,7 @@ class Trial:
 
     def freeze(self, node: str) -> bool:
         """Stop a process for a while; the cycle must go on by itself."""
-        process = self.bench.children.process_ids[node]
+        process = self.bench.children.nodes[node].process.pid
         assert process is not None
         os.kill(process, signal.SIGSTOP)
         self.pause(2.5)

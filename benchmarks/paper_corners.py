@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from paths import ROOT
 from ratios import programs
+from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.corner_spline import corner_spline_points
@@ -29,7 +30,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import Plan, plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners, Style, build, initial_lengths
 from cnc_interp.smoothing.segments import CORNER

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.interpolate import BSpline
+from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
@@ -22,7 +23,6 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother

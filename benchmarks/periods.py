@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from rotary_words import files_of, random_program
+from whole_plans import plan_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MS
@@ -23,7 +24,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 PERIODS = (0.25, 0.5, 1.0, 2.0, 4.0)  # [ms]

@@ -14,6 +14,7 @@ import argparse
 
 import numpy as np
 from rotary_words import files_of
+from whole_plans import plan_program
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
@@ -22,7 +23,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 #: Distance from the pole [deg], orientation tolerance [mm].

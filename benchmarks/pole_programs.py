@@ -17,6 +17,7 @@ import json
 import numpy as np
 from pole import pole_of
 from rotary_words import files_of, rotary_machines
+from whole_plans import plan_program
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
@@ -26,7 +27,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.subdivide import great_circle
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 

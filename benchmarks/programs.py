@@ -26,6 +26,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 from linuxcnc_oracle import PROGRAMS as ORACLE_PROGRAMS
 from linuxcnc_oracle import judged
+from whole_plans import plan_program, summary_of, write_plan
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM_PER_MIN
@@ -34,7 +35,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, summary_of, write_plan
 from cnc_interp.settings.choices import Settings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from rotary_words import files_of
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
+from whole_plans import Plan, plan_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
@@ -41,7 +42,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import Plan, plan_program
 from cnc_interp.settings.choices import Settings
 
 Rows = NDArray[np.float64]

@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 from paths import ROOT, SHARED, blocks_of, dome, random_blocks, time_along
+from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
@@ -23,7 +24,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
-from cnc_interp.run.path_chain import is_faster, path_of
+from cnc_interp.run.path_chain import is_faster
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.lookahead import LookAhead

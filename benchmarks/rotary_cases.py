@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from rotary_words import files_of
+from whole_plans import plan_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
@@ -24,7 +25,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -22,6 +22,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from whole_plans import Plan, plan_program
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
@@ -30,7 +31,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import Plan, plan_program
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.choices import Settings
 

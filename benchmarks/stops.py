@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import ruckig
 from paths import Case, cases
+from whole_plans import path_of
 
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
@@ -28,7 +29,6 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 
 #: Time between the moments asked, and the longest part of a law that is asked [s].

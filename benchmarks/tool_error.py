@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from compensation import MACHINE, PROGRAMS, wrong
+from whole_plans import Kept
 
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.tool_error import tool_error
@@ -29,7 +30,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
-from cnc_interp.run.chain import Chain, Kept
+from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import batches
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.choices import Settings

@@ -9,6 +9,7 @@ writes ``docs/pictures/corner_*.png`` and the tables between the two marker comm
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -34,12 +35,15 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.papers.parametrization import STEP as PAPER_STEP
 from cnc_interp.program import Program, read_program
-from cnc_interp.run.chain import Plan, plan_program, summary_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner_curves import top_parameters
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / 'benchmarks'))
+
+from whole_plans import Plan, plan_program, summary_of  # noqa: E402
+
 PAGE = HERE / 'how_it_works' / 'corner_rounding.md'
 MARKERS = '<!-- tables: begin -->', '<!-- tables: end -->'
 GREEN = '#2e7d4f'

@@ -81,9 +81,8 @@ def run_batch(
     """
     Carry out all jobs.
 
-    ``store``: results of this and earlier starts. Each result is written as soon as it is known;
-    ``processes``: how many processes plan one long program, between its exact stops; so a giant
-    keeps no processor idle. A cluster asks each of its computers instead.
+    ``store``: results of this and earlier starts, each written as soon as it is known;
+    ``processes``: how many processes plan one long program between its exact stops.
     """
     keys: dict[int, str] = {}
     found: dict[int, Outcome] = {}
@@ -131,11 +130,7 @@ def _outcome(ended: Ended[Outcome]) -> Outcome:
 
 
 def dask_workers() -> ModuleType:
-    """
-    Return the module of clusters.
-
-    Raises InterpError if Dask is not installed.
-    """
+    """Return the module of clusters; raises InterpError if Dask is not installed."""
     try:
         from cnc_interp.batch import dask_workers
     except ModuleNotFoundError as problem:
@@ -155,9 +150,8 @@ def workers_of(
     """
     Return who carries out a batch.
 
-    ``scheduler``: address of a cluster; without it, processes of this computer; ``memory``: most
-    memory of a task [bytes]; None for a share of the computer; ``longest``: longest time of a task
-    [s]; ``preloaded``: modules that processes of this computer load once.
+    ``scheduler``: address of a cluster, None for this computer; ``memory``: most memory of a task
+    [bytes], None for a share of the computer; ``longest``: its longest time [s].
     """
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)

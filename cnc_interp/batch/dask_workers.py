@@ -1,10 +1,4 @@
-"""
-A batch on several computers: Dask gives out the tasks, each worker has processes of its own.
-
-A worker of Dask carries out nothing itself. Each of its threads starts one process per task, as
-``processes.py`` does, so crashes, limits and kills are the same on all computers. A task whose
-worker is lost goes to another one. Nothing but the tasks and their results is passed on, no file.
-"""
+"""A batch on several computers: Dask gives out the tasks, processes carry them out as here."""
 
 from __future__ import annotations
 
@@ -99,11 +93,7 @@ def _end_of(future: Future, number: int) -> Ended[Any]:
 def call_there(
     function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
 ) -> Ended[R]:
-    """
-    Call a function in a new process on the computer of a worker.
-
-    A function that takes a number of processes is told how many this worker may have.
-    """
+    """Call a function in a new process on a worker; it is told how many processes it may have."""
     if engine() != version:
         raise InterpError(
             f'the worker {get_worker().address} has another version of cnc_interp; install '

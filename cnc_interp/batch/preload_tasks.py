@@ -1,8 +1,4 @@
-"""
-What every task needs, imported once by the process from which its worker is forked.
-
-Importing this module is its purpose: libraries and compiled kernels are in memory afterwards.
-"""
+"""What every task needs, imported once by the process from which its worker is forked."""
 
 import gc
 

@@ -1,9 +1,4 @@
-"""
-Calls in processes of their own: one process per call, forked from a warm fork server.
-
-A process that dies takes only its own call with it, and leaves no memory behind. Calls whose
-process somebody else kills are begun again.
-"""
+"""Calls in processes of their own, forked from a warm fork server; each crashes alone."""
 
 from __future__ import annotations
 
@@ -94,9 +89,8 @@ class Processes:
     """
     Some processes that work at the same time, at the lowest priority.
 
-    ``memory``: most memory that a process may ask for [bytes]; ``longest``: longest time of a
-    call, all its processes together [s]; ``stopped``: asked again and again whether all shall end;
-    ``preloaded``: modules that are loaded before the processes are forked.
+    ``memory``: most memory of a process [bytes]; ``longest``: longest time of a call [s];
+    ``stopped``: asked again and again whether all shall end; ``preloaded``: modules to load first.
     """
 
     def __init__(

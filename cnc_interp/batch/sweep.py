@@ -1,9 +1,8 @@
 """
 A sweep: one command of `cnc-interp` with many values of its options, and what becomes of each.
 
-A point of a sweep is a command line. So each of them can be run again alone, and every option of
-the command can be swept. A grid tries all combinations. A search (differential evolution, Storn
-and Price 1997, of SciPy) tries as many points as it may, between two values of each option.
+A point is a command line, so each can be run again alone. A grid tries all combinations. A search
+(differential evolution, Storn and Price 1997, of SciPy) tries points between two values.
 """
 
 from __future__ import annotations
@@ -169,11 +168,7 @@ class Sweep:
         self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
 
     def search(self, ranges: Sequence[Range], most: int) -> None:
-        """
-        Run the command as it is, and search the fastest with at most so many other points.
-
-        What is tried depends on the results, not on the number of workers.
-        """
+        """Run the command as it is, and search the fastest with at most so many other points."""
         names = [one.option for one in ranges]
         bounds = [(float(one.values[0]), float(one.values[-1])) for one in ranges]
         self.run([()])

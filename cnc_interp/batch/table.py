@@ -48,11 +48,7 @@ def _row(job: Job, outcome: Outcome, rate: float | None) -> dict[str, Any]:
 
 
 def write_tables(results: Results, rate: float | None, folder: Path) -> list[Path]:
-    """
-    Write ``table.csv``, ``table.parquet`` and ``costs.csv``.
-
-    Parquet needs pyarrow and is left out without it.
-    """
+    """Write ``table.csv``, ``costs.csv`` and, with pyarrow, ``table.parquet``; return them."""
     rows = rows_of(results, rate)
     table, costs = folder / 'table.csv', folder / 'costs.csv'
     write_whole(table, _csv(tuple(COLUMNS), [list(row.values()) for row in rows]))

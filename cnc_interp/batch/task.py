@@ -55,11 +55,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        """
-        Return the name of the result: a hash of all that it depends on.
-
-        These are program, machine, choices, setup, and the source text of this package.
-        """
+        """Name of the result: a hash of all that it depends on, this package's source included."""
         digest = hashlib.sha256(engine().encode())
         texts = (self.program, *(name for name, _ in self.files), self.model.text,
                  self.model.file, json.dumps(self.settings), self.setup)  # fmt: skip
@@ -70,11 +66,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Row:
-    """
-    A row of the table. It depends on the task alone, not on who computes it and when.
-
-    Figures are None where there is no plan.
-    """
+    """A row of the table: it depends on the task alone; figures are None without a plan."""
 
     verdict: Verdict  #: What became of the program.
     message: str = ''  #: Why it is not proven, else ''.
@@ -204,11 +196,7 @@ class Jobs:
 
 
 def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
-    """
-    Return files of programs, and their names in the table.
-
-    A name is the path below the folder that all have in common.
-    """
+    """Return files of programs, and their names: paths below the folder that all share."""
     files: dict[Path, None] = {}
     for path in paths:
         if path.is_dir():

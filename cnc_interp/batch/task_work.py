@@ -37,11 +37,7 @@ PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
 
 def carry_out(task: Task, processes: int = 1) -> Outcome:
-    """
-    Plan and prove a program.
-
-    Whatever goes wrong becomes the verdict of the row. So no program ends a batch.
-    """
+    """Plan and prove a program; whatever goes wrong becomes the verdict of the row."""
     began, used = time.perf_counter(), _processor_time()
     try:
         row = _planned(task, processes)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from cnc_interp.cam.step_file import Part, read_step_part
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.core.bounded_memory import BoundedMemory
+from cnc_interp.core.small_files import BoundedMemory
 
 #: Time of a processor for a file [s], and for each MB of it. Memory beside what its length
 #: explains [bytes].

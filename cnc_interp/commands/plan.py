@@ -91,8 +91,7 @@ def plan_command(options: argparse.Namespace) -> int:
 
 def machine_of(options: argparse.Namespace) -> Machine:
     """Return the machine; with the workpiece elsewhere, its file is among the plan files."""
-    from cnc_interp.machine_model.machine import Machine
-    from cnc_interp.machine_model.workpiece_place import placed_machine
+    from cnc_interp.machine_model.machine import Machine, placed_machine
 
     shift = options.place_x, options.place_y, options.place_z
     if not all(math.isfinite(value) for value in (*shift, options.turn)):

@@ -1,12 +1,14 @@
 """
-Bezier pieces: their points, derivatives, division and degree elevation.
+Bezier pieces: their points, derivatives, division, degree elevation and proven bounds.
 
-A B-spline is evaluated in two steps: ``bspline.py`` converts it to Bezier pieces, and this module
-evaluates the pieces. The NumPy functions work on many pieces at once. The compiled functions work
-on one piece and return jets (``jet.py``).
+``bspline.py`` converts B-splines to pieces. The NumPy functions work on many pieces at once; the
+compiled ones on one piece, and return jets (``jet.py``). A curve lies in the hull of its points,
+and each derivative in the hull of their differences, so the bounds miss no place.
 """
 
 from __future__ import annotations
+
+from math import comb
 
 import numpy as np
 from numba import njit
@@ -77,11 +79,7 @@ def bezier_jet(points: FloatArray, i: int, u: float) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
-    """
-    Return the jet in u of coordinate i of a quintic Bezier curve, in powers of u.
-
-    This special case of ``bezier_jet`` needs no work array, so it is several times faster.
-    """
+    """Return the jet in u of coordinate i of a quintic Bezier curve, fast: no work array."""
     p0, p1, p2, p3, p4, p5 = (
         points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
     )  # fmt: skip
@@ -103,11 +101,7 @@ def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
 
 @njit(cache=True, nogil=True)
 def quintic_part(points: FloatArray, a: float, b: float, out: FloatArray) -> None:
-    """
-    Write the Bezier points of the part of a quintic, (6, d), between two parameters.
-
-    Point k is the blossom with k arguments b and 5 - k arguments a.
-    """
+    """Write the Bezier points of a quintic (6, d) between two parameters, as blossoms."""
     columns = points.shape[1]
     work = np.empty(6)
     for c in range(columns):
@@ -133,3 +127,43 @@ def quintic_end_jet(points: FloatArray, length: float) -> FloatArray:
         for j in range(5 - k):
             difference[j] = difference[j + 1] - difference[j]
     return jet
+
+
+def _size(v: FloatArray) -> FloatArray:
+    """Return the lengths of vectors, shape (..., 3) to (...); the order of the sum is fixed."""
+    return np.asarray(np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2 + v[..., 2] ** 2))
+
+
+def largest(points: FloatArray) -> FloatArray:
+    """Return the largest length among the vectors of each curve, shape (..., k, 3) to (...)."""
+    return np.asarray(_size(points).max(axis=-1, initial=0.0))
+
+
+def weighted_largest(points: FloatArray) -> FloatArray:
+    """Bound the lengths of curves by maxima of the Bernstein polynomials, (n, k, 3) to (n,)."""
+    k, degree = np.arange(points.shape[1]), points.shape[1] - 1
+    share = k / degree
+    weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
+    return np.asarray((weight * _size(points)).sum(axis=1))
+
+
+def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
+    """Bound the first three derivatives of Bezier curves over intervals of a length, (3, ...)."""
+    degree, found = points.shape[-2] - 1, []
+    for order in range(3):
+        points = np.diff(points, axis=-2) * ((degree - order) / length)
+        found.append(largest(points))
+    return np.stack(found)
+
+
+def least_length(points: FloatArray) -> FloatArray:
+    """
+    Return a lower bound of the distance of Bezier curves from zero, (..., k, 3) to (...).
+
+    In the direction of the mean of the points, the curve is at least as far as the nearest point.
+    """
+    mean = points[..., 0, :]
+    for k in range(1, points.shape[-2]):
+        mean = mean + points[..., k, :]
+    along = points * (mean / np.maximum(_size(mean), 1e-300)[..., None])[..., None, :]
+    return np.asarray((along[..., 0] + along[..., 1] + along[..., 2]).min(axis=-1))

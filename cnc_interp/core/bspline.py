@@ -1,9 +1,4 @@
-"""
-B-splines and their conversion to Bezier pieces.
-
-Two kinds occur. Native programs have cubic B-splines with any knots. The compressor fits quintic
-B-splines. Both are converted to Bezier pieces, which ``bezier.py`` evaluates.
-"""
+"""B-splines to Bezier pieces: cubic ones of native programs, quintic ones of the compressor."""
 
 from __future__ import annotations
 
@@ -15,10 +10,9 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 
 def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
     """
-    Return the Bezier points of spans of cubic B-splines, (n, 4, d).
+    Return the Bezier points of spans of cubic B-splines, (n, 4, d), by their blossoms.
 
-    Bezier point b_i is the blossom of the span with i arguments at its right end. ``knots`` (n, 6)
-    are the six around each span, which lies between the third and the fourth.
+    ``knots`` (n, 6): the six around each span, which lies between the third and the fourth.
     """
     left, right = knots[:, 2], knots[:, 3]
     found = []
@@ -55,11 +49,7 @@ def clamped_knots(knots: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def quintic_bezier_matrices(full: FloatArray, spans: int) -> FloatArray:
-    """
-    Return the matrices from control points of a quintic B-spline to Bezier points.
-
-    Row k of a matrix (6, 6) has the weights of six control points in Bezier point k.
-    """
+    """Return matrices (spans, 6, 6) from control points of a quintic B-spline to Bezier points."""
     matrices = np.zeros((spans, 6, 6))
     d = np.empty((6, 6))
     for s in range(spans):
@@ -118,8 +108,7 @@ def quintic_end_coefficients(
     """
     Return the first or last ``known`` control points of a clamped quintic B-spline.
 
-    ``jet`` (known, d) has value and derivatives there, each divided by the factorial of its order.
-    ``at_end`` counts from the end.
+    ``jet`` (known, d): value and derivatives there, each over the factorial of its order.
     """
     choose = (1.0, 5.0, 10.0, 10.0, 5.0, 1.0)
     found = np.zeros((known, jet.shape[1]))

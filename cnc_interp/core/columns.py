@@ -57,9 +57,7 @@ class Table:
     """
     Base of tables: a frozen dataclass of columns of equal length, read-only.
 
-    A field without ``column`` is a table itself.
-
-    Raises ValueError if the shape of a column is not the declared one.
+    A field without ``column`` is a table itself. A column of another shape is a ValueError.
     """
 
     declared: ClassVar[Mapping[str, Column]]  #: The columns by name, in order.

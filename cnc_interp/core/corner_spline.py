@@ -1,9 +1,4 @@
-"""
-The corner spline: a cubic B-spline of five control points [B2013, section 2.2].
-
-Its knots are always (0 0 0 0 .5 1 1 1 1). Therefore its two pieces are written out in powers of u
-[B2013, Eq. A.2], which is faster than the general conversion of ``bspline.py``.
-"""
+"""The corner spline: a cubic B-spline with knots (0 0 0 0 .5 1 1 1 1) [B2013, section 2.2]."""
 
 from __future__ import annotations
 
@@ -58,11 +53,7 @@ def corner_pieces(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def corner_end_derivatives(points: FloatArray) -> FloatArray:
-    """
-    Return the first three derivatives of corner splines at u = 0, (3, n, 3) [B2013, Eq. A.2].
-
-    Reversed control points give the other end, seen from there.
-    """
+    """Return three derivatives of corner splines at u = 0, (3, n, 3) [B2013, Eq. A.2]."""
     p0, p1, p2, p3 = (points[:, i] for i in range(4))
     return np.stack(
         [
@@ -75,11 +66,7 @@ def corner_end_derivatives(points: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True, inline='always')
 def corner_spline_jet(points: FloatArray, i: int, u: float, second_half: bool) -> Jet:
-    """
-    Return the jet in u of coordinate i of a corner spline [B2013, Eq. 1 and A.2].
-
-    At u = 0.5 both polynomial pieces are possible; ``second_half`` selects one.
-    """
+    """Return the jet in u of coordinate i of one half of a corner spline [B2013, Eq. 1, A.2]."""
     if second_half:  # the reversed control points give the same curve backwards
         p0, p1, p2, p3 = points[4, i], points[3, i], points[2, i], points[1, i]
         x, sign = 1.0 - u, -1.0

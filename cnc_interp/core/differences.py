@@ -23,14 +23,10 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
     """
     Divide the first, second and third differences of setpoints by the largest allowed.
 
-    A difference over T^k is a mean of the k-th derivative between its setpoints. So the largest
-    limit between them counts, where a limit depends on the position.
-
+    They are means of derivatives, so the largest limit between the setpoints counts.
     ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
-    ``table`` (7, n_axes, m): limits over position; see ``limit_table.py``.
-    ``period``: interpolation period T [s].
-    Returns (3, K, n_axes): signed shares of the velocity, acceleration and jerk limits [-]. Row k
-    belongs to the differences that end at setpoint k.
+    ``table`` (7, n_axes, m): see ``limit_table.py``. ``period``: interpolation period T [s].
+    Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
     """
     constant = table.shape[2] == 1
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
@@ -47,16 +43,10 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
 
 def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
     """
-    Divide the torques that three setpoints in a row ask for by the largest ones.
+    Divide the torques that three setpoints in a row ask for by the largest ones, (K, n_axes) [-].
 
-    The velocity is that between the first and the third. Where an axis turns between them,
+    Arguments as in ``limit_shares``; zero for axes without a largest torque. Where an axis turns,
     Coulomb friction has both signs, so the smaller torque counts.
-
-    ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
-    ``table`` (7, n_axes, m): limits over position; see ``limit_table.py``.
-    ``period``: interpolation period T [s].
-    Returns (K, n_axes): shares, not negative [-]; row k belongs to the differences that end at
-    setpoint k. Zero for axes without a largest torque.
     """
     steps = np.diff(positions[BEFORE - 2 :], axis=0)
     sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))

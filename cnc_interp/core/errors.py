@@ -10,11 +10,7 @@ class InterpError(Exception):
 
 
 class ProgramError(InterpError):
-    """
-    A part program cannot be read.
-
-    ``line_number``: line in the file, counted from 1; 0 if the fault concerns the whole file.
-    """
+    """A part program cannot be read; ``line_number`` counts from 1, 0 is the whole file."""
 
     def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
         self.message = message
@@ -57,11 +53,8 @@ class BlockError(InterpError):
     """
     The motion of a block is refused before anything moves.
 
-    The planning packages know only the line of a block. A caller that knows the file sets the
-    attribute ``source``.
-
-    ``line_number``: line of the part program, 0 if unknown.
-    ``value``: the value that is refused, in SI units; NaN if there is none.
+    Planning knows only the line (0: unknown); a caller that knows the file sets ``source``.
+    ``value``: what is refused, SI; NaN if there is none.
     """
 
     def __init__(

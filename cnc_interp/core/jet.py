@@ -1,11 +1,8 @@
 """
 Jets: truncated Taylor arithmetic with a value and its first three Taylor coefficients.
 
-A jet (c0, c1, c2, c3) represents f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4). The derivatives of f
-are c1, 2 c2 and 6 c3. A formula that is evaluated with jets gives its exact derivatives, without
-derivative formulas. A vector jet is a tuple of three jets.
-
-All functions are compiled into the kernels that use them.
+A jet (c0, c1, c2, c3) is f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4), so a formula that is
+evaluated with jets gives exact derivatives. A vector jet is a tuple of three jets.
 """
 
 from __future__ import annotations
@@ -88,11 +85,7 @@ def sine_cosine(a: Jet) -> tuple[Jet, Jet]:
 
 @njit(cache=True, nogil=True, inline='always')
 def arctangent(y: Jet, x: Jet) -> Jet:
-    """
-    Return atan2(y, x) of two jets whose values are not both zero.
-
-    The derivative g of the angle follows from g (x^2 + y^2) = x y' - y x'.
-    """
+    """Return atan2(y, x), not both zero; its slope g follows from g (x^2 + y^2) = x y' - y x'."""
     d0 = x[0] * x[0] + y[0] * y[0]
     d1 = 2.0 * (x[0] * x[1] + y[0] * y[1])
     d2 = 2.0 * (x[0] * x[2] + y[0] * y[2]) + x[1] * x[1] + y[1] * y[1]
@@ -121,11 +114,7 @@ def normalised(a: VectorJet) -> VectorJet:
 
 @njit(cache=True, nogil=True, inline='always')
 def rotated(axis: Vector, sine: Jet, cosine: Jet, v: VectorJet) -> VectorJet:
-    """
-    Rotate the vector jet v about a constant unit axis [B2013, Eq. 4 (Rodrigues)].
-
-    ``sine`` and ``cosine`` are the jets of the sine and the cosine of the angle.
-    """
+    """Rotate a vector jet about a unit axis, by jets of sine and cosine [B2013, Eq. 4]."""
     along = add(add(scale(v[0], axis[0]), scale(v[1], axis[1])), scale(v[2], axis[2]))
     across = (
         subtract(scale(v[2], axis[1]), scale(v[1], axis[2])),
@@ -153,12 +142,7 @@ def compose(a: Jet, f: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def by_arc_length(a: Jet, speed: Jet) -> Jet:
-    """
-    Convert a jet in u to (value, d/ds, d2/ds2, d3/ds3), where ``speed`` is the jet of ds/du.
-
-    The function applies d/ds = (1/speed) d/du three times. It needs the first three coefficients
-    of ``speed``.
-    """
+    """Convert a jet in u to (value, d/ds, d2/ds2, d3/ds3), where ``speed`` is the jet of ds/du."""
     v0, v1, v2 = speed[0], speed[1], speed[2]
     # The first derivative by s, with two more coefficients of its series in u.
     d0 = a[1] / v0

@@ -62,12 +62,7 @@ def folder() -> Path:
 
 @cache
 def _one_process_at_a_time() -> None:
-    """
-    Let numba's files be written by one process while no other reads or writes them.
-
-    numba numbers the forms of a kernel. Two processes that compile different forms at once would
-    take the same number, and one form would be called by the machine code of the other.
-    """
+    """Lock numba's files: two processes would give different forms the same number."""
     from numba.core.caching import IndexDataCacheFile as Files
 
     def locked(act: Callable[..., Any], how: int) -> Callable[..., Any]:

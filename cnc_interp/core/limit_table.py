@@ -42,9 +42,8 @@ def place_table(
     """
     Return the table (7, n_axes, m) of limits of which some depend on the position.
 
-    ``limits`` (3, n_axes) hold for axes that are not in ``places``: there (4, k) limits, and in
-    the last row the increasing positions at which they hold. ``loads`` (3,) has T/J, C/J and B/J
-    of some axes [m or rad per s2, the same, 1/s].
+    ``limits`` (3, n_axes): for axes that are not in ``places``; ``places``: (4, k), limits and the
+    increasing positions at which they hold; ``loads`` (3,): T/J, C/J and B/J.
     """
     m = max((of.shape[1] for of in places.values()), default=1)
     table = np.repeat(constant_table(limits), m, axis=2)
@@ -68,9 +67,8 @@ def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float)
     """
     Return the use of the torque that friction leaves to an axis; negative against the motion.
 
-    Friction takes a part of the torque that accelerates, and helps to brake: with sigma =
-    sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both directions
-    count as accelerating.
+    With sigma = sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both
+    directions count as accelerating.
     """
     drive, friction = table[DRIVE, axis, 0], table[COULOMB, axis, 0]
     if drive == np.inf:

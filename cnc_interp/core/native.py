@@ -1,4 +1,4 @@
-"""What compiled code needs of the machine it runs on: addresses, memory order, the clock."""
+"""Compiled code and its machine: distinct arrays, addresses, memory order, the clock."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.extending import intrinsic
 
 from cnc_interp.core.arrays import IntArray
@@ -93,3 +94,12 @@ def sleep_until(due: int, time: IntArray) -> None:
     time[0], time[1] = due // NANOSECONDS, due % NANOSECONDS
     while _nanosleep(MONOTONIC, ABSOLUTE, time.ctypes.data, np.uintp(0)) != 0:
         pass
+
+
+class DistinctArrays(CompilerBase):  # type: ignore[misc]
+    """Compiler for kernels whose arrays never overlap, so that loops take several elements."""
+
+    def define_pipelines(self):  # type: ignore[no-untyped-def]
+        """Return the usual passes."""
+        self.state.flags.noalias = True
+        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]

@@ -25,11 +25,7 @@ def redraws(stream: TextIO) -> bool:
 
 
 class TimeLeft:
-    """
-    Estimates the remaining time of work from its speed in the later half of the time so far.
-
-    The time before the first part was done does not count, because it is also that of loading.
-    """
+    """Estimates the remaining time of work from its speed in the later half of the time."""
 
     def __init__(self) -> None:
         self._first = math.nan  # when the first part was done [s]

@@ -9,12 +9,9 @@ from pathlib import Path
 
 def share_directory(package: str) -> Path:
     """
-    Return the folder of the data files of an installed package.
+    Return the folder of the data files of an installed package; raises LookupError without it.
 
-    Without ``AMENT_PREFIX_PATH`` it is searched beside Python. So a command of a virtual
-    environment works without sourcing a script.
-
-    Raises LookupError if the package is not installed.
+    Without ``AMENT_PREFIX_PATH`` it is searched beside Python: no script need be sourced.
     """
     beside_python = Path(sys.prefix, 'share', package)  # installed by pip, also without ROS
     if 'AMENT_PREFIX_PATH' not in os.environ and beside_python.is_dir():

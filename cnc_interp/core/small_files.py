@@ -1,9 +1,10 @@
-"""Small files of a user (machine, setup, surface, summary): read within bounds, written whole."""
+"""Small files of a user: read within bounds, written whole; other readers' memory is bounded."""
 
 from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 from pathlib import Path
 from typing import Any
@@ -87,13 +88,7 @@ def read_json(path: Path) -> Any:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """
-    Replace a small file so that it is whole at every moment: the old one, or the new one.
-
-    The new content is written beside it, brought to the disk and renamed.
-
-    Raises OSError if it cannot be written; the old file is untouched.
-    """
+    """Replace a small file so that it is whole at every moment; OSError leaves the old one."""
     path = path.resolve()  # a link stays one
     beside = path.with_name(f'.{path.name}.new')
     with beside.open('w', encoding='utf-8') as file:
@@ -108,3 +103,30 @@ def write_whole(path: Path, text: str) -> None:
         os.fsync(folder)  # the new name is on the disk, too
     finally:
         os.close(folder)
+
+
+#: What a reader may take beside so many times the length of its file [bytes].
+ROOM, TIMES = 1 << 30, 30
+_KINDS = (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)
+
+
+class BoundedMemory:
+    """
+    Limits the memory of this process, and the files it writes, until ``lift``.
+
+    A hostile file then ends in ``MemoryError`` or ``OSError``. ``room``: what it may take [bytes].
+    """
+
+    def __init__(self, *files: Path, room: int = ROOM):
+        room += TIMES * sum(file.stat().st_size for file in files)
+        pages = Path('/proc/self/statm').read_text(encoding='ascii').split()
+        used = int(pages[5]) * resource.getpagesize()
+        self._before = [resource.getrlimit(kind) for kind in _KINDS]
+        for kind, limits, most in zip(_KINDS, self._before, (used + room, room), strict=True):
+            known = [limit for limit in limits if limit != resource.RLIM_INFINITY]
+            resource.setrlimit(kind, (min([most, *known]), limits[1]))
+
+    def lift(self) -> None:
+        """Set the limits back."""
+        for kind, limits in zip(_KINDS, self._before, strict=True):
+            resource.setrlimit(kind, limits)

@@ -165,11 +165,10 @@ def compensate_all(
 
 class Compensation:
     """
-    What is computed once: the words of all axes.
+    What is computed once: the words of all axes, which stand at ``position`` [m, rad].
 
-    ``model``: its drives and loads are the model that is inverted; ``position`` (n_axes,): where
-    the axes stand [m, rad]. Raises MachineError if a drive takes too little feed-forward of
-    velocity.
+    Drives and loads of ``model`` are inverted. Raises MachineError if a drive takes too little
+    feed-forward of velocity.
     """
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
@@ -198,12 +197,7 @@ class Compensation:
 
 
 def compensated_model(name: str, machine: Machine) -> Machine:
-    """
-    Load the model of the drives of a machine that is to be compensated.
-
-    ``name``: bundled machine or file whose drives are the model. Raises MachineError if the model
-    has other axes.
-    """
+    """Load the model of the drives, by name or file; MachineError if it has other axes."""
     known = Machine.load(name)
     if known.axis_names != machine.axis_names:
         axes = ' '.join(known.axis_names)
@@ -222,11 +216,7 @@ def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, f
 
 
 def _crossing(drive: AxisDrive, load: DriveLoad | None) -> float:
-    """
-    Return half of the time in which the motor crosses the backlash [s].
-
-    Its largest acceleration is 1.88 w / time^2, see ``_bump``.
-    """
+    """Return half of the time in which the motor crosses the backlash [s], see ``_bump``."""
     if load is None:
         return CROSSING
     most = CROSSING_TORQUE * load.torque / load.inertia

@@ -43,12 +43,7 @@ SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
 
 
 def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArray:
-    """
-    Compute the words of all axes, which stand still.
-
-    ``position`` (n_axes,): where the axes stand [m, rad]. Returns (n_axes, n_words): the words of
-    each axis, see the kernels below.
-    """
+    """Compute the words (n_axes, n_words) of axes that stand still at ``position`` [m, rad]."""
     drives = [machine.drives.get(j, IDEAL) for j in range(len(machine.axis_names))]
     longest = max(drive.delay for drive in drives)
     words = np.zeros((len(drives), room_of_delay(longest, period)))
@@ -261,10 +256,8 @@ def follow_all(
     """
     Advance all axes over rows of setpoints.
 
-    ``words`` (n_axes, n_words): words of each axis; their state is changed; ``setpoints``,
-    ``rates`` (K, n_axes): setpoints at the end of each period and their velocities [m, rad, per
-    s]. Returns ``position``, ``velocity`` (K, n_axes): axes as measured at the end of each period
-    [m, rad, per s].
+    ``words`` (n_axes, n_words): their state is changed; ``setpoints``, ``rates`` (K, n_axes): at
+    the end of each period [m, rad, per s]. Returns positions and velocities as measured there.
     """
     x, v = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):

@@ -112,7 +112,7 @@ def identify_axis(
     Fit the model of one axis; None where it did not move.
 
     ``machine``: gives inertia and viscous friction; ``setpoints``, ``rates``, ``feedback`` (K,
-    n_axes): positions and velocities of the setpoints, and measured positions [m, rad, per s].
+    n_axes): setpoints, their velocities, and measured positions [m, rad, per s].
     Raises InterpError if the axis turned too seldom to show its friction and backlash.
     """
     rows = _moving(setpoints[:, axis], period)
@@ -296,11 +296,7 @@ class _Fit:
         jacobian: FloatArray,
         residual: FloatArray,
     ) -> dict[str, float]:
-        """
-        Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers.
-
-        The positions of the model tell where the measuring system was read.
-        """
+        """Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers."""
         place = self.answer(*self._model(values))[self._counts]
         lags = min(len(residual) - 1, round(CORRELATED / self._period))
         spreads = SIGMAS * spreads_of(jacobian, residual, place, lags)
@@ -328,8 +324,8 @@ def with_drives(
     """
     Write drives and loads into the text of a machine file.
 
-    ``half_widths``: half of the 95 % intervals of the fitted values by field, see
-    ``IdentifiedAxis`` [SI]; ``origin``: where the values come from, for a comment.
+    ``half_widths``: half of the 95 % intervals by field, see ``IdentifiedAxis`` [SI]; ``origin``:
+    where the values come from, for a comment.
     """
     parts = [_without_sections(text).rstrip('\n'), '']
     if loads:
@@ -387,11 +383,7 @@ ROOM = 0.4
 
 
 def excitation(machine: Machine) -> str:
-    """
-    Write the program for all axes of a machine; it begins and ends where the axes stand.
-
-    Raises MachineError if an axis has no room to move.
-    """
+    """Write the program for all axes, which ends where they stand; MachineError without room."""
     lines = [f'(EXCITATION OF THE AXES OF {machine.name.upper()}: for cnc-interp identify)']
     moving = [axis for axis in machine.axes if np.ptp(axis.travel) > 1e-6]  # none that is locked
     lines += ['G21 G94 G91', 'TRAFOOF', 'G0 ' + ' '.join(f'{axis.name}0' for axis in moving)]

@@ -41,11 +41,7 @@ COMES = 5e-3
 
 
 def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
-    """
-    Return the setpoints of a program from its first motion, and the last one held after them.
-
-    ``setpoints`` (K, n_axes): setpoints of a program [m, rad].
-    """
+    """Return setpoints (K, n_axes) from the first motion, and the last one held after them."""
     held = np.repeat(setpoints[-1:], math.ceil(HELD / period), axis=0)
     return np.concatenate([setpoints[start_of(setpoints) :], held])
 
@@ -65,13 +61,11 @@ def learnt_rates(
     before: FloatArray | None = None,
 ) -> FloatArray:
     """
-    Return what is added to the velocity feed-forward in the next run.
+    Return what is added to the velocity feed-forward in the next run, (K, n_axes) [m, rad, per s].
 
-    ``period``, ``lead``: interpolation period, and the time by which all axes are late [s];
-    ``setpoints`` (K, n_axes): setpoints from ``with_hold`` [m, rad]; ``feedback`` (F, n_axes):
-    measured positions at the first of them; the error is held from there on [m, rad]; ``before``
-    (K, n_axes): what was added in that run [m or rad, per s]. Returns (K, n_axes): the first and
-    the last row are 0 [m or rad, per s].
+    ``lead``: time by which all axes are late [s]; ``setpoints`` (K, n_axes): from ``with_hold``;
+    ``feedback`` (F, n_axes): measured positions; the error is held from there on [m, rad];
+    ``before`` (K, n_axes): what was added in that run. The first and the last row are 0.
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
@@ -109,12 +103,11 @@ def measured_error(
     machine: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray
 ) -> FloatArray:
     """
-    Return the errors of measured positions at the tool, as ``tool_error`` has those of a model.
+    Return the errors of measured positions at the tool, (F, 2), as ``tool_error`` has a model's.
 
-    ``period``, ``lead``: interpolation period, and the time by which all axes are late [s];
-    ``setpoints``, ``feedback`` (K, n_axes), (F, n_axes): setpoints from rest, and measured
-    positions at the first of them [m, rad]. Returns (F, 2): distance of the tip from its path [m],
-    angle of the tool axis [rad].
+    ``lead``: time by which all axes are late [s]; ``setpoints``, ``feedback`` (K, n_axes), (F,
+    n_axes): from rest [m, rad]. Distance of the tip from its path [m], angle of the tool axis
+    [rad].
     """
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
@@ -169,11 +162,7 @@ class LearntMotion:
 
     @staticmethod
     def load(path: Path) -> LearntMotion:
-        """
-        Read a file.
-
-        Raises InterpError if it is no such file.
-        """
+        """Read a file; raises InterpError if it is no such file."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 found = {name: file[name] for name in ARRAYS}
@@ -200,20 +189,15 @@ class LearntMotion:
 
 
 def hash_of(name: str) -> str:
-    """
-    Return the hash of a machine file, given by path or name.
-
-    Raises MachineError if there is none.
-    """
+    """Return the hash of a machine file, given by path or name; MachineError without one."""
     return hashlib.sha256(find_machine_file(name).read_bytes()).hexdigest()
 
 
 def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMotion:
     """
-    Load what was learnt for a machine, its model and a period.
+    Load what was learnt for a machine, its model (names or files) and a period.
 
-    ``machine``, ``model``: machine, and machine whose drives are the model: names or files. Raises
-    InterpError if it was learnt for another one, or there is no model.
+    Raises InterpError if it was learnt for another one, or there is no model.
     """
     if not model:
         raise InterpError('learnt: is added to compensation; name its model with --compensate')

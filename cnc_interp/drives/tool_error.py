@@ -32,11 +32,7 @@ class ToolError:
 
 
 class ToolMotion:
-    """
-    Simulated drives and the error that they leave at the tool, some setpoints at a time.
-
-    ``position`` (n_axes,): where the axes stand at rest [m, rad].
-    """
+    """Simulated drives, at first at ``position``, and the error that they leave at the tool."""
 
     def __init__(
         self, machine: Machine, period: float, position: FloatArray, model: Machine | None = None
@@ -64,14 +60,7 @@ class ToolMotion:
         return found
 
     def push(self, positions: FloatArray, velocities: FloatArray) -> ToolError:
-        """
-        Take the next setpoints, and measure the error at the tool.
-
-        It is compared with the setpoints after it, too. So row k is the error ``late`` periods
-        before setpoint k.
-
-        ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s].
-        """
+        """Take setpoints (K, n_axes) [m, rad, per s]; return errors, ``late`` periods old."""
         if not len(positions):
             return ToolError(np.empty(0), np.empty(0))
         sent = np.ascontiguousarray(positions, dtype=float)
@@ -126,8 +115,7 @@ def path_and_axis_errors(
     """
     Compare pose i with the ``memory`` commanded chords from chord i on; return its errors.
 
-    Where the tip stands or goes back on its way, many chords are as near as the nearest one. The
-    axis is compared with the one on them that is most like it.
+    Where many chords are as near as the nearest one, the axis most like it counts.
     """
     found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
     for i in range(len(tip)):

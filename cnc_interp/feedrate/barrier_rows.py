@@ -37,7 +37,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.distinct_arrays import DistinctArrays
+from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 #: Smallest slack, and slack times dual over the time, at the beginning of a warm start.

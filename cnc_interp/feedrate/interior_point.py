@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.distinct_arrays import DistinctArrays
+from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.barrier_rows import (
     CHUNK,
     add_rows,

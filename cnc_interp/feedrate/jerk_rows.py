@@ -32,8 +32,8 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.distinct_arrays import DistinctArrays
 from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VISCOUS, limit_at
+from cnc_interp.core.native import DistinctArrays
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)

@@ -1,9 +1,8 @@
 """
 AxisPath: the path in machine axes, q(s), with exact derivatives on a grid.
 
-Between two grid points every axis is the septic polynomial that takes value, q_s, q_ss and q_sss
-of both ends (eighth order in the cell's length), so the feed planner, the interpolator and the
-proof read the same curve and none of them needs splines or kinematics.
+In a cell every axis is the septic polynomial that takes value, q_s, q_ss and q_sss of both ends.
+Planner, interpolator and proof read the same curve; none of them needs splines or kinematics.
 """
 
 from __future__ import annotations
@@ -76,9 +75,8 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
 
     The first four are the Taylor cubic of the left end; the others close its misfits d0..d3 (of
     value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit off the smoothest course by less
-    than the rounding of q and s is rounding; on short cells it would be blown up by up to 210/h^3
-    in q_sss although no emitted position can show it. It is taken from the smoothest course then.
-    Where axes move far while s hardly does, misfits of more than ``UNSEEN`` are true ones.
+    than the rounding of q and s is taken from that course: on short cells it would be blown up by
+    210/h^3. Where axes move far while s hardly does, misfits above ``UNSEEN`` are true ones.
     """
     h2, h3 = h * h, h * h * h
     q0, q1, q2, q3 = left[0], left[1] * h, left[2] * h2 / 2, left[3] * h3 / 6
@@ -164,19 +162,14 @@ def evaluate_along(
     """
     Return what ``evaluate`` does, at distances [m] from the starts of cells; held at their ends.
 
-    A path position counts from the start of the program and is rounded accordingly. Where an axis
-    moves thousands of times as far as s does, differences of setpoints would show that.
+    Where an axis moves much farther than s, the rounding of a path position would show.
     """
     jets = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)
     return jets[0], jets[1], jets[2], jets[3]
 
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
-    """
-    Make further path positions [m] grid points without changing q(s).
-
-    Tip and tool axis of new points are interpolated (chord and normalised chord).
-    """
+    """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
     s = np.union1d(path.s, s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
     if len(s) == len(path.s):
         return path

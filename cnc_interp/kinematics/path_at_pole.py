@@ -7,7 +7,7 @@ where the outer axis is given.
 
 On a segment the tool axis is o = D / |D| with ``D = E + L + (T(f) - T(u))``: E = T - B is the
 difference of top and bottom curve, L the connection, and f the parameter of the top curve, u
-itself on most curves. With hulls (``core/hull_bounds.py``) of the derivatives, and with
+itself on most curves. With hulls (``core/bezier.py``) of the derivatives, and with
 ``d >= |f - u|``, ``e >= |f' - 1|``,
 
     |D| >= min E - |L| - |T'| d              |D'| <= |E'| + |L'| + |T'| e + |T''| d
@@ -38,9 +38,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.bezier import divided
+from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
 from cnc_interp.core.corner_spline import corner_pieces
-from cnc_interp.core.hull_bounds import derivative_bounds, largest, least_length
 from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.kinematics.segment_axes import (
     BRANCH_AFTER,
@@ -157,8 +156,7 @@ def way_to_pole(
     """
     Return how far from an end of a segment it is first near the pole, in u; 2 if it nowhere is.
 
-    ``turn`` is a bound of |o_u|, and ``limit`` the sine that counts as near; ``back`` starts at
-    u = 1.
+    ``turn`` bounds |o_u|, ``limit`` is the sine that counts as near; ``back`` starts at u = 1.
     """
     way = 0.0
     while way <= 1.0 and turn < np.inf:
@@ -179,8 +177,8 @@ def near_pole(
     """
     Find where segments are near the pole.
 
-    Returns the first and the last parameter where the sine is at most that of ``limits``, 2 and -1
-    without one, shape (n, 2); and the sine at the start of each segment, shape (n,).
+    Returns first and last parameter where the sine is at most that of ``limits``, (n, 2), 2 and
+    -1 without one; and the sine at the start of each segment, (n,).
     """
     near, start = np.empty((len(kinds), 2)), np.empty(len(kinds))
     for i in range(len(kinds)):
@@ -199,8 +197,8 @@ def way_to(kind, shape, beside, length, u):  # type: ignore[no-untyped-def]
     """
     Return the path length from the start of a segment of poses to u [m].
 
-    It is as exact as the sum of its cells: where the outer axis turns fast, a millionth of a
-    micrometre would show as a jump. So each half is divided until the sum no longer changes.
+    Each half is divided until the sum no longer changes: where the outer axis turns fast, a
+    millionth of a micrometre would show as a jump.
     """
     total = 0.0
     for half in range(2):
@@ -255,8 +253,7 @@ def gap_bounds(
     Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
 
     ``rates`` are those of ``rates_of``, ``turning`` bounds both derivatives of the outer axis by
-    path length, and ``allowed`` says how exact each bound should be [rad]. The other arguments are
-    the segments, as in ``sample``.
+    path length, ``allowed`` says how exact each bound should be [rad]; others as in ``sample``.
     """
     bounds = np.zeros(len(kinds))
     w = vector_at(packed, PRIMARY if packed[OUTER] > 0.5 else SECONDARY)
@@ -298,20 +295,15 @@ def gap_bounds(
 
 @dataclass(frozen=True)
 class PassageEnd:
-    """
-    One end of a stretch on which the outer axis is given.
-
-    Segment, parameter, path length [m], the outer axis with three derivatives by path length
-    [rad, rad/m ...], branch, and tilt [rad].
-    """
+    """One end of a stretch on which the outer axis is given."""
 
     segment: int
     u: float
-    s: float
-    jet: FloatArray
+    s: float  #: Path length [m].
+    jet: FloatArray  #: (4,): The outer axis, three derivatives by path length [rad, rad/m ...].
     branch: float
-    tilt: float
-    forbidden: bool = False  # whether travel keeps the tilt from changing its sign
+    tilt: float  #: Inner axis [rad].
+    forbidden: bool = False  #: Whether travel keeps the tilt from changing its sign.
 
 
 @dataclass(frozen=True)

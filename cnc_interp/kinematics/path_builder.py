@@ -1,11 +1,10 @@
 """
 Build the AxisPath of a stream of segments: branch, whole turns, travel, singular poses.
 
-The rotary branch is chosen at the first pose and kept; rotary axes follow continuously and are
-never wrapped. Where the tool axis rests, the rotary axes rest too, so a 3-axis path on the pole is
-no singularity. Rotary axes that are coordinates of the path are taken as they are. Where the path
-is nearer to the pole than its tolerance, the outer axis is given (``pole_passage.py``). If a path
-leaves the pole after a stop, the outer axis turns before, about the resting tip.
+The branch is chosen at the first pose and kept. Rotary axes are never wrapped. They rest where the
+tool axis rests, so a 3-axis path on the pole is no singularity. Nearer to the pole than the
+tolerance, the outer axis is given (``pole_passage.py``). If a path leaves the pole after a stop,
+the outer axis turns before, about the resting tip.
 """
 
 from __future__ import annotations
@@ -13,9 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core.errors import BlockError, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_checks import (
     OFF_WORDS,
@@ -38,6 +38,7 @@ from cnc_interp.kinematics.segment_axes import (
     shapes_of,
 )
 from cnc_interp.machine_model.branch import branch_at, start_positions
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing.orientation import norm
@@ -61,11 +62,7 @@ KINK_JERK = 0.02
 
 @dataclass
 class Cells:
-    """
-    Consecutive segments cut into cells, before joining.
-
-    ``stop`` is at the end of each cell, ``counts`` the number of cells of each segment.
-    """
+    """Consecutive segments cut into cells, before joining."""
 
     steps: FloatArray
     left: FloatArray
@@ -74,8 +71,8 @@ class Cells:
     tools: FloatArray
     feed: FloatArray
     block: IntArray
-    stop: BoolArray
-    counts: IntArray
+    stop: BoolArray  #: At the end of each cell.
+    counts: IntArray  #: Number of cells of each segment.
 
 
 def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegments:
@@ -120,9 +117,8 @@ class AxisPathBuilder:
         """
         Take further segments and return their axes; None when there are none.
 
-        Raises TravelError, SingularityError, BlockError if an axis would leave its travel, the
-        tool axis turns too close to the pole, or an orientation cannot be reached; the message
-        names line, axis and value.
+        Raises TravelError, SingularityError or BlockError, with line, axis and value, if an axis
+        would leave its travel, or an orientation is out of reach or too close to the pole.
         """
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
@@ -171,13 +167,7 @@ class AxisPathBuilder:
         return self._join(parts) if parts else None
 
     def _motions(self, segments: PathSegments) -> IntArray:
-        """
-        Return how the rotary axes move on each segment, shape (n,).
-
-        LINEAR are rotations that the program gives as rotary positions, and segments with rotary
-        axes as coordinates, where ALL_AXES says that X Y Z are such coordinates, too. The others
-        rest, or follow the tool axis on the branch.
-        """
+        """Return how the rotary axes move on each segment, (n,)."""
         n, kind = len(segments), segments.kind
         motion = np.full(n, RESTING)
         if not self.machine.has_rotary:
@@ -233,12 +223,7 @@ class AxisPathBuilder:
         return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
-        """
-        Compare the positions with the start of coordinates, and insert missing whole turns.
-
-        Rotary axes that have followed the tool axis may have come to another whole turn than the
-        words say. On the other branch they stand at positions that no word names.
-        """
+        """Insert whole turns missing at the start of coordinates; refuse other differences."""
         assert self._rotary is not None
         start = run.rotary[0, 0]
         gap = start - self._rotary
@@ -340,3 +325,45 @@ class AxisPathBuilder:
         jerk = np.abs(right[1] - left[1]) * speed / self.period**2
         jerk += np.abs(right[2] - left[2]) * speed**2 / self.period
         return np.asarray((jerk > KINK_JERK * self.machine.max_jerk).any(axis=1))
+
+
+#: Degree of the spline: q_ss and q_sss are continuous, as a motion within jerk limits needs.
+DEGREE = 5
+
+
+def axis_path_from(
+    q: FloatArray, s: FloatArray, machine: Machine, feedrate: float = np.inf
+) -> AxisPath:
+    """
+    Return the smooth path through axis positions, from rest to rest.
+
+    Every axis is the quintic spline through its positions, with four continuous derivatives. Its
+    error is of the sixth order in the distance of the points; at corners it overshoots.
+    ``q`` (N, n_axes): axis positions, N >= 6 [m, rad]; ``s`` (N,): path parameter, increasing,
+    usually the tool tip's path length [m]; ``feedrate``: largest ds/dt [m/s].
+    Raises InterpError if the arrays do not fit each other or the machine, or s does not increase.
+    """
+    q, s = np.array(q, dtype=float), np.array(s, dtype=float)
+    axes = len(machine.axis_names)
+    if s.ndim != 1 or q.shape != (len(s), axes):
+        raise InterpError(f'q must have shape ({s.size}, {axes}): a row for each s, of all axes')
+    if len(s) <= DEGREE:
+        raise InterpError(f'{len(s)} points: a quintic spline needs {DEGREE + 1} or more')
+    if not (np.isfinite(q).all() and np.isfinite(s).all() and (np.diff(s) > 0.0).all()):
+        raise InterpError('q and s must be finite numbers, and s must increase')
+    spline = make_interp_spline(s, q, k=DEGREE)
+    jets = np.stack([spline(s, nu) for nu in range(4)])
+    jets[0] = q
+    tip, axis = Transform.of(machine).forward(q)
+    stop = np.zeros(len(s), dtype=np.bool_)
+    stop[[0, -1]] = True
+    return AxisPath(
+        s=s,
+        cell_left=jets[:, :-1].copy(),
+        cell_right=jets[:, 1:].copy(),
+        tip=tip,
+        axis=axis,
+        cell_feed=np.full(len(s) - 1, feedrate),
+        cell_block=np.zeros(len(s) - 1, dtype=np.int64),
+        stop=stop,
+    )

@@ -102,12 +102,11 @@ def check_travel(
     """
     Refuse cells on which an axis leaves its travel, at their ends or between them.
 
-    The septic of a cell lies between the smallest and the largest of its Bezier values. Where
-    these reach beyond the travel, the cell is divided until they do not, or until the axis is
-    outside at an end of a part. So no place is missed. Bezier values approach the curve with the
-    square of the length, and half of ``TRAVEL_SLACK`` lies between both decisions. So the division
-    ends. The interpolator's septic (``septic_coefficients``) differs by rounding only. The error
-    names the first line, the axis, and how far it would have to go in this line.
+    A septic lies between its Bezier values. Where these reach beyond the travel, the cell is
+    divided until they do not, or the axis is outside at an end of a part. Bezier values approach
+    the curve with the square of the length, and half of ``TRAVEL_SLACK`` lies between both
+    decisions, so the division ends. The error names the first line, the axis, and how far it
+    would have to go in this line.
     """
     powers = steps[:, None, None] ** np.arange(4.0)[:, None]
     values = np.concatenate(

@@ -52,11 +52,7 @@ class Released:
 
 @dataclass(frozen=True)
 class _Core:
-    """
-    Where the path is at the pole, by path length [m].
-
-    Before or after it the tool may rest at the pole for long.
-    """
+    """Where the path is at the pole, by path length [m]; the tool may rest there for long."""
 
     start: float
     end: float

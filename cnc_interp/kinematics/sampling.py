@@ -1,9 +1,8 @@
 """
 Segments -> cells of the AxisPath: q and its exact derivatives by path length.
 
-A segment is cut into cells until the septic polynomial between a cell's ends meets the exact axes
-inside. Cells break where the third derivative may jump: at joins and at u = 0.5 of corners, where
-both curves are taken from the same side.
+A segment is cut until the septics between the cells' ends meet the exact axes inside. Cells break
+where the third derivative may jump: at joins and at u = 0.5 of corners.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """
 The axes and their exact derivatives by path length at one point of a segment.
 
-A break of a corner (u = 0.5, or an end of a span of f) belongs to two pieces. The argument
-``inside`` is a parameter inside one of them, and selects it.
+A break of a corner belongs to two pieces; ``inside``, a parameter in one of them, selects it.
 """
 
 from __future__ import annotations
@@ -82,14 +81,13 @@ def sample(
     """
     Return the axes at one point of a segment.
 
-    ``motion`` is RESTING to ALL_AXES. ``beside`` (6, 2 + k) has control values of the rotary axes
-    [rad] and of k extra axes [m], on the same basis as the bottom curve. ``rotary`` and ``guide``
-    are laid out as above; axes that follow the tool axis keep the branch and the whole turns
-    nearest to ``rotary``. ``way`` is the path length from the start of the segment to u [m].
-    ``inside`` is a parameter inside the cell that u belongs to, where u lies on a break. Returns
-    the axes with three derivatives by path length (4, 5 + k), extra ones last; tool tip and tool
-    axis, of no meaning where the rotary axes are coordinates; and the squared sine of the tilt
-    from the pole, negative when unreachable, 1 unless it is solved.
+    ``motion`` is RESTING to ALL_AXES. ``beside`` (6, 2 + k): control values of rotary axes [rad]
+    and k extra axes [m], on the basis of the bottom curve. ``rotary``, ``guide``: laid out as
+    above; axes that follow keep the branch and the whole turns nearest to ``rotary``. ``way``:
+    path length from the start of the segment to u [m]. Returns the axes with three derivatives by
+    path length (4, 5 + k); tool tip and tool axis, of no meaning where the rotary axes are
+    coordinates; and the squared sine of the tilt from the pole, negative when unreachable, 1
+    unless it is solved.
     """
     if kind == CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)
@@ -159,12 +157,7 @@ def guide_jet(guide: FloatArray, way: float) -> Jet:
 
 @njit(cache=True, nogil=True)
 def beside_jet(kind: int, beside: FloatArray, k: int, u: float, inside: float) -> Jet:
-    """
-    Return the jet in u of column k of ``beside``: an axis that is a coordinate [m or rad].
-
-    On a line the axis runs linearly with the tip. On a corner it joins both lines as smoothly as
-    the tip does.
-    """
+    """Return the jet in u of column k of ``beside``: an axis that is a coordinate [m or rad]."""
     if kind == CORNER:
         return corner_spline_jet(beside, k, u, inside > 0.5)  # type: ignore[no-any-return]
     if kind == SPLINE:

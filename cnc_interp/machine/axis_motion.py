@@ -1,8 +1,4 @@
-"""
-What the axes did, compared with what they were told: errors, use of the limits; no clock.
-
-It does not know which drives there are, see ``drives.py``.
-"""
+"""What the axes did, compared with what they were told: errors, use of limits; no clock."""
 
 from __future__ import annotations
 
@@ -42,10 +38,10 @@ def refuse_setpoints(
     machine: Machine, period: float, before: FloatArray, positions: FloatArray
 ) -> None:
     """
-    Refuse setpoints that leave the travel or break a limit, before they are executed.
+    Refuse setpoints that leave the travel or break a limit; StreamError with axis and value.
 
-    ``before`` (3, n_axes): setpoints before them [m, rad]; ``positions`` (K, n_axes): the
-    setpoints, which must end at rest [m, rad]. Raises StreamError with axis, value and limit.
+    ``before`` (3, n_axes): setpoints before them; ``positions`` (K, n_axes): must end at rest
+    [m, rad].
     """
     beyond = beyond_travel(machine, positions)
     if beyond:
@@ -95,8 +91,7 @@ class ContourErrors:
     """
     Distances of the actual tip from the path of the commanded tips.
 
-    A table that brakes may be ahead of its setpoint. So a tip is compared with the next setpoints,
-    too, and its error comes when these are known.
+    A table that brakes may be ahead of its setpoint. So a tip is compared with the next ones, too.
     """
 
     def __init__(self, period: float, lag: float, tip: FloatArray):
@@ -106,11 +101,7 @@ class ContourErrors:
         self._waiting = np.tile(tip, (late, 1))
 
     def push(self, commanded: FloatArray, tips: FloatArray) -> FloatArray:
-        """
-        Take the next commanded and actual tips, shape (K, 3) [m]; return K distances [m].
-
-        They are those of the tips of ``AHEAD`` before.
-        """
+        """Take the next commanded and actual tips (K, 3); return K distances of ``AHEAD`` ago."""
         trail = np.concatenate([self._trail, commanded])
         waiting = np.concatenate([self._waiting, tips])
         self._trail, self._waiting = trail[1 - self._memory :], waiting[len(tips) :]

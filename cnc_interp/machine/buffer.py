@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,9 @@ class CompensatedDrives:
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
     ):
         compensation = Compensation(model, period, inner.position)
-        self._inner, self._shape = inner, compensation.words.shape
+        self._shape = compensation.words.shape
+        self.switch_on, self.switch_off = inner.switch_on, inner.switch_off
+        self.close, self.fault = inner.close, inner.fault
         self.lag, self.step = compensation.lead, int(compensate_once.address)
         head, told = np.zeros(HEAD, dtype=np.int64), np.zeros(2 * self._shape[0])
         head[[STEP, MEMORY]] = inner.step, inner.memory.ctypes.data
@@ -62,29 +64,9 @@ class CompensatedDrives:
         held: FloatArray = self.memory[self._newest :: self._shape[1]][: self._shape[0]].copy()
         return held
 
-    def switch_on(self) -> None:
-        """Switch the drives on."""
-        self._inner.switch_on()
-
-    def switch_off(self) -> None:
-        """Switch the drives off."""
-        self._inner.switch_off()
-
-    def close(self) -> None:
-        """Let the drives go."""
-        self._inner.close()
-
-    def fault(self, number: int) -> str:
-        """Say what a fault number of the drives means."""
-        return self._inner.fault(number)
-
 
 class Uncompensated:
-    """
-    Drives of a model beside those of the machine, which get the setpoints as they are.
-
-    ``position`` (n_axes,): where the axes stand [m, rad].
-    """
+    """Drives of a model that get the setpoints as they are; they begin at ``position``."""
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
         self._words = words_of(model, period, position)
@@ -93,12 +75,7 @@ class Uncompensated:
         self._contour = ContourErrors(period, lag_of(model), at_rest[0])
 
     def contour_errors(self, positions: FloatArray, velocities: FloatArray) -> FloatArray:
-        """
-        Take the next setpoints; return the distances of the tip from the commanded path.
-
-        ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s]. Returns (K,):
-        distances from the path of the commanded tips, those of a few periods before [m].
-        """
+        """Take setpoints (K, n_axes); return contour errors (K,), a few periods late [m]."""
         x, _ = follow_all(self._words, positions, velocities)
         commanded, tips = (self._transform.forward(at)[0] for at in (positions, x))
         return self._contour.push(commanded, tips)

@@ -1,14 +1,14 @@
 """
 The cycle of the machine: one compiled call without the interpreter's lock.
 
-It wakes at absolute deadlines, takes one setpoint, steps the drives and records what it did.
-It also decides on stops. After a hold, an emergency stop, and where the next chunk is late, it
-plays the stop tail of the current chunk. So no thread of Python lies between clock and stop.
+It wakes at absolute deadlines, takes one setpoint, steps the drives and records what it did. After
+a hold, an emergency stop, and where the next chunk is late, it plays the stop tail of the current
+chunk. So no thread of Python lies between clock and stop.
 
 Chunks stand in a ring of descriptors with the addresses of their arrays; ``Cycle`` keeps the
-arrays alive. A chunk is linked to the one before it after all of it is written, and another link
-lets a new plan join in the middle of the ring. Records of what was played stand in a second ring.
-Each ring has one writer and one reader.
+arrays alive. A chunk is linked to the one before it after all of it is written; another link lets
+a new plan join in the middle of the ring. Records of what was played stand in a second ring. Each
+ring has one writer and one reader.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ from cnc_interp.machine.cycle_kernels import (
     run_periods,
 )
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
-from cnc_interp.run.chunk import Chunk
+from cnc_interp.run.setpoints import Chunk
 
 #: Time for which records are kept until they are read [s]; longer than any buffer and stop tail.
 KEPT = 10.0
@@ -75,19 +75,11 @@ class Records(NamedTuple):
 
     def part(self, first: int, last: int) -> Records:
         """Return the periods from ``first`` to the one before ``last``."""
-        return Records(
-            self.source[first:last], self.serial[first:last], self.row[first:last],
-            self.events[first:last], self.position[first:last], self.velocity[first:last],
-            self.answered[first:last],
-        )  # fmt: skip
+        return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
 
 
 class Cycle:
-    """
-    The compiled cycle, as the threads of Python use it.
-
-    ``travel``, ``jump`` (n_axes, 2), (n_axes,): bounds of setpoints, see ``Memory`` [m, rad].
-    """
+    """The compiled cycle, as the threads of Python use it; bounds are those of ``Memory``."""
 
     def __init__(
         self,
@@ -124,11 +116,7 @@ class Cycle:
         self._memory.feedback[0] = self._memory.feedback[2] = position
 
     def push(self, chunk: Chunk) -> int:
-        """
-        Write a chunk into the ring; return its serial number, which is never used again.
-
-        The cycle does not find it before it is linked, or told to start with it.
-        """
+        """Write a chunk into the ring; return its unique serial number. Linked, it is played."""
         serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
             raise StreamError('the buffer is full; keep to the window of the stream')
@@ -153,10 +141,8 @@ class Cycle:
         Let one chunk come after another, in place of those between; False where it is too late.
 
         The cycle reads the link when it leaves the last row of a chunk. Where it is there just
-        after the link was written, only its next period tells which link it took. A clock that
-        does not come to its next period stands: then the drives get no further setpoint.
-
-        Raises StreamError if the clock stands.
+        after the link was written, only its next period tells which link it took. Raises
+        StreamError if the clock stands: then the drives get no further setpoint.
         """
         control = self._control
         if control[SOURCE] != REST and control[SERIAL] >= after:

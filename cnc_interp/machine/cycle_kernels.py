@@ -1,8 +1,4 @@
-"""
-One period of the machine's cycle, compiled: choose a setpoint, step the drives, record both.
-
-``cycle.py`` describes the rings of chunks and records.
-"""
+"""One period of the cycle, compiled: choose a setpoint, step the drives, record both."""
 
 from __future__ import annotations
 
@@ -143,11 +139,7 @@ def advance(memory: Memory, step: int) -> None:
 
 @njit(cache=True, nogil=True)
 def run_periods(memory: Memory, step: int, period: int) -> None:
-    """
-    Advance at absolute deadlines until it is told to quit.
-
-    They are ``period`` [ns] apart, but for the small shifts that drives with their own clock ask.
-    """
+    """Advance every ``period`` [ns], shifted by drives with their own clock, until QUIT."""
     control, spec = memory.control, np.zeros(2, dtype=np.int64)
     due = time_now(spec)
     while control[QUIT] == 0:

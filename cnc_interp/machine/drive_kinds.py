@@ -1,9 +1,4 @@
-"""
-The kinds of drives: what each needs to be told, and how it is made.
-
-The parameters of machine_node and the option ``--drives`` come from this table. A new kind of
-drives is one more entry, and a class that fills the port ``drives.py``.
-"""
+"""The kinds of drives, one table: what each needs to be told, and how it is made."""
 
 from __future__ import annotations
 
@@ -66,20 +61,18 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
 
 
 def _hal(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
-    from cnc_interp.machine.hal_drives import HalDrives, HalOptions
+    from cnc_interp.machine.hal_drives import HalDrives
 
-    return HalDrives(machine, period, HalOptions(values['hal_depth'], *_limits(values)))
+    return HalDrives(machine, period, values['hal_depth'], _limits(values))
 
 
 def _trajectory(machine: Machine, period: float, values: Values, link: Link) -> Drives:
-    from cnc_interp.machine.trajectory_drives import TrajectoryDrives, TrajectoryOptions
+    from cnc_interp.machine.trajectory_drives import TrajectoryDrives
 
-    options = TrajectoryOptions(
-        values['controller_delay'], *_limits(values), values['controller_silence']
-    )
     joints = joints_of(values['controller_joints'], machine)
     controller = link(values['controller'], values['controller_feedback'], joints)
-    return TrajectoryDrives(machine, period, options, controller)
+    delay, silence = values['controller_delay'], values['controller_silence']
+    return TrajectoryDrives(machine, period, controller, delay, _limits(values), silence)
 
 
 def _limits(values: Values) -> tuple[float, float]:

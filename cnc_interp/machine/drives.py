@@ -2,21 +2,18 @@
 The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
 
 Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
-calls itself: nothing of Python lies between clock and drive. ``DelayedDrives`` are told in Python
-what the cycle has played, some milliseconds later, and execute it after a delay.
-``simulated_drives.py`` and ``hal_drives.py`` have drives of the first kind,
-``trajectory_drives.py`` those of the second. The buffer, the cycle and the states do
-not know which drives there are.
+calls itself (``simulated_drives.py``, ``hal_drives.py``). ``DelayedDrives`` are told in Python
+what the cycle has played, and execute it after a delay (``trajectory_drives.py``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.columns import Table, column
 from cnc_interp.core.errors import StreamError
 
 
@@ -24,31 +21,13 @@ class DriveFaultError(StreamError):
     """A drive cannot follow; the message names the axis and the cause."""
 
 
-@dataclass(frozen=True)
-class AxisRows:
+class AxisRows(Table):
     """Setpoints of consecutive periods, one row each."""
 
-    #: (K, n_axes): Axis coordinates and their derivatives at the end of each period [m or rad, per
-    #: s, per s2].
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-    def __len__(self) -> int:
-        """Return the number of periods."""
-        return len(self.position)
-
-    def part(self, rows: slice | IntArray) -> AxisRows:
-        """Return some rows."""
-        return AxisRows(self.position[rows], self.velocity[rows], self.acceleration[rows])
-
-    def then(self, other: AxisRows) -> AxisRows:
-        """Return these rows and others after them."""
-        return AxisRows(
-            np.concatenate([self.position, other.position]),
-            np.concatenate([self.velocity, other.velocity]),
-            np.concatenate([self.acceleration, other.acceleration]),
-        )
+    #: Axis coordinates and their derivatives at the end of each period [m or rad, per s, s2].
+    position: FloatArray = column('axes')
+    velocity: FloatArray = column('axes')
+    acceleration: FloatArray = column('axes')
 
     @staticmethod
     def held(position: FloatArray, count: int) -> AxisRows:
@@ -101,10 +80,9 @@ class CycleDrives(Drives, Protocol):
     The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
     int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes
     positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
-    ``feedback`` takes the actual positions and velocities in the same layout. Two rows follow for
-    drives that answer later, because of a FIFO: the setpoint that the positions answer (before
-    the call: ``setpoint``), and one number, the time by which the next period shall begin later
-    than by the clock of the machine [s] (before the call: 0).
+    ``feedback`` takes the actual ones in the same layout. Two rows follow for drives that answer
+    later, because of a FIFO: the setpoint that the positions answer (before the call:
+    ``setpoint``), and the time by which the next period shall begin later [s] (before: 0).
 
     It returns 0, or the number of a fault; then the machine is told no further setpoints and the
     last one is held. The number of an alarm, less than 0, stops the machine on its path: the stop
@@ -131,8 +109,7 @@ class DelayedDrives(Drives, Protocol):
     """
     Drives that Python feeds with what the cycle has played; they execute it after a delay.
 
-    The end of every stop tail is known in time. So they come to rest on the path by themselves
-    when they hear nothing more. Every call returns at once.
+    They come to rest on the path when they hear nothing more. Every call returns at once.
     """
 
     @property

@@ -1,12 +1,9 @@
 """
 Drives in LinuxCNC's HAL: real machines, and what LinuxCNC can simulate.
 
-The cycle of the machine writes each setpoint into the FIFO of HAL's ``streamer``, a few periods
-ahead of HAL's thread. ``sampler`` brings back what the drives did. ``config/hal`` has a HAL file
-that shows the wiring, and ``docs/linuxcnc_machine.md`` describes it.
-
-HAL counts in millimetres and degrees, as LinuxCNC does by default. Its library is that of the
-installed LinuxCNC, loaded when the drives are made; ``docs/linuxcnc_machine.md`` has its licence.
+The cycle writes each setpoint into the FIFO of HAL's ``streamer``, a few periods ahead of HAL's
+thread. ``sampler`` brings back what the drives did. HAL counts in millimetres and degrees. Its
+library is that of the installed LinuxCNC (``docs/linuxcnc_machine.md`` has wiring and licence).
 """
 
 from __future__ import annotations
@@ -17,7 +14,6 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -173,28 +169,20 @@ CAUSES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class HalOptions:
-    """How drives in HAL are used."""
-
-    depth: int  #: Setpoints that wait in HAL's FIFO.
-    following_error: float  #: Largest following error of a linear axis [m].
-    following_angle: float  #: Largest following error of a rotary axis [rad].
-
-
 class HalDrives:
     """
     Drives behind a running session of HAL; see ``drives.CycleDrives``.
 
-    ``period``: interpolation period, that of HAL's thread [s]; ``options``: depth of the FIFO and
-    limits of the following error. Raises DriveFaultError if no session runs, if the wiring is
-    wrong, or if HAL's thread stands or has another period.
+    ``period``: that of HAL's thread [s]; ``depth``: setpoints that wait in HAL's FIFO;
+    ``limits``: largest following error of linear [m] and rotary axes [rad].
+    Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's thread stands or has
+    another period.
     """
 
     #: What drives with a following error of about that lag by [s].
     lag = 0.02
 
-    def __init__(self, machine: Machine, period: float, options: HalOptions):
+    def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
         self._names = machine.axis_names
         n = len(self._names)
         self._session = HalSession()
@@ -208,10 +196,10 @@ class HalDrives:
                 )
             stream = self._attach(STREAMER_KEY, 'f' * (2 * n) + 'b', 'streamer')
             samples = self._attach(SAMPLER_KEY, 'f' * (2 * n) + 'b' * (n + 2), 'sampler')
-            self._check_depth(options.depth, stream, samples)
+            self._check_depth(depth, stream, samples)
             self.memory = np.zeros(hal_step.block_size(n))
             self._block = hal_step.block_at(self.memory.ctypes.data, n)
-            self._fill(machine, period, options, stream, samples)
+            self._fill(machine, period, depth, limits, stream, samples)
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
             self._await_answer()
@@ -238,14 +226,14 @@ class HalDrives:
             )
 
     def _fill(
-        self, machine: Machine, period: float, options: HalOptions, stream: HalStream,
-        samples: HalStream,
+        self, machine: Machine, period: float, depth: int, limits: tuple[float, float],
+        stream: HalStream, samples: HalStream,
     ) -> None:  # fmt: skip
         """Fill the memory of the step."""
         block, words, session = self._block, self._block.words, self._session
         linear = machine.is_linear
         block.units[:] = np.where(linear, MM, DEG)
-        block.limits[:] = np.where(linear, options.following_error, options.following_angle)
+        block.limits[:] = np.where(linear, *limits)
         for word, function in (
             (hal_step.WRITE, 'hal_stream_write'),
             (hal_step.READ, 'hal_stream_read'),
@@ -254,8 +242,8 @@ class HalDrives:
         ):
             words[word] = session.address_of(function)
         words[hal_step.STREAM], words[hal_step.SAMPLES] = stream.address, samples.address
-        words[hal_step.WANTED], words[hal_step.PERIOD] = options.depth, round(period * 1e9)
-        words[hal_step.LEAST] = options.depth
+        words[hal_step.WANTED] = words[hal_step.LEAST] = depth
+        words[hal_step.PERIOD] = round(period * 1e9)
 
     def _await_answer(self) -> None:
         """Step until HAL has answered; the clock of the machine does not run yet."""
@@ -300,11 +288,7 @@ class HalDrives:
             time.sleep(1e-9 * self._block.words[hal_step.PERIOD])
 
     def switch_off(self) -> None:
-        """
-        Take the power away, as soon as HAL has played the last setpoint.
-
-        Without power the commanded positions are the actual ones.
-        """
+        """Take the power away, as soon as HAL has played the last setpoint."""
         publish(self._block.words, hal_step.POWER, hal_step.OFF)
 
     def close(self) -> None:

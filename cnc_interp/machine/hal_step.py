@@ -1,13 +1,10 @@
 """
 One period of drives in LinuxCNC's HAL, compiled: a row into the stream, samples out of it.
 
-HAL's ``streamer`` takes one row a period from a FIFO and sets its pins by it. ``sampler`` takes a
-row of pins into another FIFO in the same period. Rows are counted on both sides. So each sample
-is compared with the very row that HAL has played, however deep the FIFO is.
-
+``streamer`` takes one row a period from a FIFO, ``sampler`` puts a row of pins into another one.
+Rows are counted on both sides, so each sample is compared with the very row that HAL has played.
 The number of rows in the FIFO tells how fast HAL's clock runs. In motion the clock of the machine
-is shifted a little until the wanted number of rows waits, so the two clocks may drift. At rest a
-row is repeated or left out instead.
+is shifted a little until the wanted number waits; at rest a row is repeated or left out.
 """
 
 from __future__ import annotations
@@ -209,12 +206,7 @@ def _rows_to_push(words: IntArray, waiting: int, moves: bool) -> int:
 
 @njit(cache=True, nogil=True)
 def _power(block: Block, setpoint: FloatArray) -> int:
-    """
-    Return the power of this row.
-
-    HOLD becomes FOLLOW when the setpoints begin there. The power stays until HAL has played the
-    last setpoint, because the axes still move until then.
-    """
+    """Return the power of this row; HOLD becomes FOLLOW, and LEAVE lasts until all is played."""
     words, n = block.words, len(block.units)
     power, before = words[POWER], words[POWER_BEFORE]
     if power == OFF and before != OFF and words[SILENT] < LONGEST_SILENCE:

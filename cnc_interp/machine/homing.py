@@ -1,9 +1,4 @@
-"""
-Homing: axes find their reference switches.
-
-An axis moves towards its switch until it is pressed, and slowly back until it releases. There its
-position is known. Groups of axes home one after the other, in the order of the machine file.
-"""
+"""Homing: axes move to their reference switches, and slowly back until these release."""
 
 from __future__ import annotations
 
@@ -51,8 +46,8 @@ class Homing:
     """
     The homing of a machine.
 
-    ``pressed``: tells which switches are pressed at actual axis positions, as
-    ``SimulatedSwitches``; ``towards`` (n_axes,): direction to each switch, 1 or -1.
+    ``pressed``: tells which switches are pressed, as ``SimulatedSwitches``; ``towards`` (n_axes,):
+    direction to each switch, 1 or -1.
     """
 
     def __init__(
@@ -93,11 +88,7 @@ class Homing:
         self._groups, self._stages = [], {}
 
     def begin(self, axes: Sequence[str], now: float) -> tuple[str, ...]:
-        """
-        Begin to home axes, all where none is named; return which.
-
-        ``now``: time of any steady clock [s]. Raises StreamError if it cannot begin.
-        """
+        """Begin to home axes, all where none is named; return which, or raise StreamError."""
         given = self._machine.homing
         for name in axes:
             if name not in given.switches:
@@ -131,11 +122,7 @@ class Homing:
         self._jog.beat({}, 0.0, now)
 
     def work(self, now: float) -> None:
-        """
-        Go on; to be called every few milliseconds before the work of the jog.
-
-        Raises StreamError if homing has ended early. The axes come to rest.
-        """
+        """Go on, before the work of the jog; raise StreamError if homing has ended early."""
         if not self._stages:
             return
         state = self._playback.state

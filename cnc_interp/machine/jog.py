@@ -2,8 +2,7 @@
 Motion by hand: what the operator wants, and the setpoints of it for the playback.
 
 A *beat* asks for velocities for a short time, a *move* for a target. Both become pieces of
-setpoints with their stops, some hundredths of a second ahead of the machine. So a motion changes
-soon after its command, and the cycle stops by itself where this thread is late.
+setpoints with their stops, some hundredths of a second ahead of the machine.
 """
 
 from __future__ import annotations
@@ -47,11 +46,7 @@ class Move:
 
 
 class Jog:
-    """
-    The operator's motion by hand.
-
-    ``playback``: the machine's buffer, which plays it.
-    """
+    """The operator's motion by hand; the playback plays it."""
 
     def __init__(self, playback: Playback):
         self._playback, self._machine = playback, playback.axes.machine
@@ -78,11 +73,10 @@ class Jog:
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> None:
         """
-        Take a beat.
+        Take a beat; raise StreamError if it cannot be followed.
 
-        ``shares``: velocity of each axis that moves, as a share of its limit, -1 to 1 [-];
-        ``tool``: the same along the tool, away from the workpiece; ``now``: time of any steady
-        clock [s]. Raises StreamError if it cannot be followed.
+        ``shares``: velocity of each axis that moves, over its limit, -1 to 1 [-]; ``tool``: the
+        same along the tool, away from the workpiece; ``now``: time of any steady clock [s].
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
@@ -107,12 +101,12 @@ class Jog:
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
         """
-        Take a move; return where the axes will rest, shape (n_axes,) [m, rad].
+        Take a move; return where the axes will rest, (n_axes,) [m, rad].
 
         ``values``: position of each axis that moves, or its distance [m, rad]; ``relative``: true
         for distances: from the target of the move that is under way, or from where the axes stand;
-        ``tool``: distance along the tool, away from the workpiece [m]; ``speed``: share of the
-        velocity limits; 0 means 1 [-]. Raises StreamError if it cannot be followed.
+        ``tool``: distance along the tool [m]; ``speed``: share of the velocity limits; 0 means 1
+        [-]. Raises StreamError if it cannot be followed.
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
         self._check(values, tool)
@@ -173,12 +167,7 @@ class Jog:
     # What the machine does ----------------------------------------------------------------------
 
     def work(self, now: float, override: float) -> None:
-        """
-        Hand out what the machine needs next; to be called every few milliseconds.
-
-        ``now``: time of the clock of ``beat`` [s]; ``override``: the feed override [-]. Raises
-        StreamError if no motion was found. The axes come to rest.
-        """
+        """Hand out what the machine needs next; StreamError without a motion, then it rests."""
         playback, state, self._override = self._playback, self._playback.state, override
         before, self._seen = self._seen, state
         if state is not before:

@@ -2,9 +2,8 @@
 Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
 
 ruckig (Berscheid and Kroeger, 2021) gives the fastest motion within velocity, acceleration and
-jerk limits. The setpoints are samples of it. The motion is C2 and its jerk is bounded, so their
-differences keep the limits, too. A motion with a velocity towards an end of travel is a motion to
-that end with this velocity as its largest.
+jerk limits. The setpoints are samples of it, so their differences keep the limits, too. A motion
+with a velocity towards an end of travel is one to that end with this velocity as its largest.
 
 A piece is handed out only if it, and the stop after it, stay within the travel. Else the motion
 stops before the piece, which is always possible: the piece before had a stop.
@@ -23,8 +22,7 @@ from cnc_interp.core.errors import StreamError
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, tool_line
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: A smaller share of a velocity limit is no motion; ruckig bounds the duration of a motion.
 LEAST_SHARE = 1e-3
@@ -150,11 +148,7 @@ class JogMotion:
     def _solve(
         self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
     ) -> ruckig.Trajectory:
-        """
-        Let ruckig find the motion to targets, or to velocities where the target is NaN.
-
-        The velocity of a slide with a target is the largest on the way.
-        """
+        """Let ruckig find the motion to targets, or to velocities where the target is NaN."""
         acceleration, jerk = self.slides.limits[1:]
         aims = np.isfinite(target)
         wanted = ruckig.InputParameter(len(target))

@@ -1,9 +1,8 @@
 """
 The machine's buffer and the state of its run, around the cycle that plays the setpoints.
 
-Every chunk brings the tail of a stop along the path. The cycle follows the tail when the next
-chunk is late and when the operator wants to stop. Then the plan is over. The next one must begin
-where the machine rests. ``read`` takes over what the cycle has done.
+The cycle follows the stop tail of a chunk when the next one is late and when the operator wants to
+stop. Then the plan is over; the next one begins where the machine rests.
 """
 
 from __future__ import annotations
@@ -35,10 +34,9 @@ from cnc_interp.machine.cycle_kernels import (
 )
 from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: Why the machine rests after the last setpoint of a chunk.
 WAIT_REASONS = {
@@ -65,17 +63,13 @@ SPARE_CHUNKS = 4096
 
 
 class Executed(NamedTuple):
-    """
-    Consecutive executed setpoints, and where the axes were [m, rad].
+    """Consecutive executed setpoints, and where the axes were [m, rad]."""
 
-    Plan, number of the first in the run, and whether the program ends with them.
-    """
-
-    run_id: RunId
-    number: int
+    run_id: RunId  #: The plan.
+    number: int  #: Of the first in the run.
     rows: Rows
     actual: FloatArray
-    ends: bool
+    ends: bool  #: Whether the program ends with them.
 
 
 class Reached(NamedTuple):
@@ -90,8 +84,7 @@ class Playback:
     """
     The machine's buffer, the state and the figures of the run; no thread.
 
-    ``machine``: axes, limits, travel and geometry; ``full``: setpoints in a full buffer. The
-    machine starts only then, unless it must rest earlier.
+    ``full``: setpoints in a full buffer. The machine starts only then, unless it must rest before.
     """
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
@@ -157,9 +150,7 @@ class Playback:
 
     def make_room(self, run_id: RunId) -> None:
         """
-        Refuse a plan that cannot begin now, else drop what waits in the buffer.
-
-        The machine then rests until the plan begins, because nothing of the old plan is left.
+        Refuse a plan that cannot begin now, else drop what waits: the machine rests till then.
 
         Raises StreamError if the machine moves, or waits for something else.
         """
@@ -244,11 +235,7 @@ class Playback:
         return np.tile(self.axes.setpoints[-1], (3, 1))
 
     def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
-        """
-        Begin a motion by hand at once, with its first setpoints.
-
-        In a hold the run stays, and its plan is dropped. Another one leads back to the place.
-        """
+        """Begin a motion by hand at once; in a hold the run stays, and another plan leads back."""
         self.check_jog()
         self._refuse_jog(chunk)
         if self.state.state is State.HELD:
@@ -276,11 +263,9 @@ class Playback:
         """
         Tell whether setpoints are not needed, because the machine has left their plan.
 
-        Also a plan that would begin where the axes do not stand any more is left at once, because
-        they were moved by hand. The next one begins where they rest.
-
-        ``begins`` (n_axes,): its first setpoint, if these are the first ones of a plan from rest
-        [m, rad].
+        Also a plan that would begin where the axes do not stand any more, as they were moved by
+        hand, is left at once. ``begins`` (n_axes,): first setpoint of a plan from rest [m, rad],
+        or None.
         """
         away = self.state.state is State.AWAY
         if begins is not None and len(self.away) and run_id.continues(self.run_id):
@@ -308,11 +293,9 @@ class Playback:
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """
-        Return the last three setpoints before a plan that is to join [m, rad].
+        Return the last three setpoints before a plan that is to join from a number on [m, rad].
 
-        ``number``: number of its first setpoint; those with lower numbers are executed as they
-        are. Raises StreamError if the machine has passed there, or has not received all setpoints
-        before it.
+        Raises StreamError if the machine has passed there, or lacks setpoints before it.
         """
         self.read()
         mine, buffer, row = self.run_id, self.buffer, self._row + 1
@@ -381,11 +364,7 @@ class Playback:
         self._handle(Event.STOP, Reason.EMERGENCY_STOP)
 
     def start(self) -> None:
-        """
-        Continue as soon as enough setpoints are buffered.
-
-        Raises StreamError if there is nothing to continue.
-        """
+        """Continue as soon as enough setpoints are buffered; StreamError without any run."""
         self.read()
         self.state = self.state.after(Event.RESUME)
 
@@ -398,8 +377,7 @@ class Playback:
         """
         Clear a fault, or give up what is left of a run, at rest only.
 
-        Raises StreamError if the machine moves, or the drives cannot be switched on again after
-        their fault.
+        Raises StreamError if the machine moves, or the drives cannot be switched on again.
         """
         self.read()
         cleared = self.state.after(Event.RESET)
@@ -524,11 +502,7 @@ class Playback:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
     def _measure(self, samples: Setpoints | None, records: Records) -> bool:
-        """
-        Compare setpoints with what the drives did; without setpoints the last one is held.
-
-        Returns whether the drives follow them; if they do not, the machine is in FAULT.
-        """
+        """Compare setpoints, or the last one held, with what the drives did; tell if they go."""
         x, v, answered = records.position, records.velocity, records.answered
         wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), True
         if samples is not None:

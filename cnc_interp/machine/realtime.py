@@ -22,11 +22,7 @@ LARGEST, CAUGHT_UP, RECORD = CLASSES, CLASSES + 1, CLASSES + 2
 
 
 def ask_for_priority(priority: int) -> str:
-    """
-    Ask for real-time scheduling of the calling thread; return what was granted, in words.
-
-    ``priority``: SCHED_FIFO, 1 to 99; 0 asks for nothing.
-    """
+    """Ask for SCHED_FIFO, 1 to 99, of the calling thread; return in words what was granted."""
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -71,8 +67,7 @@ class Lateness:
     """
     Histogram of how late a periodic thread woke up; its memory does not grow.
 
-    Where it wakes up more than a period late, it catches up: the periods that are due begin at
-    once. They are counted, and are no wake-ups; so the figures compare with those of other clocks.
+    Periods that are due after a late wake-up begin at once. They are counted, and are no wake-ups.
     """
 
     def __init__(self, record: IntArray):

@@ -12,12 +12,7 @@ from cnc_interp.machine_model.machine import Machine
 
 
 class SimulatedDrives:
-    """
-    Drives that follow setpoints by the model of ``drive_model.py``, in the cycle of the machine.
-
-    ``machine``: its file gives the drives; an axis without an entry is ideal; ``position``
-    (n_axes,): where the axes stand at rest [m, rad].
-    """
+    """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
 
     def __init__(self, machine: Machine, period: float, position: FloatArray):
         self.lag, self.step = lag_of(machine), int(follow_once.address)
@@ -55,11 +50,9 @@ def simulate(
     """
     Run simulated drives through all setpoints, from rest at the first one.
 
-    The result is the same, bit for bit, as that of ``Cycle`` with ``SimulatedDrives``.
-
-    ``machine``: axes, limits, geometry and drives; ``positions`` (K, n_axes): setpoints [m, rad];
-    ``velocities`` (K, n_axes): their velocities; central differences when not given [m/s, rad/s];
-    ``model``: compensate its drives. All axes are then later by ``Compensation.lead``.
+    The bits are those of ``Cycle`` with ``SimulatedDrives``. ``positions``, ``velocities``
+    (K, n_axes): setpoints [m, rad, per s]; without velocities, central differences; ``model``:
+    compensate its drives. All axes are then later by ``Compensation.lead``.
     """
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities

@@ -1,19 +1,15 @@
 """
 Drives behind a controller that executes trajectories: joint_trajectory_controller of ros2_control.
 
-The cycle of the machine decides what is played: programs, holds, stops, motion by hand. The
-controller executes it a fixed time later, the delay. Each trajectory covers what the controller
-still has to execute of the setpoints that were played, and after them the way to rest. All
+The controller executes what the cycle plays a fixed time later, the delay. Each trajectory covers
+what it still has to execute of the played setpoints, and after them the way to rest. The
 trajectories of a motion count time from the same instant, and their points lie on the same grid,
-so one continues the other exactly. A controller that hears nothing more comes to rest on the path.
-
-This module has no clock and no ROS: ``Controller`` is what it needs of them.
+so one continues the other exactly. A controller that hears nothing more rests on the path.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -85,44 +81,34 @@ class Controller(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class TrajectoryOptions:
-    """How the controller is used."""
-
-    #: Time from a setpoint in the cycle to its execution by the controller [s].
-    delay: float
-    following_error: float  #: Largest following error of a linear axis [m].
-    following_angle: float  #: Largest following error of a rotary axis [rad].
-    silence: float  #: Silence of the controller after which its feedback counts as lost [s].
-
-
 class TrajectoryDrives:
     """
     Drives behind a trajectory controller; see ``drives.DelayedDrives``.
 
-    ``options``: delay and limits of the following error. Raises DriveFaultError if the positions
-    of the axes are not reported.
+    ``delay``: time from a setpoint in the cycle to its execution [s]; ``limits``: largest
+    following error of linear [m] and rotary axes [rad]; ``silence``: of the controller, after
+    which its feedback counts as lost [s].
+    Raises DriveFaultError if the positions of the axes are not reported.
     """
 
     #: What drives with a following error of about that lag by [s].
     lag = 0.02
 
     def __init__(
-        self, machine: Machine, period: float, options: TrajectoryOptions, controller: Controller
-    ):
+        self, machine: Machine, period: float, controller: Controller, delay: float,
+        limits: tuple[float, float], silence: float,
+    ):  # fmt: skip
         self._names, self._controller = machine.axis_names, controller
         self._period = round(period * 1e9)
-        self._delay = round(options.delay * 1e9)
+        self._delay = round(delay * 1e9)
         self._step = max(1, round(SPACING / period))
         self._linear = machine.is_linear
-        self._limits: FloatArray = np.where(
-            self._linear, options.following_error, options.following_angle
-        )
+        self._limits: FloatArray = np.where(self._linear, *limits)
         #: Rows that the controller may still need; more are kept to compare late reports with.
-        self._needed = int(np.ceil((options.delay + OVERLAP) / period)) + self._step
+        self._needed = int(np.ceil((delay + OVERLAP) / period)) + self._step
         self._kept = self._needed + round(LATEST / period)
         self._on, self.alarm = False, ''
-        self._silence, self._longest_silence = 0.0, options.silence
+        self._silence, self._longest_silence = 0.0, silence
         self._report = self._first_report()
         self._forget(self._report.position)
 
@@ -198,14 +184,14 @@ class TrajectoryDrives:
     def _remember(self, played: AxisRows) -> None:
         """Add rows to those that were played. At rest, choose from when on times count."""
         self._played += len(played)
-        self._rows = self._rows.then(played).part(slice(-self._kept, None))
+        self._rows = AxisRows.concatenate([self._rows, played])[-self._kept :]
         recent = self._rows.position[-self._needed :]
         if np.any(recent != recent[-1]):
             return
         self._zero = self._controller.now() - (self._played - 1) * self._period
         executed = self._told_from + len(self._told) < self._played
         if executed and np.array_equal(self._told.position[-1], recent[-1]):
-            self._told, self._told_from = self._rows.part(slice(-1, None)), self._played - 1
+            self._told, self._told_from = self._rows[-1:], self._played - 1
 
     def _time_of(self, number: int) -> int:
         """Return when the controller shall reach a row [ns]."""
@@ -241,9 +227,9 @@ class TrajectoryDrives:
         moment = (now - self._delay - self._zero) / self._period - 1e9 * OVERLAP / self._period
         first = min(int(moment // step) * step, self._played - 1)
         first = max(first, -((self._kept - self._played) // step) * step)
-        told = self._rows.part(slice(first - self._played, None)).then(stop)
+        told = AxisRows.concatenate([self._rows[first - self._played :], stop])
         chosen = np.arange(0, len(told), step)
-        rows = told.part(chosen).then(AxisRows.held(told.position[-1], 1))
+        rows = AxisRows.concatenate([told[chosen], AxisRows.held(told.position[-1], 1)])
         times = self._period * np.append(chosen, chosen[-1] + step)
         self._controller.send(Trajectory(self._time_of(first), times, rows))
         self._told, self._told_from, self._sent_at = told, first, now

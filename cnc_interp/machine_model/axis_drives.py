@@ -72,9 +72,8 @@ def _friction(value: Any, key: str) -> float:
 @dataclass(frozen=True)
 class AxisDrive:
     """
-    The drive of one axis; the values are those of ideal drives.
+    The drive of one axis beside its ``DriveLoad``; the values are those of ideal drives.
 
-    Inertia, largest torque, Coulomb and viscous friction are those of ``DriveLoad``.
     ``drives/drive_model.py`` has the equations.
     """
 

@@ -30,14 +30,11 @@ def start_positions(
     transform: Transform, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
 ) -> tuple[FloatArray, float]:
     """
-    Choose rotary positions and branch of a start pose.
+    Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
 
-    ``transform``: the machine's five-axis transformation; ``axis`` (3,): tool axis of the start
-    pose [-]; ``rotary`` (2,): rotary positions where the program names them, else NaN [rad];
-    ``near`` (2,): where the program names none, the solution nearest to these positions is taken
-    [rad]. Returns ``rotary`` (2,): positions of the start pose; zeros on a machine without rotary
-    axes [rad]; ``branch``: +1 or -1. Raises BlockError if the orientation cannot be reached within
-    the travel.
+    ``axis`` (3,): its tool axis; ``rotary`` (2,): positions that the program names, else NaN;
+    ``near`` (2,): the solution nearest to these counts then [rad]. Zeros without rotary axes.
+    Raises BlockError if the orientation cannot be reached within the travel.
     """
     machine = transform.machine
     if not machine.has_rotary:
@@ -75,11 +72,10 @@ def positions_of_pose(
     """
     Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
-    ``tip`` (3,): tool tip in W; NaN keeps a coordinate [m]; ``axis`` (3,): direction of the tool
-    axis in W, of any length [-]; None keeps the rotary axes; ``stands`` (n_axes,): where the
-    machine stands; the nearest solution counts, and extra axes stay [m, rad]. Raises BlockError if
-    the rotary axes do not reach the direction within their travel. Raises ValueError if the
-    direction has no length, or the tool of the machine cannot turn to it.
+    ``tip`` (3,): in W, NaN keeps a coordinate [m]; ``axis`` (3,): direction in W of any length,
+    None keeps the rotary axes; ``stands`` (n_axes,): the nearest solution counts, extra axes stay.
+    Raises BlockError if the direction is out of travel, ValueError if it has no length or the
+    tool cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.limit_table import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import share_directory
-from cnc_interp.core.small_files import UnreadableError, read_yaml
+from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad, axis_drives, drive_loads
 from cnc_interp.machine_model.machine_entries import (
@@ -159,11 +162,7 @@ class Machine:
 
     @cached_property
     def lowest_limits(self) -> FloatArray:
-        """
-        Limits that hold at every position and velocity, shape (3, n_axes).
-
-        In m or rad, per s, s2 and s3.
-        """
+        """Limits at every position and velocity, (3, n_axes) [m or rad, per s, s2, s3]."""
         lowest: FloatArray = self.limit_table[:PLACE].min(axis=2)
         for axis, load in self.loads.items():
             left = load.least_acceleration(float(self.max_velocity[axis]))
@@ -199,8 +198,7 @@ class Machine:
         """
         Read a machine from a YAML file, or by the name of a bundled one.
 
-        Raises MachineError if the file is missing or not YAML, or a value is missing, not positive
-        or of the wrong unit size; the message names the key.
+        Raises MachineError, with the key, if the file or a value is missing or makes no sense.
         """
         path = find_machine_file(path_or_name)
         try:
@@ -285,3 +283,46 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         homing=homing(content, travel),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
+
+
+#: Digits after the point of the new offset [mm].
+DIGITS = 9
+
+
+def placed_machine(
+    name: str, shift: tuple[float, float, float], turn: float, file: Path
+) -> Machine:
+    """
+    Write the file of a machine whose workpiece is shifted, and turned about its zero; read it.
+
+    With the C axis next to the workpiece, a turn by an angle w needs no turned program:
+
+        R_C(C) (R_z(w) p + m) = R_C(C + w) (p + R_z(-w) m)
+
+    So C counts from the turned workpiece, and only the offset m is another one.
+    ``shift``: of the workpiece zero, along the table at rest [mm]; ``turn`` [deg]; ``file``: is
+    written, its folder made. Raises MachineError if no table of the machine turns about Z.
+    """
+    machine = Machine.load(name)
+    if turn and not _has_turntable(machine):
+        raise MachineError(
+            f'no rotary axis of {machine.name} turns the workpiece about Z; leave out --turn, and '
+            'turn the program instead'
+        )
+    content = deepcopy(read_yaml(find_machine_file(name)))
+    x, y, z = (1e3 * old + more for old, more in zip(machine.offsets[0], shift, strict=True))
+    c, s = cos(radians(turn)), sin(radians(turn))
+    offset = [round(float(v), DIGITS) for v in (c * x + s * y, c * y - s * x, z)]
+    if machine.has_rotary:
+        content['rotary']['workpiece_offset_mm'] = offset
+    else:
+        content['workpiece_zero_mm'] = offset
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, yaml.safe_dump(content, sort_keys=False))
+    return Machine.load(file)
+
+
+def _has_turntable(machine: Machine) -> bool:
+    """Tell whether the rotary axis next to the workpiece carries it and turns about Z."""
+    x, y, _ = machine.rotary_direction[1]
+    return machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0

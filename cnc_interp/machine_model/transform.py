@@ -109,13 +109,10 @@ class Transform:
 
     def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """
-        Return the smallest angle between tool axis and pole while the rotary axes run linearly.
+        Return the smallest angle to the pole, (n,) [rad], while the rotary axes run linearly.
 
-        The cosine is ``o . u = c0 + R cos(b - b0)`` (module docstring), so its extremes lie at
-        the ends or where b - b0 is a multiple of 180 deg.
-
-        ``start``, ``end`` (n, 2): rotary positions [rad]. Returns (n,): angles to the nearer one
-        of both directions of the pole [rad].
+        ``start``, ``end`` (n, 2): rotary positions [rad]. ``o . u = c0 + R cos(b - b0)`` (module
+        docstring) has its extremes at the ends or where b - b0 is a multiple of 180 deg.
         """
         inner = 1 - self.outer
         u, w = self.machine.rotary_direction[[self.outer, inner]]
@@ -132,11 +129,10 @@ class Transform:
 
     def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
         """
-        Return how far a point on the tool axis moves in W per radian of each rotary axis.
+        Return how far a point on the tool axis moves in W per radian, (n, 2) [m].
 
         ``stands`` (n, 3): X Y Z plus the extra axes along their directions [m]; ``rotary`` (n, 2):
-        rotary positions [rad]; ``height``: height of the point above the tip [m]. Returns (n, 2):
-        distances of the point from the primary and the secondary axis [m].
+        rotary positions [rad]; ``height``: height of the point above the tip [m].
         """
         machine = self.machine
         u1, u2 = machine.rotary_direction
@@ -163,20 +159,15 @@ class Transform:
         return levers
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
-        """
-        Return the tool axis of rotary positions, (n, 3).
-
-        ``rotary`` (n, 2): primary and secondary rotary positions [rad].
-        """
+        """Return the tool axes, (n, 3), of rotary positions (n, 2) [rad]."""
         q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
         return np.asarray(forward(self.packed, q)[1])
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """
-        Return tool tips and tool axes of axis positions.
+        Return tool tips [m] and tool axes in W, (n, 3), of axis positions (n, n_axes) [m, rad].
 
-        ``q`` (n, n_axes): axis positions [m, rad]; extra axes may be left out and count as 0 then.
-        Returns ``tip``, ``axis`` (n, 3): ``p_WT`` [m] and ``o_W`` [-].
+        Extra axes may be left out and count as 0 then.
         """
         q = np.asarray(q, float)
         own = 5 if self.machine.has_rotary else 3
@@ -188,22 +179,13 @@ class Transform:
         return forward(self.packed, q)  # type: ignore[no-any-return]
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """
-        Return X Y Z [m], shape (n, 3), of tool tips [m] at given rotary positions [rad].
-
-        Extra axes stand at 0.
-        """
+        """Return X Y Z (n, 3) [m] of tool tips at rotary positions [rad]; extra axes at 0."""
         return np.array(
             [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
         )
 
     def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
-        """
-        Return both branches of the rotary positions for one tool axis.
-
-        ``axis`` (3,): unit tool axis in W. Returns (2,): primary and secondary position in (-pi,
-        pi] [rad]; empty when unreachable.
-        """
+        """Return both branches (2,) in (-pi, pi] [rad] for a tool axis (3,); [] out of reach."""
         o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
         found = []
         for branch in (1.0, -1.0):
@@ -238,11 +220,7 @@ class ToolLine(NamedTuple):
 
 
 def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
-    """
-    Return the line along the tool through axis positions, shape (n_axes,) [m, rad].
-
-    The tip is an affine function of X Y Z, so its differences over 1 m are exact.
-    """
+    """Return the line along the tool through axis positions, shape (n_axes,) [m, rad]."""
     n = len(stands)
     tip, axis = transform.forward(stands + np.eye(4, n, -1))
     direction = np.zeros(n)

@@ -1,9 +1,4 @@
-"""
-The five-axis transformation, compiled: jets of machine axes from jets of tool tip and tool axis.
-
-``transform.py`` has the equations and their symbols. A machine is passed as one flat array, its
-*packed geometry*, which keeps the signatures short.
-"""
+"""The five-axis transformation, compiled: jets of machine axes (see ``transform.py``)."""
 
 from __future__ import annotations
 
@@ -52,12 +47,11 @@ def rotary_jets(
     packed: FloatArray, o: VectorJet, branch: float, tilt_near: float, turn_near: float
 ) -> tuple[Jet, Jet, float]:
     """
-    Solve the rotary axes for a tool axis.
+    Solve the rotary axes for a unit tool axis ``o`` in W.
 
-    ``packed`` (29 + 3 k,): geometry of the machine; ``o``: unit tool axis in W [-]; ``tilt_near``,
-    ``turn_near``: positions of inner and outer axis that select the whole turns [rad]. Returns
-    ``tilt``, ``turn``: positions of inner and outer axis [rad]; ``sine_squared``: negative where
-    the orientation cannot be reached; zero at the pole, where the jets are not finite.
+    ``packed`` (29 + 3 k,): geometry of the machine; ``tilt_near``, ``turn_near``: positions that
+    select the whole turns [rad]. Returns inner and outer axis [rad], and the squared sine of the
+    tilt: negative out of reach; zero at the pole, where the jets are not finite.
     """
     outer = int(packed[OUTER])
     u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)

@@ -23,12 +23,7 @@ SECOND = 10**9
 
 
 def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTrajectory:
-    """
-    Turn a trajectory into its message.
-
-    ``trajectory``: points with position, velocity and acceleration, so that a controller takes
-    quintics.
-    """
+    """Turn a trajectory into its message; with accelerations a controller takes quintics."""
     message = JointTrajectory(joint_names=list(joints))
     message.header.stamp = Time(**_parts(trajectory.start))
     rows = trajectory.rows
@@ -45,11 +40,7 @@ def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTraj
 
 
 def joint_report(message: JointState, joints: Sequence[str]) -> JointReport | None:
-    """
-    Read the axes from joint states, in whatever order; None if one is missing or not a number.
-
-    Velocities that are not reported count as 0.
-    """
+    """Read the axes from joint states in any order; None if one is missing or not a number."""
     places = {name: k for k, name in enumerate(message.name)}
     chosen = [places.get(name, -1) for name in joints]
     if min(chosen) < 0 or max(chosen) >= len(message.position):
@@ -80,8 +71,7 @@ class ControllerLink:
     """
     The controller on its topics; see ``trajectory_drives.Controller``.
 
-    It is a node of its own in the process of the machine node: while that one waits for the
-    controller, its topics must be heard.
+    A node of its own: its topics are heard while the machine node waits for the controller.
     """
 
     def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):

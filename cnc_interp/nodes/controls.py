@@ -1,8 +1,4 @@
-"""
-Services and topics of the operator: those of the machine node, and ``optional_stop``.
-
-Holds and stops, cycle start, reset, single block; the overrides; motion by hand and homing.
-"""
+"""Services and topics of the operator: those of the machine node, and ``optional_stop``."""
 
 from __future__ import annotations
 
@@ -27,8 +23,8 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE
-from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.setpoints import Wait
 
 
 class Controls:
@@ -155,11 +151,9 @@ class Override:
 
 class Overrides:
     """
-    Both overrides, as ``Override``.
+    Both overrides, as ``Override``: the machine node alone listens and tells all their values.
 
-    The machine node alone listens to their topics and tells the values in ``machine_state``. So
-    all others have the same values, also those that start late. A second listener could be found
-    first by ``ros2 topic pub --once``, which ends 0.1 s after one is found.
+    A second listener could be found first by ``ros2 topic pub --once``, which ends 0.1 s later.
     """
 
     def __init__(self, node: Any, diagnostics: Diagnostics):

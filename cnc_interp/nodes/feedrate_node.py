@@ -1,8 +1,4 @@
-"""
-The feedrate node: ``segments`` in, ``setpoints`` out, never further ahead than the window.
-
-What the planning of a run is doing is decided in ``run/planning_session.py``.
-"""
+"""The feedrate node: ``segments`` in, ``setpoints`` out; see ``run/planning_session.py``."""
 
 from __future__ import annotations
 
@@ -34,17 +30,16 @@ from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transiti
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.qos import SETPOINTS, STATE
 from cnc_interp.nodes.streams import Inlet, Outlet
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received, Task
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
-from cnc_interp.wire.machine_state import machine_report
 from cnc_interp.wire.message_checks import check_segment
 from cnc_interp.wire.path_messages import segments_from
-from cnc_interp.wire.run_messages import run_id_of
+from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Longest time that the sending thread waits for the planning thread [s].
@@ -62,12 +57,7 @@ class PlanningThread:
         self._loads_rest = False
 
     def load_rest(self) -> None:
-        """
-        Import toppra in a thread of its own, unless that has begun.
-
-        It takes a third of a second and is needed where a window is tried again. To be called when
-        the machine moves, so that the first motion does not wait for it.
-        """
+        """Import toppra in a thread, once the machine moves: a third of a second."""
         if not self._loads_rest:
             self._loads_rest = True
             rest = 'cnc_interp.feedrate.time_bound'

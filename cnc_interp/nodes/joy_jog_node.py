@@ -48,11 +48,7 @@ class JoyJogNode(Node):
         self.create_subscription(Joy, 'joy', self._take, BEATS)
 
     def _take(self, joy: Joy) -> None:
-        """
-        Publish a beat for each message while the button is pressed, and one when it is let go.
-
-        The beats are those of the joystick: where it is silent, the machine stops.
-        """
+        """Publish a beat for each message while the button is pressed, one when it is let go."""
         button = self._values['enable_button']
         before, self._enabled = self._enabled, bool(joy.buttons[button : button + 1].count(1))
         if not self._enabled:

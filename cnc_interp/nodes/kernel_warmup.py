@@ -1,9 +1,8 @@
 """
 A tiny built-in path: it loads every compiled kernel before anything moves.
 
-Each function works once in a process, and not again in a process that is forked from one where it
-has worked. What several nodes need is loaded before they are forked; the rest each node loads
-itself, at the same time as the others.
+Each function works once in a process, also for those forked from it. What several nodes need is
+loaded before they are forked; the rest each node loads itself.
 """
 
 from __future__ import annotations
@@ -29,12 +28,11 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.leg import LIVE
+from cnc_interp.run.course import LIVE
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.path_chain import segments_of, way_time
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Way

@@ -24,9 +24,9 @@ from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_topics import MachineTopics
 from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
 from cnc_interp.nodes.streams import Inlet
-from cnc_interp.run.chunk import Chunk
 from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import State
+from cnc_interp.run.setpoints import Chunk
 from cnc_interp.wire.chunk_messages import JoinGate, chunk_from
 from cnc_interp.wire.message_checks import check_chunk
 from cnc_interp.wire.run_messages import run_id_of

@@ -1,8 +1,4 @@
-"""
-The markers node: programmed and executed path for RViz and Foxglove, on topic ``markers``.
-
-It only listens, best effort, so that no stream ever waits for it.
-"""
+"""The markers node: programmed and executed path for RViz and Foxglove; it only listens."""
 
 from __future__ import annotations
 

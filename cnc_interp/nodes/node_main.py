@@ -99,13 +99,7 @@ def answer_flush(node: Any, _request: Any, response: Any) -> Any:
 
 
 def come_first() -> None:
-    """
-    Ask the system to prefer this process. Only some users may do so.
-
-    On Linux this holds for the calling thread and those that it starts from now on, so it comes
-    before the threads of ROS. Where processes are scheduled by session, as desktops do, niceness
-    counts among those of one session only; then the session of the node is moved up.
-    """
+    """Ask the system to prefer this process, and its session on desktops. Only some users may."""
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell

@@ -126,11 +126,7 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
 
 
 def settings_of(values: Mapping[str, Any]) -> Settings:
-    """
-    Return the settings that parameters of a node give; choices it does not have are defaults.
-
-    Raises SettingsError if a value cannot be chosen.
-    """
+    """Return the settings that parameters of a node give; raises SettingsError on a bad value."""
     known = [choice for choice in choices(Settings) if choice.name in values]
     return Settings(**{choice.name: choice.from_plain(values[choice.name]) for choice in known})
 

@@ -13,8 +13,7 @@ from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
-from cnc_interp.wire.machine_state import machine_report
-from cnc_interp.wire.run_messages import run_id_of
+from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
 #: Each stream with the node that receives it.

@@ -1,9 +1,4 @@
-"""
-Everything that the nodes need, imported once by the process that they are forked from.
-
-Importing this module is its purpose: libraries, the nodes' own modules and the compiled kernels
-are in memory afterwards, and no thread of ours runs, so that a fork is safe.
-"""
+"""Everything that the nodes need, imported once by the process that they are forked from."""
 
 import gc
 from importlib import import_module

@@ -137,11 +137,7 @@ def check(
 
 
 def require_allowed(program: Path, folders: Sequence[str]) -> None:
-    """
-    Refuse a path that is neither one of some files nor below one of some folders.
-
-    Nothing of the file is read, and the answer is the same whether or not it exists.
-    """
+    """Refuse a path that is neither one of some files nor below one of some folders, unread."""
     wanted = program.resolve()
     if not any(wanted.is_relative_to(Path(folder).resolve()) for folder in folders if folder):
         raise InterpError(

@@ -198,12 +198,7 @@ class ProgramRun:
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
     def begin_again(self, now: float, sent: int) -> None:
-        """
-        Begin the run again from the place where the machine rests.
-
-        All blocks are sent again, because rounding looks at what lies before: the same blocks
-        give the same path. ``sent`` tells how many were sent.
-        """
+        """Begin again where the machine rests: the same blocks give the same path."""
         self.sent_before = max(self.sent_before, sent)
         reached = 0.0 if self._machine is None else self._machine.path_position
         # It is not above 0 on the approach.

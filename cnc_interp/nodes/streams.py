@@ -34,11 +34,7 @@ def sealed(message: Any) -> bytes:
 
 
 def opened(data: bytes, kind: Any) -> Any:
-    """
-    Read a message and compare its checksum, where one is given.
-
-    Raises StreamError if the message was spoilt on its way.
-    """
+    """Read a message and compare its checksum, if given; StreamError if it was spoilt."""
     given = int.from_bytes(data[-CHECKSUM:], 'little')
     if given and given != zlib.crc32(data[:-CHECKSUM]):
         text = 'a message was spoilt on its way (checksum); it is sent again'
@@ -60,8 +56,8 @@ def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
     """
     Return run, first number and count of a message, and whether it is the first of its plan.
 
-    Every plan of a run is a stream of its own and is acknowledged alone. It is numbered from 0, or
-    goes on with the numbers of the plan that it joins.
+    Every plan of a run is a stream of its own. It is numbered from 0, or goes on with the numbers
+    of the plan that it joins.
     """
     if isinstance(message, SetpointChunk):
         first, count = message.first_sample, len(message.sequences)
@@ -180,12 +176,7 @@ class Inlet:
         self._on_refusal()
 
     def _name(self, level: bytes, kind: Refusal, reason: str, always: bool = False) -> None:
-        """
-        Put a refusal into the diagnostics.
-
-        All are counted. Of messages of each kind the 1st, 2nd, 4th, 8th ... are named: to name
-        each one of a burst would take the time to receive. The refusal of a run is always named.
-        """
+        """Put a refusal into the diagnostics: of each kind the 1st, 2nd, 4th ..., of runs all."""
         self._refused[kind] += 1
         if always or self._refused[kind].bit_count() == 1:
             self._named = level, reason
@@ -261,11 +252,7 @@ class Outlet:
         self.pump()
 
     def join(self, run_id: RunId, first: int) -> None:
-        """
-        Send a plan that joins the one before, from a number on; that one can be taken back.
-
-        The numbers go on, and the window with them: nothing waits for the first acknowledgement.
-        """
+        """Send a plan that joins the one before, from a number on; that one can be taken back."""
         self._before, self.sender = self.sender, WindowedSender(self.sender.resend_after)
         self.sender.begin(run_id, first, self._before.limit)
 

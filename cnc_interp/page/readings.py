@@ -14,7 +14,7 @@ from cnc_interp.core.units import INCH, MM, MM_PER_MIN, MS, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.desk import TIP_CODE, Desk
 from cnc_interp.page.preview import Preview
-from cnc_interp.wire.machine_state import state_of
+from cnc_interp.wire.run_messages import state_of
 
 NOTHING = '–'
 #: Shifts and turns of the program, whose amounts no node tells.

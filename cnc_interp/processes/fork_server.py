@@ -1,8 +1,4 @@
-"""
-Python's fork server: a process that has loaded much, from which others are forked at once.
-
-Libraries and compiled kernels are loaded once, and their memory is shared.
-"""
+"""Python's fork server loads libraries and kernels once; processes forked from it share them."""
 
 from __future__ import annotations
 
@@ -30,8 +26,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
     """
     Start the fork server, which takes seconds to load; returns at once.
 
-    It and its helper outlive Ctrl-C and a closed terminal, so who started it can end its children
-    in order. A process has one fork server; a second call changes nothing.
+    It outlives Ctrl-C, so that who started it ends its children in order. A process has one.
     """
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])
@@ -51,11 +46,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
 
 
 def _end() -> None:
-    """
-    End the fork server and its helper, and wait until they are gone.
-
-    By itself it would end a moment later than this process, and hold files until then.
-    """
+    """End the fork server and its helper, and wait: they would hold files a moment longer."""
     server: Any = forkserver._forkserver
     helper: Any = resource_tracker._resource_tracker
     with contextlib.suppress(OSError):

@@ -1,9 +1,4 @@
-"""
-The four nodes as child processes: started together, watched, and ended together.
-
-They are forked from one process, a fork server of Python's own, that has loaded what they all
-need: libraries and kernels are loaded once instead of four times, and their memory is shared.
-"""
+"""The four nodes as child processes of one fork server: started, watched and ended together."""
 
 from __future__ import annotations
 
@@ -61,8 +56,7 @@ class Children:
     """
     The nodes of one run.
 
-    ``parameters``: values for the nodes, by node name, on top of the parameter file;
-    ``arguments``: further ROS arguments, by node name: remappings.
+    ``parameters``: values by node name on top of the parameter file; ``arguments``: remappings.
     """
 
     def __init__(
@@ -81,10 +75,10 @@ class Children:
         self._namespace, self._parameters, self._file = namespace, parameters, file
         self._arguments = arguments or {}
         self._context = load_nodes()
-        self._nodes: dict[str, Started] = {}
+        self.nodes: dict[str, Started] = {}
         try:
             for node in NODES:
-                self._nodes[node] = self._start(node)
+                self.nodes[node] = self._start(node)
         except BaseException:
             self.end()
             raise
@@ -105,12 +99,8 @@ class Children:
         return Started(node, process, log)
 
     def check(self) -> None:
-        """
-        Make sure that all nodes run.
-
-        Raises InterpError with the last words of the node that ended.
-        """
-        for node in self._nodes.values():
+        """Make sure that all nodes run; raise InterpError with the last words of a dead one."""
+        for node in self.nodes.values():
             if node.process.exitcode is not None:
                 words = node.log.read_text(errors='replace').strip().splitlines()
                 last = words[-1] if words else f'exit code {node.process.exitcode}'
@@ -118,27 +108,17 @@ class Children:
 
     def revive(self) -> list[str]:
         """Restart nodes that were killed by a signal and return their names."""
-        dead = [n.name for n in self._nodes.values() if (n.process.exitcode or 0) < 0]
+        dead = [n.name for n in self.nodes.values() if (n.process.exitcode or 0) < 0]
         for name in dead:
-            self._nodes[name] = self._start(name)
+            self.nodes[name] = self._start(name)
         return dead
-
-    @property
-    def process_ids(self) -> dict[str, int | None]:
-        """Process of each node."""
-        return {node.name: node.process.pid for node in self._nodes.values()}
-
-    @property
-    def exit_codes(self) -> dict[str, int | None]:
-        """Exit code of each node; None while it runs."""
-        return {node.name: node.process.exitcode for node in self._nodes.values()}
 
     def end(self) -> None:
         """End all nodes; those that do not end in time are killed."""
-        for node in self._nodes.values():
+        for node in self.nodes.values():
             node.process.terminate()
         deadline = time.monotonic() + LAST_WAIT
-        for node in self._nodes.values():
+        for node in self.nodes.values():
             node.process.join(max(0.0, deadline - time.monotonic()))
             if node.process.exitcode is None:
                 node.process.kill()

@@ -91,11 +91,7 @@ def semaphore_of(port: str) -> Path:
 
 @contextlib.contextmanager
 def opening_locked(port: str) -> Iterator[None]:
-    """
-    Hold the semaphore under which Fast DDS opens or makes a port.
-
-    If another process holds it, that one has the semaphore open, or died in the middle.
-    """
+    """Hold the semaphore under which Fast DDS opens or makes a port; if another has it, none."""
     library = ctypes.CDLL(None)
     library.sem_open.restype = ctypes.c_void_p
     name = f'/{port}_mutex'.encode()
@@ -120,12 +116,7 @@ def own_files() -> Iterator[Path]:
 
 
 def files_in_use() -> set[int]:
-    """
-    Return the inodes of what processes have open in shared memory.
-
-    Names will not do: a semaphore is made under another name. Those of this process are left out;
-    it holds them while it asks.
-    """
+    """Return the inodes open in shared memory, this process' semaphores left out; names change."""
     found: set[int] = set()
     for maps in Path('/proc').glob('[0-9]*/maps'):
         with contextlib.suppress(OSError):

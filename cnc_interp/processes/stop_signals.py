@@ -27,12 +27,7 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextmanager
 def stops_later() -> Iterator[None]:
-    """
-    Hold signals back until the end of what is done, then hand them to their handlers.
-
-    ``rclpy`` loses an exception that a handler raises inside it, or ends with another one. Signals
-    are handled in the main thread only, so there is nothing to hold back in others.
-    """
+    """Hold signals back until the end of what is done: ``rclpy`` loses exceptions of handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

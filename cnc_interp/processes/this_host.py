@@ -16,8 +16,8 @@ def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
     """
     Return the variables that keep a ROS process on this computer.
 
-    The range of discovery alone does not: sockets would still answer every host that knows the
-    address. So the profile binds them to 127.0.0.1.
+    The range of discovery alone does not: sockets answer every host that knows the address. So
+    the profile binds them to 127.0.0.1.
     """
     if environment.get(PEERS) or environment.get(RANGE, 'LOCALHOST') != 'LOCALHOST':
         return {}

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
@@ -20,16 +19,14 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import Program, ProgramStream
+from cnc_interp.program import ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
-from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Interpolator
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.segments import PathSegments
 
 #: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
 LONGEST_STEP = 1e-3
@@ -37,27 +34,14 @@ LONGEST_STEP = 1e-3
 STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
-class Sink(Protocol):
-    """Takes what is planned, part by part and in order: plan files, or ``Kept``."""
-
-    def segments(self, segments: PathSegments) -> None:
-        """Take further segments."""
-
-    def piece(self, piece: PlannedPiece) -> None:
-        """Take the motion along a further part of the path."""
-
-    def setpoints(self, samples: Setpoints) -> None:
-        """Take further setpoints."""
-
-
 class Chain:
-    """All stages: blocks in; segments, planned pieces and setpoints into a sink."""
+    """All stages: blocks in; segments, planned pieces and setpoints into the plan files."""
 
     def __init__(
         self,
         machine: Machine,
         settings: Settings,
-        sink: Sink,
+        sink: PlanWriter,
         clock: Callable[[], float] = working_time,
         start: StartFinder | None = None,
         processes: int = 1,
@@ -130,44 +114,6 @@ class Chain:
             self.moved, self.row_planned = True, int(piece.path.cell_block[-1])
 
 
-class Kept:
-    """A sink that keeps everything."""
-
-    def __init__(self) -> None:
-        self.parts: list[PathSegments] = []
-        self.pieces: list[PlannedPiece] = []
-        self.samples: list[Setpoints] = []
-        self.segments, self.piece = self.parts.append, self.pieces.append
-        self.setpoints = self.samples.append
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A planned program: everything from blocks to setpoints, and the time that planning took."""
-
-    program: Program
-    machine: Machine
-    settings: Settings
-    segments: PathSegments
-    pieces: list[PlannedPiece]
-    setpoints: Setpoints
-    planning_time: dict[str, float]
-
-
-def plan_program(program: Program, machine: Machine, settings: Settings | None = None) -> Plan:
-    """Plan a whole program and keep everything; ``plan_to_files`` keeps nothing."""
-    settings, kept = settings or Settings(), Kept()
-    chain = Chain(machine, settings, kept)
-    with at_fault(program.source):
-        for batch in batches(program.blocks):
-            chain.push(batch)
-        chain.finish()
-    if not chain.moved:
-        raise no_motion(program.source)
-    segments, setpoints = PathSegments.concatenate(kept.parts), Setpoints.concatenate(kept.samples)
-    return Plan(program, machine, settings, segments, kept.pieces, setpoints, chain.seconds)
-
-
 def plan_to_files(
     stream: ProgramStream, machine: Machine, directory: Path, settings: Settings | None = None,
     progress: Callable[[float], None] | None = None, processes: int = 1,
@@ -175,9 +121,8 @@ def plan_to_files(
     """
     Plan a program while it is read and write its plan files; memory does not grow with it.
 
-    ``directory``: for the plan files; files in it are replaced once all is planned.
-    ``progress``: told the share of the program that has been planned, 0 to 1.
-    ``processes``: how many processes plan motion; with 1, this one does. The files are the same.
+    ``directory``: files in it are replaced once all is planned; ``progress``: told the share that
+    has been planned, 0 to 1; ``processes``: how many plan motion; the files are the same.
     Returns the summary as written to ``summary.json``; SI units.
     Raises InterpError if the program cannot be read, or cannot run on the machine.
     """
@@ -222,26 +167,3 @@ def at_fault(source: str) -> Iterator[None]:
 def no_motion(source: str) -> ProgramError:
     """Make the error of a program that moves nothing."""
     return ProgramError('holds no motion; add blocks after the start pose', source)
-
-
-def summary_of(plan: Plan) -> dict[str, Any]:
-    """Return the plan's summary as written to ``summary.json``; SI units."""
-    figures = PlanFigures(plan.machine, plan.settings)
-    pass_on(plan, figures)
-    return figures.summary(plan.program.source, plan.planning_time)
-
-
-def write_plan(plan: Plan, directory: Path) -> None:
-    """Write the plan files (README, "Plan files"); everything in SI."""
-    with PlanWriter(directory, plan.machine, plan.settings) as writer:
-        pass_on(plan, writer)
-        writer.finish(plan.program.source, plan.planning_time)
-
-
-def pass_on(plan: Plan, taker: PlanWriter | PlanFigures) -> None:
-    """Hand over a whole plan."""
-    taker.blocks(plan.program.blocks)
-    taker.segments(plan.segments)
-    for piece in plan.pieces:
-        taker.piece(piece)
-    taker.setpoints(plan.setpoints)

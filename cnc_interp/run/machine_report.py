@@ -74,12 +74,11 @@ class MachineReport:
 
 class LossRecovery:
     """
-    Watches a machine after a node was restarted.
+    Watches a machine after a node was restarted, and tells when to send the program again.
 
-    A machine that still has setpoints starts at once on cycle_start. The rest of the program is
-    sent again only where the machine goes on resting: it must not move meanwhile. A machine whose
-    stop was not planned waits for cycle_start. One that would have started by itself does so:
-    its buffer was not full yet, or the feed override is 0.
+    A machine that still has setpoints starts at once on cycle_start; it must not move meanwhile.
+    So the rest is sent where it goes on resting. A machine whose stop was not planned waits for
+    cycle_start; one whose buffer was not full yet, or whose override is 0, goes on by itself.
     """
 
     def __init__(self) -> None:

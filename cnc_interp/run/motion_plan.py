@@ -16,10 +16,8 @@ from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.course import Course, LegEnd, finely, slowed
-from cnc_interp.run.leg import Leg
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.course import Course, Leg, LegEnd, finely, slowed
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.run.stop_tails import ChunkCutter, StopSearch, way_down
 
 if TYPE_CHECKING:
@@ -223,9 +221,8 @@ class MotionStream:
     """
     The path of one run and the plan that counts now: path in, chunks of setpoints out.
 
-    ``revision`` makes a second plan that goes on after a setpoint which was handed out. ``adopt``
-    puts it in the place of the first; a revision that nobody adopts is dropped. ``resume`` begins
-    a plan from rest anywhere on the path.
+    ``revision`` makes a second plan that goes on after a setpoint which was handed out; ``adopt``
+    puts it in the place of the first. ``resume`` begins a plan from rest anywhere on the path.
     """
 
     def __init__(
@@ -269,8 +266,7 @@ class MotionStream:
         """
         Plan with other settings after a setpoint that was handed out; the current plan stays.
 
-        The revision is adopted or dropped before the stream takes anything else. Returns None
-        where no stop is known from there, or rest is near: ask again at a later setpoint.
+        None where no stop is known from there, or rest is near: ask again at a later setpoint.
         """
         found = self.current.state_at(number)
         if found is None:

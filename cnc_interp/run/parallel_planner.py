@@ -1,13 +1,10 @@
 """
 A feed planner with several processes, while this one smooths, interpolates and writes.
 
-At a rest nothing of the motion before it counts but its end time. So stretches between exact
-stops are planned by different processes, each from time zero. The clock of their laws is set
-afterwards, with the same additions that ``FeedPlanner`` makes. So the motion has the same bits as
-from one process.
-
-A stretch without rests is planned by one process, part by part as it arrives. So is the whole path
-if the error at the tool is limited: the drives swing on while the setpoints rest.
+At a rest nothing of the motion before it counts but its end time. So stretches between exact stops
+are planned by different processes, each from time zero; the clock is set afterwards with the same
+additions as in ``FeedPlanner``, to the same bits. With a limited error at the tool one process
+plans all: the drives swing on while the setpoints rest.
 """
 
 from __future__ import annotations
@@ -55,11 +52,7 @@ class Section:
 
 
 class RestSections:
-    """
-    Cuts a path that arrives in parts, at its exact stops if possible.
-
-    Where a section ends may depend on the arrival of the parts. The motion does not.
-    """
+    """Cuts a path that arrives in parts, at its exact stops if possible."""
 
     def __init__(self, at_rests: bool = True) -> None:
         self._at_rests = at_rests

@@ -1,12 +1,9 @@
 """
 Blocks -> smooth segments -> path in machine axes: the first stages, for whoever starts at blocks.
 
-`plan` (``chain.py``), the check of a program before motion, replay, convert and the benchmarks use
-both stages together. The nodes use them one by one, because their segments come over the wire:
-the look-ahead node smooths (``smoother_of``), the feedrate node goes on (``run_planner.py``).
-
-The stops at doubtful corners are chosen here, because both their plans can be made here:
-smoothing proposes ways over a few blocks (``smoothing/stop_choice.py``), ``is_faster`` plans them.
+The nodes use them one by one, because segments come over the wire: the look-ahead node smooths
+(``smoother_of``), the feedrate node goes on (``run_planner.py``). Smoothing proposes stops at
+doubtful corners (``smoothing/stop_choice.py``), ``is_faster`` plans both ways.
 """
 
 from __future__ import annotations
@@ -74,9 +71,9 @@ class PathChain:
     """
     Blocks in, segments and their path in machine axes out.
 
-    ``push`` and ``finish`` raise InterpError if a block cannot be executed on the machine; the
-    message names line, axis and value. ``watch`` takes the time of both stages. Without
-    ``chooses`` every corner is rounded and every run of short blocks becomes a curve.
+    ``push`` and ``finish`` raise InterpError, with line, axis and value, if a block cannot be
+    executed. ``watch`` takes the time of both stages. Without ``chooses`` every corner is rounded
+    and every run of short blocks becomes a curve.
     """
 
     def __init__(
@@ -158,9 +155,3 @@ def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> Pat
     smoother = smoother_of(transform, settings)
     parts = [smoother.push(batch) for batch in batches(blocks)]
     return PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])
-
-
-def path_of(blocks: Blocks, transform: Transform, settings: Settings) -> AxisPath:
-    """Smooth a whole program and return its path in machine axes."""
-    chain = PathChain(transform, settings)
-    return joined([*(chain.push(batch) for batch in batches(blocks)), chain.finish()])

@@ -32,8 +32,7 @@ class ToleranceUse:
     """
     Compares the certified deviations of segments with the tolerances of their blocks.
 
-    Where tolerances change, or native splines begin or end, a mark is kept: the row, both
-    tolerances from there on, and whether the rows are control points.
+    A mark (row, both tolerances, whether control points) is kept where one of these changes.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,7 @@
 """
 Setpoints and all that led to them -> plan files, while planning goes on; flat memory.
 
-Columns grow in files of their own; at the end they are put together into ``.npz`` archives as
-NumPy writes them. Figures of the summary are kept up to date on the way.
+Columns grow in files of their own; at the end they are put together into ``.npz`` archives.
 """
 
 from __future__ import annotations
@@ -42,10 +41,9 @@ CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 class PlanWriter:
     """
-    Writes the plan files of one program (README, "Plan files"); everything in SI.
+    Writes the plan files of one program (README, "Plan files"), as a context manager.
 
-    Used as a context manager. Leaving it without ``finish`` removes what was written; ``finish``
-    replaces the files in the directory, not before.
+    Leaving it without ``finish`` removes what was written; ``finish`` replaces the files.
     """
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
@@ -89,11 +87,7 @@ class PlanWriter:
             self._archives['segments'].append(segments.columns())
 
     def piece(self, piece: PlannedPiece) -> None:
-        """
-        Write the path of a further piece; its law has one row for every cell.
-
-        Raises InterpError if the setpoints up to its end do not fit on the disk.
-        """
+        """Write the path of a further piece; InterpError if its setpoints do not fit the disk."""
         # Time, row, path position, and position, velocity, acceleration of every axis.
         row = 8.0 * (3 + 3 * len(self._machine.axis_names))
         needed = 2.0 * row * piece.law.end_time / self._period  # columns, then the archive
@@ -261,9 +255,7 @@ def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:
     """
-    Return the programmed speed of each row [m/s], shape (n,).
-
-    Inverse-time feeds become length / duration; rotations of the resting tip have none (infinite).
+    Return the programmed speed of each row [m/s], shape (n,); infinite for turns of a resting tip.
 
     ``tip_before`` (3,): tool tip of the row before them [m]; none for the start pose.
     """

@@ -1,9 +1,8 @@
 """
 The planning of one run after the other; no ROS, no clock, no threads.
 
-``step`` decides what is to be done next and returns it as a task. Whoever called it has the task
-done, in a thread of its own if need be, and hands the result to ``finish``. Messages, windows and
-refusals lie behind ``SessionPort``.
+``step`` returns what is to be done next as a task; who called it has it done, in a thread if need
+be, and hands the result to ``finish``. Messages, windows and refusals lie behind ``SessionPort``.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from typing import Any, Protocol
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision, RunPlanner
+from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 
 
@@ -416,11 +415,7 @@ class PlanningSession:
                 self.path_end = PathEnd.QUEUED
 
     def finish(self, task: Task, outcome: Callable[[], Any], now: float) -> None:
-        """
-        Store the result of a task; one of an earlier run is ignored.
-
-        If ``outcome`` raises InterpError, the run is refused; sampled setpoints are still sent.
-        """
+        """Store the result of a task, unless of an earlier run; an InterpError refuses the run."""
         if task is not self.task:
             return
         self.task = None

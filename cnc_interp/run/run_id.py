@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,6 @@ class RunId:
     def next_attempt(self) -> RunId:
         """Return the identity of the run when it is begun again after a loss."""
         return RunId(self.program_id, self.attempt + 1)
-
-    def next_plan(self) -> RunId:
-        """Return the identity of the plan that follows this one."""
-        return replace(self, plan=self.plan + 1)
 
 
 NO_RUN = RunId()

@@ -13,10 +13,9 @@ from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -47,8 +46,8 @@ class RunPlanner:
 
     The machine stands at rest at ``stands`` [m, rad]. The program goes on from the path length
     ``continue_at`` [m], if that is above 0. A machine that stands elsewhere waits for cycle_start,
-    then goes there (``approach_inside``). A chunk has at least one setpoint. ``push``, ``work``,
-    ``resume`` and ``revise`` may take long. They run in one thread of their own.
+    then goes there (``approach_inside``). ``push``, ``work``, ``resume`` and ``revise`` may take
+    long. They run in one thread of their own.
     """
 
     def __init__(
@@ -126,8 +125,7 @@ class RunPlanner:
         """
         Sample a slice of the motion if told so and possible, or plan a portion of the path.
 
-        The path before the length ``executed`` [m] is forgotten. Raises PlanningError if no law is
-        within the limits.
+        The path before ``executed`` [m] is forgotten. Raises PlanningError without a law.
         """
         self.stream.release(executed)
         if sample and plan.can_sample:
@@ -137,11 +135,7 @@ class RunPlanner:
         return []
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> list[Chunk]:
-        """
-        Plan anew from rest at a path length [m]; return no chunks yet.
-
-        A machine that was moved away by hand is led back first; raises InterpError without a way.
-        """
+        """Plan anew from rest at a path length [m]; one moved by hand is led back first."""
         there = self.stream.position_at(s)
         if there is not None and np.abs(there - stands).max() <= ON_PATH:
             self.stream.resume(s, settings)

@@ -1,8 +1,7 @@
 """
 What a run is doing: one frozen dataclass and one table of transitions.
 
-The machine changes the state (``machine/playback.py``) and publishes it as ``MachineState``. All
-other nodes and clients read it from there. It stands in ``run`` because they all import it.
+The machine changes it (``machine/playback.py``); all others read it from ``MachineState``.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
 """
 The place on the path at which a run starts, and the way there.
 
-A run that does not start at the top begins inside the program. The whole program is read and
-smoothed, because a corner depends on the blocks around it. So the path from the place on is the
-path of the full run. Only what lies before it is not executed.
+A run that does not start at the top begins inside the program. All of it is read and smoothed, so
+the path is that of the full run. Only what lies before the place is not executed.
 
-The way leads from where the machine stands to the path, straight in the axes from point to point.
-To the start pose of a program all axes run at once. To a place inside the program the tool is
-drawn back along itself, positioned above the place, and plunges along itself.
+The way is straight in the axes from point to point. To the start pose all axes run at once. To a
+place inside the tool is drawn back along itself, positioned above the place, and plunges.
 """
 
 from __future__ import annotations
@@ -153,12 +151,7 @@ class StartFinder:
         return StartPlace(block, int(self._vertex.line_number[1]), self._s, self._position)
 
     def _place(self, path: AxisPath, row: int, last: bool) -> float | None:
-        """
-        Return the path length at the end of the row before; None if more path is needed.
-
-        A corner changes its row at its middle, which is nearest to the vertex. A curve through
-        many blocks does so anywhere. Then the point nearest to the vertex is looked for.
-        """
+        """Return the path length nearest to the vertex; None if more path is needed."""
         block = path.cell_block
         border = int(np.searchsorted(block, row))
         if border == 0 or self._vertex is None:
@@ -224,14 +217,10 @@ def way_inside(
     Return the corners of the way to a place inside the program.
 
     The tool is drawn back at least by ``retract``, and farther where the other end lies higher
-    along the tool, as far as the travel goes. So a machine whose tool keeps its direction
-    positions at one height, above both ends.
-
-    ``stands, place`` (n_axes,): axis positions where the machine stands, and of the place [m,
-    rad].
-    ``retract``: length of the plunge, and least way back [m].
-    Returns (5, n_axes): where it stands, drawn back, above the place, where the plunge begins, the
-    place [m, rad].
+    along the tool, as far as the travel goes: it positions at one height, above both ends.
+    ``stands, place`` (n_axes,): where the machine stands, and the place [m, rad];
+    ``retract``: length of the plunge, and least way back [m]. Returns (5, n_axes): where it
+    stands, drawn back, above the place, where the plunge begins, the place [m, rad].
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])
@@ -260,11 +249,7 @@ def approach_inside(
 def straight(
     transform: Transform, flank_height: float, points: FloatArray, feeds: FloatArray
 ) -> AxisPath | None:
-    """
-    Make a path from point to point, with a rest at each.
-
-    Each axis runs monotonically between two points, so it stays within its travel when both do.
-    """
+    """Make a path from point to point, with a rest at each; axes run monotonically between."""
     machine = transform.machine
     there = np.concatenate([points[1:, None], np.zeros((len(points) - 1, 3, points.shape[1]))], 1)
     none = np.zeros(len(there), dtype=np.int64)

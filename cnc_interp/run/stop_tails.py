@@ -1,9 +1,9 @@
 """
 Stops along the path: the tail of each chunk, and the way down to another plan.
 
-A stop is looked for at every few setpoints of a plan (``StopSearch``). The tail of a chunk follows
-the plan to the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan with
-other settings that joins in motion never asks for less than a stop from there (``way_down``).
+A stop is looked for at every few setpoints of a plan (``StopSearch``). A tail follows the plan to
+the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan that joins in motion
+never asks for less than a stop from there (``way_down``).
 """
 
 from __future__ import annotations
@@ -18,10 +18,8 @@ from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.course import Course
-from cnc_interp.run.leg import STILL, Leg
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.course import STILL, Course, Leg
+from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
 
 #: Time between setpoints at which a stop is looked for [s].
 STOP_EVERY = 0.005
@@ -67,11 +65,7 @@ class StopSearch:
 
 
 class ChunkCutter:
-    """
-    Cut the setpoints of one plan into chunks.
-
-    Setpoints after the last known stop are kept until a further stop is known.
-    """
+    """Cut the setpoints of one plan into chunks; those after the last known stop are kept."""
 
     def __init__(self, size: int, number: int):
         self._size = size

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.wire.path_messages import packed
 from cnc_interp.wire.run_messages import run_id_of
 
@@ -32,11 +31,7 @@ def chunk_message(
     period: float,
     joins: bool = False,
 ) -> SetpointChunk:
-    """
-    Convert a chunk to a message.
-
-    ``joins``: true for the first chunk of a plan that joins the one before in motion.
-    """
+    """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
     return SetpointChunk(
         **vars(run_id),
@@ -89,10 +84,8 @@ class JoinGate:
     """
     Keeps the first chunks of a plan that joins until there are enough of them.
 
-    Such a plan takes the place of setpoints that are buffered. With its first chunk alone the
-    machine would run out of setpoints soon after that place, if the next ones were late. So the
-    plan before counts until enough of the new one has come. Nothing moves before there is enough
-    motion ahead: this is the same rule, for a plan that joins.
+    Such a plan takes the place of buffered setpoints. With its first chunk alone the machine would
+    run out of setpoints if the next ones were late. So the plan before counts until then.
     """
 
     def __init__(self, enough: int):
@@ -105,9 +98,8 @@ class JoinGate:
         """
         Take a chunk and return the chunks that may pass, in order.
 
-        ``chunk``: any chunk. If one of those that are kept is lost, the sender repeats them all;
-        ``current``: the plan that is being received. Its chunks go on at once; ``limit``: number
-        of the first setpoint that the sender must not send yet.
+        ``current``: the plan that is being received, whose chunks go on at once; ``limit``: number
+        of the first setpoint that must not be sent yet. Lost chunks are repeated by the sender.
         """
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):

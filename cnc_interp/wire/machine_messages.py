@@ -14,8 +14,8 @@ from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.chunk_messages import setpoint_fields
-from cnc_interp.wire.machine_state import NUMBERS
 from cnc_interp.wire.path_messages import packed
+from cnc_interp.wire.run_messages import NUMBERS
 
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:

@@ -33,8 +33,7 @@ def block_messages(
     """
     Convert rows of a program to messages.
 
-    ``flank_height``: height over the tip at which the orientation tolerance counts [m]; ``end``:
-    true when the last row is the program's last.
+    ``flank_height``: where the orientation tolerance counts [m]; ``end``: the last row ends it.
     """
     columns: dict[str, list[Any]] = {'spline': blocks.on_spline.tolist()}
     for name, declared in Blocks.declared.items():

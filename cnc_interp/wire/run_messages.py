@@ -1,4 +1,4 @@
-"""Messages about a whole run: how far it is, and its result."""
+"""Messages about a whole run: the machine's report, how far it is, and its result."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, ModalState, Offset, SetupTable, Tool
 
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
+from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import Outcome
+from cnc_interp.run.run_state import State
 
 
 def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> RunProgram.Result:
@@ -41,12 +44,7 @@ def add_executed(result: RunProgram.Result, state: MachineState) -> None:
 
 
 def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback:
-    """
-    Make the feedback of a run that moves.
-
-    ``state``: the machine's last message about the run; ``path_length``: length of the smoothed
-    path [m].
-    """
+    """Make the feedback of a run that moves, on a smoothed path of a length [m]."""
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
     driven = (state.samples - state.approach_samples) * period
@@ -82,8 +80,7 @@ def setup_table(
     Return the message about the setup of the machine.
 
     ``zero``: workpiece zero of the machine file by axis letter [m, rad]; ``program_id``: the run
-    that began with it; empty without one; ``by``, ``what``: the last change: who made it, and what
-    it was.
+    that began with it, or empty; ``by``, ``what``: who made the last change, and what it was.
     """
     return SetupTable(
         file=file,
@@ -114,3 +111,52 @@ def _offsets(positions: Mapping[str, Position]) -> list[Offset]:
 
 def _offset(name: str, position: Position) -> Offset:
     return Offset(name=name, axes=list(position), values=list(position.values()))
+
+
+#: The number of each state in ``MachineState``.
+NUMBERS = {
+    State.INACTIVE: MachineState.INACTIVE,
+    State.IDLE: MachineState.IDLE,
+    State.RUNNING: MachineState.RUNNING,
+    State.PAUSED: MachineState.RUNNING,
+    State.FILLING: MachineState.RUNNING,
+    State.HOLDING: MachineState.HOLDING,
+    State.HELD: MachineState.HELD,
+    State.STARVING: MachineState.STARVED,
+    State.STARVED: MachineState.STARVED,
+    State.STOPPING: MachineState.STOPPING,
+    State.FAULT: MachineState.FAULT,
+    State.JOGGING: MachineState.JOGGING,
+    State.AWAY: MachineState.JOGGING,
+}
+
+
+def state_of(message: MachineState) -> State:
+    """Return the state of the machine; an unknown number counts as motion."""
+    if message.state == MachineState.STARVED:
+        return State.STARVED if message.resting else State.STARVING
+    if message.state == MachineState.RUNNING and message.resting:
+        fills = message.waits_for == MachineState.WAITS_FOR_SETPOINTS
+        return State.FILLING if fills else State.PAUSED
+    if message.state == MachineState.JOGGING:
+        return State.AWAY if len(message.resume_positions) else State.JOGGING
+    found = (state for state, number in NUMBERS.items() if number == message.state)
+    return next(found, State.RUNNING)
+
+
+def machine_report(message: MachineState) -> MachineReport:
+    """Read a message of the machine."""
+    stamp = message.header.stamp
+    return MachineReport(
+        run_id=run_id_of(message),
+        state=state_of(message),
+        plan_over=message.plan_over,
+        start_wanted=message.start_wanted,
+        completed=message.completed,
+        path_position=message.path_position,
+        stands=np.array(message.commanded_positions),
+        time=stamp.sec + 1e-9 * stamp.nanosec,
+        message=message.message,
+        must_home=tuple(message.must_home),
+        away=len(message.resume_positions) > 0,
+    )

@@ -24,12 +24,7 @@ def pairs_of(settings: Settings, names: Iterable[str] | None = None) -> list[Key
 
 
 def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
-    """
-    Return settings with the choices of a message.
-
-    ``settings``: the choices that the message leaves open. Raises SettingsError if a name is
-    unknown or given twice, or a value is not possible.
-    """
+    """Return settings with the choices of a message; raises SettingsError on a bad one."""
     return with_texts(settings, ((pair.key, pair.value) for pair in pairs))
 
 
@@ -48,9 +43,9 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
     """
     Return the settings that a goal asks for.
 
-    ``goal``: its fields with the name of a choice count unless they are 0 or empty; the list of
-    its settings counts before them. Raises SettingsError if a choice is unknown or not possible,
-    belongs to the nodes and differs from theirs, or is only for `plan`.
+    Fields with the name of a choice count unless 0 or empty; the list of settings counts before
+    them. Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and
+    differs from theirs, or is only for `plan`.
     """
     fields = goal.get_fields_and_field_types()
     given = {
@@ -72,13 +67,7 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
 
 
 def settings_of_block(block: G1Block, settings: Settings) -> Settings:
-    """
-    Return the settings of a run from its block 0.
-
-    ``block``: block 0; its flank height is that of the run; ``settings``: the choices that the
-    block leaves open. Raises SettingsError if a name is unknown or given twice, or a value is not
-    possible.
-    """
+    """Return the settings of a run from its block 0; raises SettingsError on a bad one."""
     return replace(settings_from(block.settings, settings), flank_height=block.flank_height)
 
 

@@ -18,11 +18,7 @@ BATCH = 256
 
 
 class SmoothingRun:
-    """
-    The smoothing of one run.
-
-    ``smoother``: a smoother that has seen no blocks.
-    """
+    """The smoothing of one run, by a smoother that has seen no blocks."""
 
     def __init__(self, first: G1Block, smoother: PathSmoother):
         self.run_id: RunId = run_id_of(first)
@@ -46,23 +42,14 @@ class SmoothingRun:
             self._program_stops[block.sequence] = block.program_stop
 
     def smooth(self) -> tuple[int, list[PathSegment]]:
-        """
-        Smooth the next batch.
-
-        Returns how many blocks were smoothed, and the segments that are complete with them. Raises
-        InterpError if a block cannot be smoothed.
-        """
+        """Smooth the next batch; return its blocks' number and the segments that are complete."""
         assert self._smoother is not None
         batch = [self.blocks.popleft() for _ in range(min(BATCH, len(self.blocks)))]
         self.complete = batch[-1].end_of_program
         return len(batch), self._complete(self._smoother.push(blocks_from(batch)))
 
     def end(self) -> tuple[list[PathSegment], str]:
-        """
-        End the path at rest with the last valid block.
-
-        Returns the last segments, and why blocks before the end could not be smoothed.
-        """
+        """End the path at rest with the last valid block; return segments, and a fault."""
         if self._smoother is None:
             return [], ''
         smoother, self._smoother = self._smoother, None

@@ -2,9 +2,8 @@
 Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
 
 Items carry gap-free numbers within a program. The receiver says what it expects next and how far
-it may be sent; the sender keeps every item until it is acknowledged and, when nothing has been for
-a while, starts again at the first one that was not. An item may count for several numbers (a chunk
-of setpoints).
+it may be sent. The sender keeps every item until it is acknowledged, and begins again at the first
+one that was not after a while. An item may count for several numbers (a chunk of setpoints).
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ class WindowedSender(Generic[Item]):
     The sending end.
 
     ``resend_after``: time without an acknowledgement after which sending starts again [s]; twice
-    as long after each time that was in vain, so that a receiver that is only slow is not buried in
-    repeats.
+    as long after each time in vain, so that a slow receiver is not buried in repeats.
     """
 
     def __init__(self, resend_after: float):
@@ -87,11 +85,7 @@ class WindowedSender(Generic[Item]):
         return not self._items
 
     def due(self, now: float) -> list[Numbered[Item]]:
-        """
-        Return the items to send now, within the window, lost ones included.
-
-        The very first item may always go: only with it does the receiver learn of the program.
-        """
+        """Return the items to send now, lost ones included; the very first one may always go."""
         if self._in_flight and now - self._since > self._patience:
             self._in_flight = 0
             self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
@@ -114,11 +108,7 @@ class WindowedSender(Generic[Item]):
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
-        """
-        Use a status of the receiver; a status of another run is ignored.
-
-        On a gap sending starts again at once, but not again before that had time to arrive.
-        """
+        """Use a status of this run's receiver; on a gap sending starts again at once."""
         if run_id != self.run_id or next_number > self.sent:
             return
         if gap and now - self._again > SETTLE:
@@ -136,11 +126,7 @@ class WindowedSender(Generic[Item]):
 
 
 class WindowedReceiver:
-    """
-    The receiving end.
-
-    ``window``: numbers that may be sent beyond what was consumed.
-    """
+    """The receiving end; ``window``: numbers that may be sent beyond what was consumed."""
 
     def __init__(self, stream: str, window: int):
         self.stream, self.window = stream, window
@@ -163,9 +149,9 @@ class WindowedReceiver:
 
     def expect(self, run_id: RunId, first: int, begins: bool) -> None:
         """
-        Check that an item is the next one, or ``begins`` a new program.
+        Check that an item is the next one, or ``begins`` a new program; nothing changes.
 
-        Raises StreamError on a gap, a repeat, a foreign or an old program; nothing changes.
+        Raises StreamError on a gap, a repeat, a foreign or an old program.
         """
         if not run_id:
             raise StreamError(
@@ -241,11 +227,7 @@ class WindowedReceiver:
 
 
 class Silence:
-    """
-    Time spent waiting for another node; the caller gives the time.
-
-    Work of one's own does not count, nor the time in which nothing was wanted.
-    """
+    """Time spent waiting for another node, without own work; the caller gives the time."""
 
     def __init__(self) -> None:
         self._heard = -math.inf

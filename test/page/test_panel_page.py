@@ -606,8 +606,8 @@ def test_the_page_never_comes_before_the_nodes(panel):
 
     page = niceness(panel.page.process.pid)
     assert len(page) > 5 and min(page) >= os.getpriority(os.PRIO_PROCESS, 0)
-    for number in panel.children.process_ids.values():
-        assert max(niceness(number)) <= min(page)
+    for node in panel.children.nodes.values():
+        assert max(niceness(node.process.pid)) <= min(page)
 
 
 @pytest.mark.thorough
@@ -616,7 +616,7 @@ def test_a_killed_node_is_named_and_its_program_goes_on_from_the_page(panel, lon
     panel.load(tab, long_program)
     panel.begin(tab)
     panel.watching = False
-    os.kill(panel.children.process_ids['feedrate_node'], signal.SIGKILL)
+    os.kill(panel.children.nodes['feedrate_node'].process.pid, signal.SIGKILL)
     tab.wait(lambda: tab.text('state') == 'no answer')
     tab.wait(lambda: tab.text('why') == 'feedrate_node does not answer')
     panel.spin_until(lambda: panel.peers.state.plan_over)

@@ -8,6 +8,7 @@ import pytest
 from dirty_programs import dirty
 from path_samples import deviation, jumps
 from tiers import examples
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.errors import BlockError, InterpError
 from cnc_interp.core.units import MM
@@ -15,7 +16,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import SPLINE, PathSegments

@@ -3,13 +3,13 @@
 import numpy as np
 from programs import blocks_of
 from tiers import examples
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 
 COUNT = examples(8, 240)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 from tiers import examples, few_of
+from whole_plans import plan_program
 
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
@@ -15,7 +16,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.choices import Settings
 

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import whole_plans
 from programs import pyramid, zigzag
 from tiers import few_of
 
@@ -13,10 +14,8 @@ from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run import path_chain
-from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 from cnc_interp.settings.choices import Settings
 
 T = 1e-3
@@ -29,7 +28,7 @@ SEEDS = few_of(9, ('fine', 'zigzag', 'pyramid'), range(3))
 
 @cache
 def path_of(name) -> AxisPath:
-    return path_chain.path_of(PROGRAMS[name](), Transform.of(MACHINE), Settings())
+    return whole_plans.path_of(PROGRAMS[name](), Transform.of(MACHINE), Settings())
 
 
 def stream_of(name):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tiers import few_of
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine import Machine
@@ -12,7 +13,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.settings.choices import Settings

@@ -147,4 +147,4 @@ class NodesUnderTest:
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
         self.children.end()
-        return self.children.exit_codes
+        return {name: node.process.exitcode for name, node in self.children.nodes.items()}

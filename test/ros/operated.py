@@ -4,6 +4,7 @@ import os
 import signal
 
 import numpy as np
+import whole_plans
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
 from limit_use import limit_use
@@ -16,7 +17,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
-from cnc_interp.run import path_chain
 from cnc_interp.settings.choices import Settings
 
 Result = RunProgram.Result
@@ -46,7 +46,7 @@ def blocks_of(text):
 
 
 def path_of(text):
-    return path_chain.path_of(blocks_of(text), TRANSFORM, Settings())
+    return whole_plans.path_of(blocks_of(text), TRANSFORM, Settings())
 
 
 class Bench(NodesUnderTest):
@@ -78,8 +78,8 @@ class Bench(NodesUnderTest):
 
     def kill(self, node):
         self.watching = False
-        os.kill(self.children.process_ids[node], signal.SIGKILL)
-        self.spin_until(lambda: self.children.exit_codes[node] is not None)
+        os.kill(self.children.nodes[node].process.pid, signal.SIGKILL)
+        self.spin_until(lambda: self.children.nodes[node].process.exitcode is not None)
 
     def begin(self, text=PROGRAM):
         self.text = text

@@ -172,6 +172,6 @@ def test_what_the_drives_report_stops_on_the_path(hal, bench, run, breaks, mends
 def test_the_power_is_taken_when_the_node_ends(hal, bench):
     assert 'TRUE' in hal.tell('getp', 'streamer.0.pin.10')
     bench.watching = False
-    os.kill(bench.children.process_ids['machine_node'], signal.SIGTERM)
-    bench.spin_until(lambda: bench.children.exit_codes['machine_node'] == 0)
+    os.kill(bench.children.nodes['machine_node'].process.pid, signal.SIGTERM)
+    bench.spin_until(lambda: bench.children.nodes['machine_node'].process.exitcode == 0)
     bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'streamer.0.pin.10'))

@@ -168,7 +168,7 @@ def test_cancelling_holds_on_the_path_and_gives_the_run_up(bench):
 def test_a_frozen_node_leaves_the_machine_on_the_path_and_goes_on(bench, node):
     handle = bench.begin()
     bench.until_at(0.01)
-    process = bench.children.process_ids[node]
+    process = bench.children.nodes[node].process.pid
     os.kill(process, signal.SIGSTOP)
     try:
         if node == 'feedrate_node':
@@ -325,7 +325,7 @@ def test_only_a_node_that_is_lost_is_called_so_and_no_longer_than_it_is():
         silent_for_another = time.monotonic() + 2.0
         bench.spin_until(lambda: time.monotonic() > silent_for_another)
         assert lookahead not in dict(bench.diagnostics)
-        process = bench.children.process_ids['lookahead_node']
+        process = bench.children.nodes['lookahead_node'].process.pid
         os.kill(process, signal.SIGSTOP)
         bench.spin_until(lambda: 'is lost' in dict(bench.diagnostics).get(lookahead, ''))
         os.kill(process, signal.SIGCONT)

@@ -8,6 +8,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
+from whole_plans import plan_program
 
 from cnc_interp.core.errors import BlockError, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
@@ -15,7 +16,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import prepare
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))

@@ -51,7 +51,7 @@ import time
 from cnc_interp.processes.node_processes import Children
 from cnc_interp.client.session import nodes_file
 with Children('/killed', 99, {}, nodes_file()) as nodes:
-    print(*nodes.process_ids.values(), flush=True)
+    print(*(node.process.pid for node in nodes.nodes.values()), flush=True)
     time.sleep(1000)
 """
 

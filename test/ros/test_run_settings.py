@@ -6,6 +6,7 @@ import pytest
 from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 from nodes_under_test import NodesUnderTest
+from whole_plans import plan_program
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import recorded_run
@@ -14,7 +15,6 @@ from cnc_interp.client.replay import compute_again
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import texts_of
 

@@ -186,7 +186,7 @@ def test_wrong_values_are_refused_in_one_line(bench, service, request_, part):
 
 def test_a_kill_during_edits_leaves_the_file_whole(bench):
     """What was answered is in the file; the edit under way is there, or it is not."""
-    answered, pid = -1, bench.children.process_ids['program_node']
+    answered, pid = -1, bench.children.nodes['program_node'].process.pid
     bench.do('set_offset', offset='G58', clear=True, axes=['X', 'Y'], values=[0.0, 0.0])
     bench.watching = False
     kill = threading.Timer(random.uniform(0.2, 1.0), os.kill, (pid, signal.SIGKILL))
@@ -195,7 +195,7 @@ def test_a_kill_during_edits_leaves_the_file_whole(bench):
         values = [k * 1e-6, -k * 1e-6]
         request = SetOffset.Request(offset='G58', axes=['X', 'Y'], values=values, client='killer')
         answer = bench.clients['set_offset'].call_async(request)
-        while not answer.done() and bench.children.exit_codes['program_node'] is None:
+        while not answer.done() and bench.children.nodes['program_node'].process.exitcode is None:
             bench.executor.spin_once(timeout_sec=0.05)
         if not answer.done():
             break

@@ -195,5 +195,5 @@ def test_a_killed_machine_node_leaves_the_axes_at_rest_on_the_path(robot, bench,
 
 def test_the_robot_comes_to_rest_when_the_node_ends(robot, bench):
     bench.watching = False
-    os.kill(bench.children.process_ids['machine_node'], signal.SIGTERM)
-    bench.spin_until(lambda: bench.children.exit_codes['machine_node'] == 0)
+    os.kill(bench.children.nodes['machine_node'].process.pid, signal.SIGTERM)
+    bench.spin_until(lambda: bench.children.nodes['machine_node'].process.exitcode == 0)

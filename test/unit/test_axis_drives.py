@@ -17,8 +17,7 @@ from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 TIRED = Machine.load('xyzac_tired')
 KV, F, TAU = 50.0, 0.9, 4e-3

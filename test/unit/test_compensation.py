@@ -17,8 +17,7 @@ from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 TIRED = Machine.load('xyzac_tired')
 PERIODS = [2.5e-4, 1e-3, 4e-3]

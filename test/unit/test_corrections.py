@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from programs import zigzag
 from tiers import few_of
+from whole_plans import path_of
 
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 
 XYZAC = Machine.load('xyzac')

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import whole_plans
 import yaml
 from feedrate_paths import line_path, polyline_path, random_polyline
 from programs import zigzag
@@ -27,11 +28,9 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.report.figures import axes_figure
 from cnc_interp.report.series import series_of
-from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Setpoints, Wait
 from cnc_interp.settings.choices import Settings
 
 RAM = Machine.load('ram_mill')
@@ -135,7 +134,7 @@ def test_a_stop_from_any_moment_keeps_the_torques():
 
 def test_revisions_and_tails_of_a_stream_keep_the_torques():
     rng = np.random.default_rng(3)
-    path = path_chain.path_of(zigzag(0), Transform.of(LOADED), Settings())
+    path = whole_plans.path_of(zigzag(0), Transform.of(LOADED), Settings())
     stream = MotionStream(LOADED, T)
     stream.push(path)
     stream.end_leg(Wait.END)

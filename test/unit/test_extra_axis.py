@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.errors import MachineError, ProgramError, StreamError
 from cnc_interp.core.units import DEG, MM
@@ -16,7 +17,6 @@ from cnc_interp.program import read_text
 from cnc_interp.program.blocks import BlockSpool
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.run.run_id import RunId
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.segments import CORNER, SPLINE

@@ -27,8 +27,7 @@ from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 T = 1e-3
 TIRED = Machine.load('xyzac_tired')

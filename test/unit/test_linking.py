@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
 from cnc_interp.convert.dialects import convert
@@ -17,7 +18,6 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.native.linking import join, linked

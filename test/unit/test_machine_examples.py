@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from whole_plans import plan_program
 
 from cnc_interp.core.errors import TravelError
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 
 RNG = np.random.default_rng(3)

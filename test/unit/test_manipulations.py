@@ -13,6 +13,7 @@ import pytest
 import yaml
 from plan_directories import PERIOD, files, stroke, turned_tip, write
 from tiers import few_of
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
@@ -22,7 +23,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof import stored_columns
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')

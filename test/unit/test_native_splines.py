@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core import jet
 from cnc_interp.core.errors import BlockError, ProgramError
@@ -21,7 +22,6 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
 from cnc_interp.smoothing.orientation import turned_by

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from programs import pyramid, zigzag
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -13,7 +14,6 @@ from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MS
@@ -18,7 +19,7 @@ from cnc_interp.program import open_program
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
-from cnc_interp.run.chain import plan_program, plan_to_files, write_plan
+from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.settings.choices import Settings

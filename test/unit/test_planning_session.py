@@ -7,7 +7,6 @@ import pytest
 
 from cnc_interp.core.errors import PlanningError, Refusal
 from cnc_interp.run import planning_session
-from cnc_interp.run.chunk import Wait
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
@@ -26,6 +25,7 @@ from cnc_interp.run.planning_session import (
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import State
+from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')

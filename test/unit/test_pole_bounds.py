@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.hull_bounds import (
+from cnc_interp.core.bezier import (
+    bezier_values,
     derivative_bounds,
     largest,
     least_length,

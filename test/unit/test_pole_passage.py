@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from programs import blocks_of
 from tiers import few_of
+from whole_plans import plan_program
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import BlockError, TravelError
@@ -16,7 +17,6 @@ from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.run.chain import plan_program
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from whole_plans import path_of
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, read_text
 from cnc_interp.program.mdi import MdiReader
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 
 SETTINGS = Settings()

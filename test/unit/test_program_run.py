@@ -16,7 +16,7 @@ from cnc_interp.run.machine_report import FILLED, SETTLED
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
 from cnc_interp.run.run_state import AT_REST, State
-from cnc_interp.wire.machine_state import machine_report
+from cnc_interp.wire.run_messages import machine_report
 
 HELD, RUNNING, STARVED = MachineState.HELD, MachineState.RUNNING, MachineState.STARVED
 

@@ -7,6 +7,7 @@ import pytest
 from programs import blocks_of, pyramid, zigzag
 from scipy.spatial.transform import Rotation
 from tiers import few_of
+from whole_plans import path_of
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
@@ -14,7 +15,6 @@ from cnc_interp.feedrate.feed_planner import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.path_chain import path_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at

@@ -14,7 +14,7 @@ from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.cycle_kernels import REST, SOURCE
 from cnc_interp.machine.realtime import CLASS, CLASSES, RECORD, Lateness, note_lateness
 from cnc_interp.nodes.kernel_warmup import resting_chunk
-from cnc_interp.run.chunk import Wait
+from cnc_interp.run.setpoints import Wait
 
 NANO = 1e-9
 

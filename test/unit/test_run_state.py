@@ -19,7 +19,7 @@ from cnc_interp.run.run_state import (
     State,
     WaitsFor,
 )
-from cnc_interp.wire.machine_state import NUMBERS, machine_report, state_of
+from cnc_interp.wire.run_messages import NUMBERS, machine_report, state_of
 
 MOVING = set(State) - AT_REST
 ROOT = Path(__file__).parents[2]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from programs import blocks_of
 from tiers import few_of
+from whole_plans import path_of
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.feed_planner import plan_path
@@ -14,7 +15,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
-from cnc_interp.run.path_chain import PathChain, is_faster, path_of, segments_of, way_time
+from cnc_interp.run.path_chain import PathChain, is_faster, segments_of, way_time
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.thinning import longest_chord
 from cnc_interp.smoothing.lookahead import LookAhead

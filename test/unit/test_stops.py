@@ -12,8 +12,8 @@ from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
-from cnc_interp.run.chunk import Chunk, Wait
 from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.setpoints import Chunk, Wait
 
 ruckig = pytest.importorskip('ruckig')
 

@@ -140,7 +140,7 @@ def test_a_plan_that_joins_goes_on_with_the_numbers_of_the_plan_before():
     sender, receiver = WindowedSender(RESEND), WindowedReceiver('setpoints', 10)
     for i in range(8):
         receive(receiver, P, i)
-    joins = P.next_plan()
+    joins = RunId('p', plan=1)
     sender.begin(joins, 5)
     sender.put('a', 2)
     sender.put('b', 2)
@@ -222,9 +222,9 @@ def test_another_plan_begins_only_after_the_one_before_is_closed():
     receiver = WindowedReceiver('setpoints', 10)
     assert receive(receiver, P, 0)
     with pytest.raises(StreamError, match='foreign'):
-        receiver.expect(P.next_plan(), 0, True)
+        receiver.expect(RunId('p', plan=1), 0, True)
     receiver.close('left by its stop')
-    assert receive(receiver, P.next_plan(), 0)
+    assert receive(receiver, RunId('p', plan=1), 0)
 
 
 def test_old_programs_never_come_back():

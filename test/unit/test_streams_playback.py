@@ -18,18 +18,17 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.chunk import Chunk, Wait
-from cnc_interp.run.leg import SLICE, sliced
+from cnc_interp.run.course import SLICE, sliced
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
 from cnc_interp.run.start_place import approach
 from cnc_interp.wire.machine_messages import executed_setpoints
 from cnc_interp.wire.run_messages import run_id_of
 
 T = 0.001
-P, Q = RunId('p'), RunId('q')
+P, P1, Q = RunId('p'), RunId('p', plan=1), RunId('q')
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)
 HOME = np.zeros(5)
@@ -168,8 +167,8 @@ def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     assert f'no setpoints after {10 * given}' in play.state.text
     assert limit_use(heard, LIMITS) <= 1.001
     assert np.array_equal(heard[-1], chunks[given - 1].tail.position[-1])
-    play.make_room(P.next_plan())
-    play.begin_plan(P.next_plan())
+    play.make_room(P1)
+    play.begin_plan(P1)
     feed(play, chunks_to(target, start=heard[-1]))
     more = step_until(play, lambda: play.state.completed)
     assert limit_use(np.concatenate([heard, more]), LIMITS) <= 1.001
@@ -189,7 +188,7 @@ def test_hold_leaves_within_a_chunk_and_waits_for_cycle_start(at):
     of = (at - 1) // 10
     assert len(heard) - at <= 11 + len(chunks[of].tail)
     assert limit_use(heard, LIMITS) <= 1.001 and play.state.plan_over
-    play.begin_plan(P.next_plan())
+    play.begin_plan(P1)
     feed(play, chunks_to(target, start=heard[-1]))
     for _ in range(50):
         assert state_after_step(play) is State.HELD
@@ -284,7 +283,7 @@ def test_what_cannot_begin_is_refused():
         play.make_room(P)
     with pytest.raises(StreamError, match='p is on hold'):
         play.make_room(Q)
-    play.make_room(P.next_plan())
+    play.make_room(P1)
     play.make_room(P.next_attempt())
 
 
@@ -316,7 +315,7 @@ def moving_with_a_stop_from(number):
 def join(play, number, chunks):
     first, *others = chunks
     lines = [1] * len(first.samples), [2] * len(first.tail)
-    play.join(P.next_plan(), number, first, *lines)
+    play.join(P1, number, first, *lines)
     feed(play, others)
 
 
@@ -325,7 +324,7 @@ def join(play, number, chunks):
 def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     play, old, stop, heard = moving_with_a_stop_from(number)
     join(play, number, stop)
-    assert play.run_id == P.next_plan() and play.starvations == 0
+    assert play.run_id == P1 and play.starvations == 0
     if ask == 'hold':
         play.hold()
     heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
@@ -337,7 +336,7 @@ def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     assert np.array_equal(heard[: number + len(new)], np.concatenate([old[:number], new]))
     assert play.state.state is State.PAUSED and play.played_of_plan == number + len(new)
     told = [message for message, _ in executed_setpoints(play, T)]
-    assert [(run_id_of(m), m.first_sample) for m in told] == [(P, 0), (P.next_plan(), number)]
+    assert [(run_id_of(m), m.first_sample) for m in told] == [(P, 0), (P1, number)]
 
 
 def test_a_plan_that_joins_and_does_not_go_on_starves_within_limits():
@@ -362,9 +361,9 @@ def test_where_the_machine_has_passed_nothing_joins_and_it_goes_on(number):
 def test_the_setpoints_before_a_plan_that_joins_are_those_it_comes_after():
     play, old, _, _ = moving_with_a_stop_from(150)
     for number in (121, 130, 131, 399):
-        assert np.array_equal(play.before_join(P.next_plan(), number), old[number - 3 : number])
+        assert np.array_equal(play.before_join(P1, number), old[number - 3 : number])
     with pytest.raises(StreamError, match='join'):  # setpoints before it are missing
-        play.before_join(P.next_plan(), len(old) + 1)
+        play.before_join(P1, len(old) + 1)
 
 
 def test_between_the_check_and_the_beginning_of_a_plan_nothing_starts():
@@ -393,7 +392,7 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
     play.reset()
     ((told, _),) = executed_setpoints(play, T)  # what was executed before is still told
     assert (run_id_of(told), told.first_sample, len(told.sequences)) == (P, 0, played)
-    for late in (P.next_plan(), P.next_attempt()):  # they were on their way
+    for late in (P1, P.next_attempt()):  # they were on their way
         with pytest.raises(StreamError, match='given up by reset'):
             play.make_room(late)
     play.make_room(Q)

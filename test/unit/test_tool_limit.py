@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import whole_plans
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core.units import MM, UM
@@ -22,10 +23,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run import path_chain
-from cnc_interp.run.chunk import Wait
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import Interpolator, Setpoints
+from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 from cnc_interp.settings.choices import Settings
 
 S_PATH = Path(__file__).parents[2] / 'examples' / 's_path.apt'
@@ -100,7 +99,7 @@ def s_path() -> AxisPath:
     """The S-shaped example on the tired machine."""
     transform = Transform.of(TIRED)
     program = read_program(S_PATH, transform, Settings())
-    return path_chain.path_of(program.blocks, transform, Settings())
+    return whole_plans.path_of(program.blocks, transform, Settings())
 
 
 def circle(radius: float, turns: float, feed: float, cells: int = 120) -> AxisPath:

@@ -16,15 +16,14 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.trajectory_drives import (
     JointReport,
     TrajectoryDrives,
-    TrajectoryOptions,
 )
 from cnc_interp.nodes.controller_link import joint_report, joint_trajectory
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 
 PERIOD = round(T * SECOND)
-OPTIONS = TrajectoryOptions(0.1, 1e-3, 0.02, 1.0)
-LONG = TrajectoryOptions(1.5, 1e-3, 0.02, 1.0)
+#: Delays of the controller [s].
+SHORT, LONG = 0.1, 1.5
 JOINTS = ['C', 'A', 'Z', 'Y', 'X']  # of the controller, in an order of its own
 
 
@@ -33,13 +32,13 @@ class Bench:
 
     name = 'controller'
 
-    def __init__(self, options=OPTIONS, **tolerances):
-        self.options = options
+    def __init__(self, delay=SHORT, **tolerances):
+        self.delay = delay
         self.time, self.waits, self.silent = 1_000 * SECOND + 321_987, True, False
         self.model = ControllerModel(JOINTS, START[::-1], **tolerances)
         self.axes, self.stuck = START.copy(), np.zeros(5, dtype=bool)
         self.commanded, self.played, self.sent, self.reports = [], [], [], []
-        self.drives = TrajectoryDrives(MACHINE, T, options, self)
+        self.drives = TrajectoryDrives(MACHINE, T, self, delay, (1e-3, 0.02), 1.0)
         self.playback = Playback(MACHINE, T, self.drives, 50)
         self.playback.switch_on()
         self.waits = False
@@ -88,14 +87,14 @@ class Bench:
 
     def lag(self):
         """Largest difference of what was commanded from what was played before [m, rad]."""
-        periods = round(self.options.delay / T)
+        periods = round(self.delay / T)
         commanded = np.array(self.commanded[-len(self.played) :])
         return np.abs(commanded[periods:] - np.array(self.played)[:-periods]).max()
 
 
-@pytest.mark.parametrize('options', few_of(2, [OPTIONS, LONG]))
-def test_the_controller_executes_the_setpoints_a_fixed_time_later(options):
-    bench = Bench(options)
+@pytest.mark.parametrize('delay', few_of(2, [SHORT, LONG]))
+def test_the_controller_executes_the_setpoints_a_fixed_time_later(delay):
+    bench = Bench(delay)
     bench.load()
     bench.step(5000)
     assert bench.playback.state.completed

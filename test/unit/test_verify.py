@@ -17,6 +17,7 @@ from plan_directories import (
     write,
 )
 from ruckig import InputParameter, Ruckig, Trajectory
+from whole_plans import plan_program, write_plan
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
@@ -25,7 +26,6 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify, verify_plan
-from cnc_interp.run.chain import plan_program, write_plan
 from cnc_interp.settings.choices import Settings
 
 MACHINE = Machine.load('xyzac')

@@ -10,14 +10,15 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 
 RUN = """
 import sys
-sys.path.insert(0, {here!r})
+sys.path[:0] = [{here!r}, {here!r} + '/../../benchmarks']
 from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.choices import Settings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.feedrate.feed_planner import FeedPlanner
-from cnc_interp.run.chain import Chain, Kept
-from cnc_interp.run.leg import LIVE
+from cnc_interp.run.chain import Chain
+from whole_plans import Kept
+from cnc_interp.run.course import LIVE
 from programs import dome, zigzag
 
 def compiled():

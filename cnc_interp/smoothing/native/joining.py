@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.bezier import divided, start_derivatives
-from cnc_interp.core.hull_bounds import least_length, weighted_largest
+from cnc_interp.core.bezier import divided, least_length, start_derivatives, weighted_largest
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import hermite, lacking
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL

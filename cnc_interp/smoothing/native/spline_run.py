@@ -14,10 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.bezier import divided, elevated
+from cnc_interp.core.bezier import divided, elevated, least_length
 from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
-from cnc_interp.core.hull_bounds import least_length
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner import Style
 from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets

@@ -72,7 +72,7 @@ def plan_command(options: argparse.Namespace) -> int:
         )
     finally:
         progress.end(complete=False)
-        tell(stream.notices)
+        tell((*stream.read_as, *stream.notices))
     if summary['cycle_time'] > HOUR:
         tell([f'the motion lasts {summary["cycle_time"] / HOUR:.4g} h; is the feed right?'])
     print(json.dumps(summary, indent=2) if options.json else describe(summary))

@@ -24,6 +24,7 @@ from cnc_interp.machine_model.machine_entries import (
     LOCKED_LIMITS,
     Homing,
     axis_limits,
+    control,
     entry,
     extra_axes,
     homing,
@@ -135,6 +136,8 @@ class Machine:
     drives: dict[int, AxisDrive] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
     homing: Homing = field(default_factory=Homing)
+    #: What its control means by a program: choices of the reader, by name.
+    control: dict[str, Any] = field(default_factory=dict)
     file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
 
     @cached_property
@@ -281,6 +284,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=homing(content, travel),
+        control=control(content),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
 

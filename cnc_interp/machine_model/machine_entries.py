@@ -11,6 +11,8 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
+from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.declaration import choices
 
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
 LINEAR_KEYS = {
@@ -25,6 +27,8 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
+#: Choices of the reader that a machine file may make.
+CONTROL = ('dialect', 'arc_centres', 'units')
 #: Letters that an extra axis may have.
 EXTRA_LETTERS = ('U', 'V', 'W')
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
@@ -37,6 +41,18 @@ PLAUSIBLE = {
     True: ((1e-3, 10.0), (0.01, 1e3), (0.05, 1e6)),
     False: ((0.01, 1e3), (0.05, 1e4), (0.3, 1e7)),
 }
+
+
+def control(content: dict[str, Any]) -> dict[str, str]:
+    """Read what the control of the machine means by a program, where the command does not say."""
+    given = content.get('control') or {}
+    known = {choice.name: choice for choice in choices(Settings)}
+    if not isinstance(given, dict) or not set(given) <= set(CONTROL):
+        raise MachineError(f'may hold {", ".join(CONTROL)}', 'control')
+    for key, value in given.items():
+        if value not in known[key].values:
+            raise MachineError(f'must be {" or ".join(known[key].values)}', f'control.{key}')
+    return dict(given)
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:

@@ -18,9 +18,10 @@ from |o x u|, which keeps full relative accuracy.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,6 +77,11 @@ class Transform:
     def axis_names(self) -> tuple[str, ...]:
         """Letters of the machine's axes."""
         return self.machine.axis_names
+
+    @property
+    def control(self) -> Mapping[str, Any]:
+        """What the control of the machine means by a program: choices of the reader."""
+        return self.machine.control
 
     @property
     def extra_names(self) -> tuple[str, ...]:

@@ -131,7 +131,7 @@ def check(
         blocks.close()
         raise
     return Prepared(
-        blocks, stream.notices, text, settings, length, stops, setup,
+        blocks, (*stream.read_as, *stream.notices), text, settings, length, stops, setup,
         settings.setup is not None, stream.changes, stream.used, stream.modes, start,
     )  # fmt: skip
 

@@ -52,7 +52,12 @@ FAULTS = {
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
 }
-AS_ABSOLUTE = f'{FAULTS[3]}; they fit as absolute centres: write G90.1 before'
+AS_ABSOLUTE = (
+    f'{FAULTS[3]}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute'
+)
+AS_REVERSED = (
+    f'{FAULTS[3]}; they fit as the way from the centre to the start: --arc-centres reversed'
+)
 #: Faults that may only follow from a wrong start.
 OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 

@@ -12,6 +12,7 @@ from cnc_interp.program.dialects import FANUC, LINUXCNC
 from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
+from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.words import BlockWords
 
 #: Largest rotation of a work offset [deg].
@@ -144,14 +145,17 @@ class AxisCodes:
         word = mover.machine_words(words)
         letters = ('X', 'Y', 'Z', *mover.rotary_letters)
         named = [letter for letter in letters if letter in words.values]
-        if named:
+        beside = [letter for letter in mover.extra_letters if letter in words.values]
+        mover.extra = mover.extra_target(words, machine=False)
+        if named or beside:
             target = mover.target(words)
             rotary = (
                 target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
             )
             mover.go(mover.frames.point(target[:3]), rotary, rapid=True)
         point, rotary = mover.point.copy(), mover.rotary.copy()
-        for letter in named or letters:
+        mover.extra = np.where([letter in beside for letter in EXTRA_LETTERS], 0.0, mover.extra)
+        for letter in named or ([] if beside else letters):
             home = mover.setup.reference_points.get(code, {}).get(letter, 0.0)
             if letter in 'XYZ':
                 i = 'XYZ'.index(letter)

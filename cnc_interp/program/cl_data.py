@@ -23,6 +23,7 @@ from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_cycles import ClCycle, cycle_of, way_to
+from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
@@ -84,7 +85,8 @@ class ClReader:
         self._circle: _Circle | None = None
         self._cycle: ClCycle | None = None
         self._heading: FloatArray | None = None  # of the next arc, by INDIRV
-        self._msys = ''
+        self._frames = ClFrames()
+        self._system = ''  # by name
         self._outputs: dict[str, str] = {}  # the last statement of each output
 
     @property
@@ -113,6 +115,7 @@ class ClReader:
                 self.start.reach(self._state_words)
             if statement.startswith('FINI'):
                 break
+            self._frames.keep(line_number, statement)
             try:
                 self._statement(statement)
             except ProgramError as problem:
@@ -128,6 +131,12 @@ class ClReader:
         if refused:
             raise refused.error()
         yield from self.targets.finish()
+
+    def _repeat(self, line_number: int, statement: str) -> None:
+        """Execute a statement that COPY repeats."""
+        self.line_number = line_number
+        if not statement.startswith(('COPY', 'INDEX')):
+            self._statement(statement)
 
     def _statement(self, statement: str) -> None:
         """Execute a statement."""
@@ -190,6 +199,8 @@ class ClReader:
         """Process the numbers of a GOTO statement."""
         unit = self.unit
         x, y, z = (float(word or nan) * unit for word in words[:3])
+        if self._frames.is_moved:
+            x, y, z = self._frames.point([float(word or nan) for word in words[:3]]) * unit
         if words[3] is not None:
             self.axis = self._unit_vector([float(word or nan) for word in words[3:]], 'GOTO')
         if self._cycle is None:
@@ -244,7 +255,7 @@ class ClReader:
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
         """Return three numbers as a unit vector; raise if they are far from one."""
-        i, j, k = numbers
+        i, j, k = self._frames.direction(numbers) if self._frames.is_moved else numbers
         what = 'normal' if word == 'CIRCLE' else 'tool axis'
         length = sqrt(i * i + j * j + k * k)
         if not abs(length - 1.0) <= _UNIT_VECTOR:
@@ -293,7 +304,7 @@ class ClReader:
         elif major == 'TLAXIS':
             self.axis = self._unit_vector(self._numbers(minor, 3, 'write TLAXIS/i,j,k'), major)
         elif major == 'GODLTA':
-            delta = self._numbers(minor, 3, 'write GODLTA/dx,dy,dz')
+            delta = self._frames.direction(self._numbers(minor, 3, 'write GODLTA/dx,dy,dz'))
             if self.targets.empty:
                 raise self._fault(
                     'an incremental move before the first point; write FROM or GOTO first',
@@ -303,7 +314,8 @@ class ClReader:
         elif major == 'CIRCLE':
             self._begin_circle(minor)
         elif major == 'INDIRV':
-            self._heading = np.array(self._numbers(minor, 3, 'write INDIRV/i,j,k'))
+            heading = self._numbers(minor, 3, 'write INDIRV/i,j,k')
+            self._heading = self._frames.direction(heading)
         elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
             units = {k: v for k, v in cl_words.FEED_UNITS.items() if v}
             self._cycle = cycle_of(minor, units, self.unit, self._fault)
@@ -320,14 +332,28 @@ class ClReader:
             self._notice(major, codes.NOT_YET if stands else text)
             if not stands:
                 self.targets.stop_here(kind)
-        elif major == 'CSYS' and _NUMBERS.fullmatch(minor):
-            numbers = self._numbers(minor, 12, 'a coordinate system has twelve numbers')
-            if tuple(numbers) not in cl_words.SAME_SYSTEM:
+        elif major in ('MSYS', 'CSYS') and (system := self._system_of(minor)) is not None:
+            if self._system and moves(system):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
+            if self._frames.enter(system):
+                self._notice(f'WARNING: {major}', 'points of another coordinate system are taken '
+                             'into the first one; the part must stay clamped')  # fmt: skip
         elif major in ('MSYS', 'CSYS'):
-            if self._msys not in ('', minor):
+            if self._system not in ('', minor):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
-            self._msys = minor
+            self._system = minor
+        elif major == 'TRACUT':
+            off = minor in cl_words.OFF or not self._moves(minor)
+            minor = re.sub(r'^MATRIX\s*/|[()\s]', '', minor)
+            if (system := self._system_of(IDENTITY if off else minor)) is None:
+                raise self._fault('these numbers are no coordinate system', major)
+            self._frames.cut(system)
+        elif major == 'INDEX' and minor.isdigit():
+            self._frames.index(int(minor))
+        elif major == 'COPY':
+            if not self._frames.copy(minor, self._repeat):
+                raise self._fault('write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, '
+                                  'XYROT', major)  # fmt: skip
         elif major.startswith(cl_words.INFORMATION):
             self._notice(cl_words.INFORMATION, 'information of the CAM system, no effect')
         elif major == 'SPINDL' and minor not in cl_words.OFF:
@@ -336,6 +362,10 @@ class ClReader:
             self._notice(major, 'no effect, it does not move the tool')
         elif major not in cl_words.SILENT:
             raise self._fault(cl_words.UNKNOWN, major)
+
+    def _system_of(self, minor: str) -> tuple[FloatArray, FloatArray] | None:
+        """Return axes and origin of a coordinate system, in the unit of the text."""
+        return system_of([float(w) for w in minor.split(',')] if _NUMBERS.fullmatch(minor) else [])
 
     def _moves(self, minor: str) -> bool:
         """Tell whether a shift is not zero."""
@@ -359,6 +389,8 @@ class ClReader:
         if len(words) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
             raise self._fault(remedy, 'CIRCLE')
         numbers = [float(word) for word in words[:7]]
+        if self._frames.is_moved:
+            numbers[:3] = self._frames.point(numbers[:3]).tolist()
         if self.targets.empty:
             raise self._fault('a circle before the first point; write FROM or GOTO', 'CIRCLE')
         if len(numbers) == 6:
@@ -383,7 +415,9 @@ class ClReader:
 
     def _along_arc(self, numbers: list[float]) -> None:
         """Process TLON,GOFWD/(CIRCLE/x,y,z,r),ON,..(LINE/..,end): an arc that INDIRV sets off."""
-        centre, end = np.array(numbers[:3]) * self.unit, np.array(numbers[-3:]) * self.unit
+        centre, end = (
+            self._frames.point(place) * self.unit for place in (numbers[:3], numbers[-3:])
+        )
         if self._heading is None or self.targets.empty:
             raise self._fault('the direction of the arc is missing; write INDIRV before', 'GOFWD')
         axis = np.array(self.axis)

@@ -19,11 +19,6 @@ HARMLESS = {
 }  # fmt: skip
 #: Words with this beginning are information of a CAM system.
 INFORMATION = 'CSI_'
-#: Coordinate systems that change nothing: three rows of four numbers, and three axes and a point.
-SAME_SYSTEM = (
-    (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-    (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
-)
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
 OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
@@ -44,8 +39,6 @@ REFUSED = {
     'ROTATE': f'rotary table moves are not supported; {LINEAR}',
     'ROTABL': f'rotary table moves are not supported; {LINEAR}',
     'ROTHED': f'rotary head moves are not supported; {LINEAR}',
-    'COPY': f'copied motion is not supported; {LINEAR}',
-    'INDEX': f'copied motion is not supported; {LINEAR}',
     'MACRO': f'macros are not supported; {LINEAR}',
     'CALL': f'macros are not supported; {LINEAR}',
     'PROBE': f'probing is not supported; {LINEAR}',
@@ -57,7 +50,6 @@ REFUSED = {
 OFF_ONLY = {
     'ORIGIN': _FRAME,
     'TRANS': _FRAME,
-    'TRACUT': _FRAME,
 }
 OFF = {'', 'OFF', 'NOMORE'}
 UNKNOWN = 'unknown word; write $$ before it if it does not move the tool'

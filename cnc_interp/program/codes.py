@@ -52,7 +52,7 @@ TAKE_AXES = {
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 #: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
-CYCLES = {'G73', 'G74', 'G76', *(f'G{number}' for number in range(81, 90))}
+CYCLES = {'G73', 'G74', 'G76', 'G84.2', 'G84.3', *(f'G{number}' for number in range(81, 90))}
 
 _OFF = 'nothing to switch off'
 #: What a start of the spindle is told as, because the tool moves all the same.
@@ -116,6 +116,7 @@ REFUSED_G: dict[str, str] = {
     'G16': 'polar coordinates are not supported; post with X and Y',
     'G38.2': 'probing is not supported',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
+    'G32': 'a thread follows the spindle, which is not measured; leave it out',
     'G51': 'scaling is not supported; post at full size',
     'G66': 'modal macro calls are not supported; call with G65',
     'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',

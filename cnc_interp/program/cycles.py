@@ -29,8 +29,8 @@ from cnc_interp.program.words import BlockWords
 _CLEARANCE = {MM: 0.254 * MM, INCH: 0.01 * INCH}
 _MOST_PECKS, _MOST_REPEATS = 10_000, 10_000
 _PECKING = {'G73', 'G83'}
-_TAPPING = {'G74', 'G84'}
-_FEED_OUT = {*_TAPPING, 'G85', 'G89'}
+TAPPING = {'G74', 'G84', 'G84.2', 'G84.3'}
+_FEED_OUT = {*TAPPING, 'G85', 'G89'}
 _RESTING = {'G76', 'G82', 'G86', 'G87', 'G89'}
 _SHIFTING = {'G76', 'G87'}
 
@@ -140,9 +140,6 @@ class CannedCycle:
         if self.code in (*_SHIFTING, 'G88') and mover.dialect is LINUXCNC:
             threads = 'G76 cuts threads on LinuxCNC' if self.code == 'G76' else 'LinuxCNC has none'
             raise mover.fault(f'{threads}; post the cycle as G0 and G1 moves', self.code)
-        if self.code in _SHIFTING and words.values.get('Q', 0.0):
-            raise mover.fault('Q shifts the tool in a direction that a parameter of the control '
-                              'gives; write the shift as I and J', words.texts['Q'])  # fmt: skip
 
     def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
         """Drill one hole at a position in program coordinates, shape (5,) [m, rad]."""
@@ -155,17 +152,17 @@ class CannedCycle:
         else:
             retract, bottom = retract * mover.unit, depth * mover.unit
         if retract < bottom and self.code != 'G87':
-            if mover.dialect is not FANUC:
+            if mover.dialect not in (FANUC, PLAIN):
                 raise mover.fault('the retract plane R lies below the depth', self.code)
             mover.notice(
-                f'{self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
+                f'WARNING: {self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
             )
         clear = max(self.start, retract) if mover.retract_to_start else retract
         if self.code == 'G87':
             clear = max(self.start, retract)
         hole = Hole(
             retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
-            _CLEARANCE[mover.unit], self.code in _TAPPING, self.code in _RESTING,
+            _CLEARANCE[mover.unit], self.code in TAPPING, self.code in _RESTING,
             self.code == 'G88', self.code in _FEED_OUT, self._shift(mover),
         )  # fmt: skip
         if self.code in _RESTING and self._sticky.get('P'):
@@ -174,9 +171,9 @@ class CannedCycle:
             mover.notice('G88', 'waits at the bottom; the retract after cycle start is a rapid')
         start = place
         if self.code == 'G87':
-            if hole.shift is None and retract < bottom:
-                raise mover.fault('back boring needs its shift; write I and J', 'G87')
-            if hole.shift is not None:
+            if hole.shift is None:
+                mover.notice('WARNING: G87 without a shift', 'it goes to R and back in the bore')
+            else:
                 start = place.copy()
                 start[:3] += hole.shift
         levels = [level, retract]
@@ -191,13 +188,20 @@ class CannedCycle:
 
     def _shift(self, mover: Mover) -> FloatArray | None:
         """Return how G76 and G87 move the tool aside, shape (3,) [m]; None: not at all."""
-        if self.code not in _SHIFTING or not {'I', 'J', 'K'} & self._sticky.keys():
+        if self.code not in _SHIFTING:
             return None
+        if not {'I', 'J', 'K'} & self._sticky.keys():
+            amount, first = self._sticky.get('Q', 0.0), PLANES[mover.plane][0]
+            if not amount:
+                return None
+            mover.notice(f'WARNING: {self.code} Q', f'the tool moves aside along +{"XYZ"[first]}; '
+                         'a parameter of the control may give another direction')  # fmt: skip
+            return np.asarray(np.eye(3)[first] * abs(amount) * mover.unit)
         return np.array([self._sticky.get(letter, 0.0) * mover.unit for letter in 'IJK'])
 
     def _pecks(self, mover: Mover, retract: float, bottom: float) -> list[float]:
         """Return the levels at which the tool turns back before the bottom."""
-        if self.code not in _PECKING and not ('Q' in self._sticky and self.code in _TAPPING):
+        if self.code not in _PECKING and not ('Q' in self._sticky and self.code in TAPPING):
             return []
         step = self._sticky.get('Q', 0.0) * mover.unit
         if step == 0.0 and mover.dialect in (FANUC, PLAIN):

@@ -35,7 +35,7 @@ class Dialect:
 
 PLAIN = Dialect('plain', 'no control in particular', is_sure=False)
 LINUXCNC = Dialect('linuxcnc', 'LinuxCNC', own_entry=True, feeds_first=True, turns_in_cycles=False)
-FANUC = Dialect('fanuc', 'Fanuc and its kin', machine_axes=True)
+FANUC = Dialect('fanuc', 'Fanuc and its kin', machine_axes=True, starts_with=0)
 SIEMENS = Dialect('siemens', 'Siemens 840D', starts_with=1, runs_shifts=True)
 HEIDENHAIN = Dialect('heidenhain', 'Heidenhain', machine_axes=True)
 PROFILES = {dialect.name: dialect for dialect in (PLAIN, LINUXCNC, FANUC, SIEMENS)}
@@ -47,7 +47,8 @@ _WORDS = (
     (LINUXCNC, r'^\s*O\s*(?:\d+|<[^<>]+>|\[[^\]]+\]|#\S+)\s*(?:SUB|ENDSUB|CALL|IF|WHILE|DO|REPEAT)'
      r'\b|#<\w|\(\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,|^\s*;\s*PY\s*,'),
     (FANUC, r'^\s*[O:]\s*\d{4,8}\s*(?:\(|$)|\bG\s*54\.1\s*P|\bG0?5\.1\s*Q|\bG65\s*P|'
-     r'^\s*(?:N\d+\s*)?WHILE\s*\[.*\]\s*DO\s*\d|\bGOTO\s*\d|\bIF\s*\[.*\]\s*(?:GOTO|THEN)'),
+     r'^\s*(?:N\d+\s*)?WHILE\s*\[.*\]\s*DO\s*\d|\bGOTO\s*\d|\bIF\s*\[.*\]\s*(?:GOTO|THEN)|'
+     r'\bG(?:154\s*P|187\b|43\.[45]\b|234\b|0?5\s*P\d|0?8\s*P[01]\b)'),
     (SIEMENS, r'\b(?:CYCLE\d+|MCALL|TRAORI|TRAFOOF|MSG|HOLES\d|POCKET\d|SLOT\d)\b\s*(?:\(|$)|'
      r'^\s*(?:N\d+\s*)?(?:DEF\s+(?:REAL|INT|BOOL|STRING|AXIS|CHAR)|PROC\s|A?TRANS\b|A?ROT\b|'
      r'EXTERN\s|FFWON|SUPA\b|G500\b|DIAMOF|STOPRE|ENDFOR|ENDWHILE|ENDIF|ENDLOOP|UNTIL\b)|'
@@ -86,12 +87,22 @@ def form_of(source: Source) -> str:
     return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'
 
 
-def dialect_of(source: Source, chosen: str) -> Dialect:
-    """Return the profile of a text of G-code, by choice, by its words, or by its suffix."""
+def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:
+    """Return the profile of a text of G-code, and why: by choice, its words, or its suffix."""
     if chosen != 'auto':
-        return PROFILES[chosen]
+        return PROFILES[chosen], 'as chosen'
     text = _COMMENT.sub(' ', _head(source))
-    found = [dialect for dialect, sign in _SIGNS if sign.search(text)]
-    if found:
-        return found[0] if len(found) == 1 else PLAIN
-    return _SUFFIXES.get(Path(source.name).suffix.lower(), PLAIN)
+    found = [(dialect, sign.search(text)) for dialect, sign in _SIGNS]
+    told = {
+        dialect: f'{" ".join(match[0].split())} in line {1 + text.count(chr(10), 0, match.end())}'
+        for dialect, match in found
+        if match
+    }
+    if len(told) == 1:
+        return next(iter(told.items()))
+    if told:
+        return PLAIN, f'words of several: {", ".join(told.values())}'
+    suffix = Path(source.name).suffix.lower()
+    if suffix in _SUFFIXES:
+        return _SUFFIXES[suffix], f'by its suffix {suffix}'
+    return PLAIN, 'nothing tells whose; --dialect does'

@@ -22,7 +22,7 @@ from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cycles import CannedCycle
+from cnc_interp.program.cycles import TAPPING, CannedCycle
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, Dialect
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
@@ -404,7 +404,7 @@ class GcodeReader:
                 if self._cycle is None:
                     self._cycle = CannedCycle(code, self._level())
                 self._cycle.code = code
-                if code in ('G74', 'G84'):
+                if code in TAPPING:
                     self.notice(code, 'feed in, feed out; the spindle is not synchronised')
             elif code == 'G80':
                 self._cycle = None
@@ -425,7 +425,7 @@ class GcodeReader:
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; post without it', code)
         if (
-            mover.dialect is FANUC and 'H' in words.values and mover.frames.length
+            mover.dialect in (FANUC, PLAIN) and 'H' in words.values and mover.frames.length
             and not (codes.LENGTH_CODES | {'G65'}) & set(words.g)
         ):  # fmt: skip
             self._modes.tool_length('G43', words, self._tool)
@@ -485,7 +485,7 @@ class GcodeReader:
     def _move(self, words: BlockWords, feed_given: bool) -> None:
         """Move to the axis words of a block; raise for words without a meaning."""
         mover, values = self.mover, words.values
-        machine = 'G53' in words.g
+        machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
         axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(values)
         if self._cycle is not None and axes:
             if machine:
@@ -494,7 +494,7 @@ class GcodeReader:
         elif self._cycle is None and not self.splines.take(words, feed_given):
             mover.move(words, feed_given, machine)
         for letter in list(values):
-            if letter == 'H' and mover.frames.length and mover.dialect is not FANUC:
+            if letter == 'H' and mover.frames.length:
                 raise self.fault('on Fanuc it changes the tool length; write G43 with it, or '
                                  'leave it out', words.texts['H'])  # fmt: skip
             if letter in 'STDHE':

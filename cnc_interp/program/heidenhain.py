@@ -217,13 +217,12 @@ class HeidenhainReader(GcodeReader):
             self._execute(BlockWords(m=['M129' if match[1] else 'M128']))
         elif match := _CORNER.fullmatch(line):
             raise self.fault('stands between two lines L, in the plane', match[1])
-        elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C|M)(?![A-Z])\s*(.*)', line):
-            if match[1] == 'M':
-                self._motion('L', line)
-            else:
-                self._motion(match[1], match[2])
-        elif re.match(r'[-+IXYZABCUVWF]', line) and self.mover.motion is not None:
-            raise self.fault('a line begins with L, C or another word', line[:20])
+        elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)', line):
+            self._motion(match[1], match[2])
+        elif line.startswith('M140'):
+            raise self.fault('draws the tool back along itself; write L with M91', 'M140')
+        elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
+            self._motion('L', line)  # a line along one axis, or without motion
         else:
             raise self.fault(
                 'this word of Heidenhain is not supported; post it as L and C', line[:20]
@@ -517,7 +516,7 @@ class HeidenhainReader(GcodeReader):
         elif number == 247:
             self.cycle, self.defining = 247, True
             self.notice('CYCL DEF 247', 'the datum is that of the work offset that is active')
-        elif number in (1, 2) or 200 <= number <= 207:
+        elif number in (1, 2, 240) or 200 <= number <= 207:
             if number == 204:
                 raise self.fault('back boring is not supported; post it as L', 'CYCL DEF 204')
             self.cycle, self.defining = number, number >= 200
@@ -545,6 +544,8 @@ class HeidenhainReader(GcodeReader):
         def of(name: str, default: float = 0.0) -> float:
             return self._q(name) if self.variables.exists(f'<_{name}>') else default
 
+        if self.cycle == 240 and of('Q343'):
+            raise self.fault('a depth by the diameter is not supported; write Q201', 'Q343')
         surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
         if self.cycle < 200:
             surface -= of('Q200') * unit  # the tool stands on the clearance

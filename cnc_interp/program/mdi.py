@@ -29,7 +29,7 @@ class MdiLine(ProgramStream):
     def __init__(self, reader: GcodeReader, notices: Notices):
         self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
         self._reader = self.reader = reader
-        self._notices = notices
+        self._notices, self.read_as = notices, ()
 
 
 class MdiReader:

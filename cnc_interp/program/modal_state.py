@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
@@ -122,7 +122,13 @@ class ModalState:
         # Modal settings, with the names of codes.SETTINGS.
         self.dialect = PLAIN
         self.motion: int | None = None
-        self.plane, self.unit, self.incremental, self.centre_absolute = 'G17', MM, False, False
+        self.plane, self.incremental = 'G17', False
+        self.unit = INCH if settings.units == 'inch' else MM
+        self.centre_absolute = settings.arc_centres == 'absolute'
+        #: -1 where I J K lead from the centre of an arc to its start.
+        self.centre_sense = -1.0 if settings.arc_centres == 'reversed' else 1.0
+        #: I J K and R of the last arc [m], which some posts do not repeat.
+        self.last_centre, self.last_radius = np.full((1, 3), nan), nan
         self.feed_mode, self.retract_to_start = 'G94', True
         self.stop_always = self.stop_once = False
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters

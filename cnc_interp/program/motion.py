@@ -14,9 +14,9 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.arcs import AS_ABSOLUTE, FAULTS, PLANES, TOLD, arcs_of
+from cnc_interp.program.arcs import AS_ABSOLUTE, AS_REVERSED, FAULTS, PLANES, TOLD, arcs_of
 from cnc_interp.program.contact_normal import ContactPath, Cutter
-from cnc_interp.program.dialects import LINUXCNC
+from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.targets import NO_ARC
@@ -24,6 +24,8 @@ from cnc_interp.program.words import BlockWords
 
 #: Two directions agree if their cosine is 1 within this [-].
 SAME_AXIS = 1e-9
+#: The plane that two centre letters of an arc tell.
+_PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
 MOST_TURN = 1e3 * 360.0 * DEG
 
 
@@ -60,7 +62,7 @@ class Mover(ModalState):
             target = self.target(words)
             point = self.frames.point(target[:3])
         rotary = self._rotary_target(words, target, machine)
-        self.extra = self._extra_target(words, machine)
+        self.extra = self.extra_target(words, machine)
         arc: tuple[float, ...] = NO_ARC
         if self.motion >= 2 and arc_words is not None:
             if machine:
@@ -189,7 +191,7 @@ class Mover(ModalState):
             self.shifted[i] = 0.0
         return target
 
-    def _extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
+    def extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
         """Take the words of extra axes out and return their positions, shape (3,) [m]."""
         target = self.extra.copy()
         for letter in self.extra_letters:
@@ -313,7 +315,7 @@ class Mover(ModalState):
         """Remove I J K, R (or CR) and P of an arc, and return them as words."""
         if self.motion is None or self.motion < 2:
             return None
-        taken = BlockWords()
+        taken = BlockWords(g=[code for code in words.g if code in ('G2', 'G3')])
         for letter in ('I', 'J', 'K', 'R', 'P'):
             if letter in words.values:
                 taken.values[letter] = words.values.pop(letter)
@@ -328,17 +330,33 @@ class Mover(ModalState):
                 offset[0, i] = words.values[letter] * self.unit
                 way = words.ways[letter]
                 absolute[0, i] = way == 'AC' or (self.centre_absolute and way != 'IC')
+                if not absolute[0, i] and not way:
+                    offset[0, i] *= self.centre_sense
+        radius = words.values.get('R', nan) * self.unit
+        if words.values.keys() <= {'P'} and self.dialect is not LINUXCNC:
+            offset, radius = self._modal_centre(words, target, offset, radius)
+        self.last_centre, self.last_radius = offset, radius
         turns = words.values.get('P', 1.0)
         if not (turns >= 1.0 and turns == round(turns) and turns <= 500.0):
             raise self.fault(
                 'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
             )
+        plane, other = self.plane, self._plane_told(offset)
+        if other != plane and self._fits(target, offset, bool(absolute.any()), other):
+            plane = other
+            self.notice(
+                'WARNING: arcs in another plane than the active one',
+                'their letters I J K tell it; most controls need G17, G18 or G19',
+            )
         arcs = arcs_of(
-            self.plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
-            offset, np.array([words.values.get('R', nan) * self.unit]), absolute, turns, self.unit,
+            plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
+            offset, np.array([radius]), absolute, turns, self.unit,
         )  # fmt: skip
-        if arcs.fault[0] == 3 and not absolute.any() and self._fits_absolute(target, offset):
-            raise self.fault(AS_ABSOLUTE, 'G2' if self.motion == 2 else 'G3')
+        if arcs.fault[0] == 3 and not absolute.any():
+            for fits, told in ((self._fits(target, offset, absolute=True), AS_ABSOLUTE),
+                               (self._fits(target, -offset), AS_REVERSED)):  # fmt: skip
+                if fits:
+                    raise self.fault(told, 'G2' if self.motion == 2 else 'G3')
         if arcs.fault[0]:
             raise self.arc_fault(int(arcs.fault[0]), float(arcs.mismatch[0]))
         if arcs.mismatch[0] > TOLD:
@@ -346,14 +364,38 @@ class Mover(ModalState):
                         f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '
                         'changes evenly')  # fmt: skip
         centre = self.frames.point(arcs.centre[0])
-        normal = self.frames.turn[:, PLANES[self.plane][2]]
+        normal = self.frames.turn[:, PLANES[plane][2]]
         return (*centre, *normal, float(arcs.sweep[0]))
 
-    def _fits_absolute(self, target: FloatArray, offset: FloatArray) -> bool:
-        """Tell whether I J K give an arc if they are taken as its absolute centre."""
+    def _modal_centre(
+        self, words: BlockWords, target: FloatArray, offset: FloatArray, radius: float
+    ) -> tuple[FloatArray, float]:
+        """Return the centre or radius of the arc before, where this one has none and it fits."""
+        if self.last_radius > 0.0 and words.g:
+            found = offset, self.last_radius
+        elif self._fits(target, self.last_centre, plane=self._plane_told(self.last_centre)):
+            found = self.last_centre, radius
+        else:
+            return offset, radius
+        self.notice(
+            'WARNING: arcs without I J K and R',
+            'those of the arc before are taken; some controls go straight',
+        )
+        return found
+
+    def _plane_told(self, offset: FloatArray) -> str:
+        """Return the plane that I J K tell, where they tell one."""
+        given = ''.join(np.array(list('IJK'))[np.isfinite(offset[0])])
+        known = self.dialect in (FANUC, PLAIN)
+        return _PLANE_OF.get(given, self.plane) if known else self.plane
+
+    def _fits(
+        self, target: FloatArray, offset: FloatArray, absolute: bool = False, plane: str = ''
+    ) -> bool:
+        """Tell whether there is an arc with another centre or in another plane to a target."""
         arcs = arcs_of(
-            self.plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
-            offset, np.array([nan]), True, 1.0, self.unit,
+            plane or self.plane, np.array([self.motion == 3]), self.here()[None, :3],
+            target[None, :3], offset, np.array([nan]), absolute, 1.0, self.unit,
         )  # fmt: skip
         return not arcs.fault[0]
 

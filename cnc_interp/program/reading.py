@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cnc_interp.machine_model.transform import Transform
@@ -59,6 +59,9 @@ class ProgramStream:
         self.dialect = form_of(source)
         self._notices = Notices()
         self._reader: ClReader | GcodeReader
+        control = {k: v for k, v in geometry.control.items() if getattr(settings, k) == 'auto'}
+        settings = replace(settings, **control)
+        self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)
             if setup.work_offsets or setup.g92_on:
@@ -68,7 +71,12 @@ class ProgramStream:
                 )  # fmt: skip
         else:
             plain_text = self.dialect == 'heidenhain'
-            profile = HEIDENHAIN if plain_text else dialect_of(source, settings.dialect)
+            profile, why = (
+                (HEIDENHAIN, 'by BEGIN PGM')
+                if plain_text
+                else dialect_of(source, settings.dialect)
+            )
+            self.read_as = (f'read as {profile.title}: {why}',)
             kind = HeidenhainReader if plain_text else GcodeReader
             self._reader = kind(geometry, settings, setup, source, self._notices, profile)
 

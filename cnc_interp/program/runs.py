@@ -185,14 +185,16 @@ def _arcs(
 ) -> bool:
     """Fill the arc columns of the rows; return False if an arc does not exist."""
     before = np.vstack([mover.here(), program[:-1]])
-    unit = mover.unit
+    unit, sense = mover.unit, 1.0 if mover.centre_absolute else mover.centre_sense
     arcs = arcs_of(
         mover.plane, motion[on_arc] == 3.0, before[on_arc, :3], program[on_arc, :3],
-        values[on_arc][:, scan.I : scan.K + 1] * unit, values[on_arc, scan.R] * unit,
+        values[on_arc][:, scan.I : scan.K + 1] * (unit * sense), values[on_arc, scan.R] * unit,
         mover.centre_absolute, unit=unit,
     )  # fmt: skip
     if arcs.fault.any() or (arcs.mismatch > TOLD).any():
         return False
+    mover.last_centre = values[on_arc][-1:, scan.I : scan.K + 1] * (unit * sense)
+    mover.last_radius = float(values[on_arc, scan.R][-1] * unit)
     which = on_arc[moves]
     rows[which, CENTRE] = mover.frames.point(arcs.centre)
     rows[which, NORMAL] = mover.frames.turn[:, PLANES[mover.plane][2]]

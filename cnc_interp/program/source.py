@@ -182,7 +182,7 @@ _WORD = re.compile(r'\s*(?:/\s*)?(?:[GMXYZNTSF]\s*[-+.\d#\[=]|[:O]\s*\d|[(;]|$)'
 _NAME = re.compile(
     r'<[^<>]+>\s*(?:\([^()]*\))?'  # Fanuc: a name instead of a number, and a comment
     r'|O\s*<[^<>]+>'
-    r'|O(?!RI|TOL|FFN)\s*[A-Z_][\w-]*'  # Okuma; not the words of Siemens
+    r'|O(?!RI|TOL|FFN)\s*[A-Z_][\w -]*'  # Okuma, a title to fill in; not the words of Siemens
     r'|O\s*\d+(?:\s*[-_]\s*|\s+)[A-Z_][A-Z_][\w .-]*'  # a number and a title
     r'|O\s*\d+\s*[-_]\s*\w[\w .-]*'
 )

@@ -71,7 +71,16 @@ class Settings:
     )  # fmt: skip
     dialect: str = one_of(
         ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'), READING,
-        'whose control reads the program; auto: the one its words tell',
+        'whose control reads the program; auto: that of the machine, else the one its words tell',
+    )  # fmt: skip
+    arc_centres: str = one_of(
+        ('auto', 'start', 'absolute', 'reversed'), READING,
+        'I J K of arcs: way from the start to the centre, place of the centre, or way from the '
+        'centre to the start; auto: that of the machine, else from the start',
+    )  # fmt: skip
+    units: str = one_of(
+        ('auto', 'mm', 'inch'), READING,
+        'unit of a program without G20 or G21; auto: that of the machine, else mm',
     )  # fmt: skip
     skip_blocks: bool = switch(False, READING, 'leave out lines that begin with a slash')
     most_jumps: int = whole_number(

@@ -5,6 +5,7 @@ import pytest
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MM
 from cnc_interp.program import read_text
 from cnc_interp.settings.choices import Settings
 
@@ -152,8 +153,7 @@ def test_feed_of_files_without_fedrat():
         ('GODLTA/1,2,1E999', 2, '100,000 mm'),
         ('TLAXIS/NORMPS', 2, 'TLAXIS/i,j,k'),
         ('TLAXIS/1,1,1', 2, 'unit vector'),
-        ('COPY/1,SAME,3', 2, 'copied'),
-        ('INDEX/1', 2, 'copied'),
+        ('COPY/1,SAME,3', 2, 'INDEX'),
         ('TLON,GOFWD/(CIRCLE/0,0,0,1)', 2, 'part surfaces'),
         ('TRANS/0,0,1', 2, 'coordinate system'),
         ('MSYS/0,0,0\nMSYS/0,0,1', 3, 'coordinate system'),
@@ -168,3 +168,29 @@ def test_refusals_name_the_line(text, line, part):
         read('GOTO/0,0,0,0,0,1\n' + text)
     assert caught.value.line_number == line
     assert part in str(caught.value) and str(caught.value).startswith(f'part.apt:{line}: ')
+
+
+def test_points_of_other_coordinate_systems_and_copies():
+    head = 'UNITS/MM\nFEDRAT/400,MMPM\n'
+    turned = 'CSYS/0,-1,0,50,1,0,0,0,0,0,1,2\n'  # X along Y, at 50 0 2
+    first = read(head + turned + 'GOTO/1,2,3,0,0,1\nGOTO/4,2,3\n').blocks
+    np.testing.assert_allclose(first.tip / MM, [[1, 2, 3], [4, 2, 3]], atol=1e-9)
+    for second in (turned, 'CSYS/0,1,0,-1,0,0,0,0,1,50,0,2\n', 'MSYS/50,0,2,0,1,0,-1,0,0\n'):
+        points = 'GOTO/1,2,3,1,0,0\nTLAXIS/0,0,1\nGODLTA/1,0,0\n'
+        program = read(f'{head}MSYS/0,0,0,1,0,0,0,1,0\nGOTO/0,0,0,0,0,1\n{second}{points}')
+        tips, axes = program.blocks.tip[[0, -2, -1]] / MM, program.blocks.axis[-2:]
+        np.testing.assert_allclose(tips, [[0, 0, 0], [48, 1, 5], [48, 2, 5]], atol=1e-9)
+        np.testing.assert_allclose(axes, [[0, 1, 0], [0, 0, 1]], atol=1e-9)
+        assert 'must stay clamped' in str(program.notices)
+    moved = read(
+        head + 'GOTO/0,0,0\nTRACUT/1,0,0,5,0,1,0,0,0,0,1,0\nGOTO/1,0,0\nTRACUT/NOMORE\nGOTO/2,0,0'
+    )
+    np.testing.assert_allclose(moved.blocks.tip[:, 0] / MM, [0, 6, 2], atol=1e-9)
+    for copy, wanted in (
+        ('TRANSL,10,0,0,2', [(0, 0), (1, 0), (11, 0), (21, 0), (3, 3)]),
+        ('XYROT,90,1', [(0, 0), (1, 0), (0, 1), (3, 3)]),
+        ('SAME', [(0, 0), (1, 0), (0, 0), (1, 0), (3, 3)]),
+    ):
+        inner = 'GOTO/0,0,0\n' if copy == 'SAME' else ''
+        text = f'{head}GOTO/0,0,0\nINDEX/1\n{inner}GOTO/1,0,0\nCOPY/1,{copy}\nGOTO/3,3,0\n'
+        np.testing.assert_allclose(read(text).blocks.tip[:, :2] / MM, wanted, atol=1e-9)

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import yaml
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.errors import MachineError, ProgramError
 from cnc_interp.core.units import MM
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
+from cnc_interp.program.source import Source
 from cnc_interp.settings.choices import Settings
 
 XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))
@@ -70,9 +72,11 @@ def test_cycles_of_fanuc():
     assert heights(single.blocks)[1:] == ['r5', 'r3', 'f-2', 'r3'] and 'WARNING' in str(
         single.notices
     )
-    for text in ('G99 G76 X1 Z-2 R3 Q0.5', 'G98 G87 X1 Z2 R-3 Q1'):
-        with pytest.raises(ProgramError, match='shift as I and J'):
-            read(head + text)
+    by_q = read(head + 'G98 G87 X1 Z2 R-3 Q0.5')
+    np.testing.assert_allclose(by_q.blocks.tip[1:, [0, 2]] / MM, ends, atol=1e-9)
+    plain = read(head + 'G98 G87 X1 Z2 R-3')
+    assert heights(plain.blocks)[1:] == ['r5', 'r-3', 'f2', 'r5']
+    assert 'along +X' in str(by_q.notices) and 'without a shift' in str(plain.notices)
 
 
 @pytest.mark.parametrize(
@@ -123,6 +127,37 @@ def test_the_dialect_is_told_by_words_by_the_suffix_or_by_choice():
         np.testing.assert_allclose(tips[1, :2], [0, 2] if own else [2, 0], atol=1e-9)
     tips = read(entry, 'a.nc', setup=tools, dialect='linuxcnc').blocks.tip / MM
     np.testing.assert_allclose(tips[1, :2], [0, 2], atol=1e-9)
+
+
+def test_the_machine_tells_whose_control_it_has():
+    content = yaml.safe_load(find_machine_file('xyz').read_text())
+    told = {'dialect': 'fanuc', 'arc_centres': 'reversed', 'units': 'inch'}
+    machine = Transform.of(from_mapping(content | {'control': told}))
+    text = 'X1 Y0\nG3 X0 Y1 I1 J0 F9\n'
+    blocks = read(text, geometry=machine).blocks
+    np.testing.assert_allclose(np.hypot(*blocks.tip[:, :2].T), 25.4 * MM, rtol=1e-9)
+    with pytest.raises(ProgramError, match='--arc-centres reversed'):
+        read(text, geometry=machine, arc_centres='start')
+    assert ProgramStream(Source.of_text(text, 'a'), machine, Settings()).read_as == (
+        'read as Fanuc and its kin: as chosen',
+    )
+    for wrong in ({'dialect': 'basic'}, {'unit': 'mm'}, 'fanuc'):
+        with pytest.raises(MachineError):
+            from_mapping(content | {'control': wrong})
+
+
+def test_letters_that_posts_leave_out_of_arcs():
+    for text in (
+        'G3 X0 Y10 I-10 J0 F900\nX-20 Y10', 'G2 X0 Y-10 R10 F900\nG2 X-10 Y0',
+        'G3 I-10 J0 F900\nX0 Y10',
+    ):  # fmt: skip
+        program = read('G0 X10 Y0 Z0\n' + text)
+        assert 'arcs without I J K' in str(program.notices)
+        with pytest.raises(ProgramError, match='needs its centre'):
+            read('G0 X10 Y0 Z0\n' + text, dialect='linuxcnc')
+    round_y = read('G0 X10 Y3 Z0\nG2 X0 Z10 I-10 K0 F900').blocks.tip / MM
+    np.testing.assert_allclose(np.hypot(round_y[:, 0], round_y[:, 2]), 10)
+    assert (round_y[:, 1] == 3).all()
 
 
 def test_machine_coordinates_while_tool_tip_programming_is_on():

@@ -16,7 +16,7 @@ class ThreeAxes:
     """A machine without rotary axes."""
 
     axis_names = ('X', 'Y', 'Z')
-    extra_names, extra_direction = (), ()
+    extra_names, extra_direction, control = (), (), {}
 
     def tool_axis(self, rotary):
         raise AssertionError('a machine without rotary axes is never asked')

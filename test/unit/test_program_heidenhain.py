@@ -127,7 +127,7 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('L X+1 M140', 'M140'),
         ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'), ('APPR LT X+1', 'APPR'),
         ('TOOL CALL 1 Z DR+0.1', 'DR'), ('PLANE POINTS P1X+0', 'not supported'),
-        ('X+5 FMAX', 'begins'),
+        ('X+5 FMIX', 'not supported'),
         ('TOOL CALL 9 Z', 'no length'), ('LBL 1|CALL LBL 1', 'deep'),
     ],
 )  # fmt: skip

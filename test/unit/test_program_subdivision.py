@@ -17,7 +17,7 @@ class TableAC:
     """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
     axis_names = ('X', 'Y', 'Z', 'A', 'C')
-    extra_names, extra_direction = (), ()
+    extra_names, extra_direction, control = (), (), {}
     pole_cone = np.radians(0.02)
 
     def nearest_to_pole(self, start, end):

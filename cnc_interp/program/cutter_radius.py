@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from cmath import exp
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import isfinite, nan, pi
 
@@ -29,7 +29,9 @@ from cnc_interp.core.units import MM
 from cnc_interp.program.moves import (
     CENTRE,
     CONTOUR,
+    DURATION,
     EXACT_STOP,
+    FEEDRATE,
     LINE,
     NORMAL,
     POINT,
@@ -50,6 +52,10 @@ NEARLY_SMOOTH = 0.05
 #: Shares of an element at which its distance from others is compared.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the contour'
+
+
+#: Takes what is told instead of refused.
+Told = Callable[[ProgramError], None]
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,11 @@ class Element:
     def radius(self) -> float:
         """Radius of an arc at its start [m]."""
         return abs(self.start - self.centre)
+
+    @property
+    def curvature(self) -> float:
+        """Curvature, counter-clockwise positive [1/m]."""
+        return float(np.copysign(1.0 / self.radius, self.sweep)) if self.is_arc else 0.0
 
     def direction(self, point: complex) -> complex:
         """Return the direction of motion at a point of the element, of length 1."""
@@ -132,40 +143,46 @@ class Element:
 
 
 def crossings(first: Element, second: Element) -> list[complex]:
-    """Return the points in which the line or circle of one element meets that of another."""
-    if first.is_arc and not second.is_arc:
-        return crossings(second, first)
-    if not first.is_arc:
-        along = first.direction(first.start)
-        if not second.is_arc:
-            across = (along.conjugate() * second.direction(second.start)).imag
-            if abs(across) < SHORTEST:
-                return []
-            way = (second.start - first.start) * second.direction(second.start).conjugate()
-            return [first.start - way.imag / across * along]
-        foot = first.start + ((second.centre - first.start) * along.conjugate()).real * along
-        square = second.radius**2 - abs(second.centre - foot) ** 2
-        return [foot + side * np.sqrt(square) * along for side in (1, -1)] if square > 0.0 else []
-    apart = abs(second.centre - first.centre)
+    """Return the points in which the line or circle of one element meets that of the next."""
+    radius, other = abs(first.end - first.centre), second.radius  # at the vertex
+    if first.is_arc and second.is_arc:
+        return _of_circles(first.centre, radius, second.centre, other)
+    if first.is_arc or second.is_arc:
+        line, arc, radius = (second, first, radius) if first.is_arc else (first, second, other)
+        foot = line.start + ((arc.centre - line.start) * line.along.conjugate()).real * line.along
+        square = radius**2 - abs(arc.centre - foot) ** 2
+        found = (foot + side * np.sqrt(max(square, 0.0)) * line.along for side in (1, -1))
+        return list(found) if square > 0.0 else []
+    across = (first.along.conjugate() * second.along).imag
+    if abs(across) < SHORTEST:
+        return []
+    way = (second.start - first.start) * second.along.conjugate()
+    return [first.start - way.imag / across * first.along]
+
+
+def _of_circles(centre: complex, radius: float, second: complex, other: float) -> list[complex]:
+    """Return the points in which two circles meet."""
+    apart = abs(second - centre)
     if apart < SHORTEST:
         return []
-    along = (second.centre - first.centre) / apart
-    share = (apart**2 + first.radius**2 - second.radius**2) / (2.0 * apart)
-    square = first.radius**2 - share**2
+    along = (second - centre) / apart
+    share = (apart**2 + radius**2 - other**2) / (2.0 * apart)
+    square = radius**2 - share**2
     if square <= 0.0:
         return []
-    return [first.centre + (share + side * 1j * np.sqrt(square)) * along for side in (1, -1)]
+    return [centre + (share + side * 1j * np.sqrt(square)) * along for side in (1, -1)]
 
 
 class CutterRadius:
     """One stretch of compensation, from G41 or G42 to G40."""
 
     def __init__(
-        self, distance: float, frame: FloatArray, before: FloatArray, source: str, own_entry: bool
-    ):
+        self, distance: float, frame: FloatArray, before: FloatArray, source: str,
+        own_entry: bool, told: Told | None = None,
+    ):  # fmt: skip
         self._distance, self._frame, self._source = distance, frame, source
-        self._own_entry = own_entry
-        self._rotary = before[ROTARY].copy()
+        self._own_entry, self._told = own_entry, told
+        self._rotary, self._point = before[ROTARY].copy(), before[POINT].copy()
         self._here = self._flat(before[POINT])
         self._last: Element | None = None  # offset, from where the one before it ends
         self._before: Element | None = None  # the last one, as programmed
@@ -219,6 +236,7 @@ class CutterRadius:
                 self._rows.append(row)
                 return []
             return [row]
+        self._pace(element, row)
         self._here = element.end
         if not (self._parts or self._rows):
             if element.is_arc or self._own_entry:
@@ -232,6 +250,16 @@ class CutterRadius:
         self._compare(element, row)
         self._rows, self._before = [row], element
         return ready
+
+    def _pace(self, element: Element, row: FloatArray) -> None:
+        """Give a row of inverse time (G93) the speed of its contour; corners have it, too."""
+        rise = float((row[POINT] - self._point) @ self._frame[:, 2])
+        self._point = row[POINT].copy()
+        if isfinite(row[DURATION]):
+            length = abs(element.end - element.start)
+            if element.is_arc:
+                length = element.radius * abs(element.sweep)
+            row[FEEDRATE], row[DURATION] = float(np.hypot(length, rise)) / row[DURATION], nan
 
     def _enter(self, element: Element, row: FloatArray) -> None:
         """Begin with a line that ends beside its own end, or with an arc that does."""
@@ -273,7 +301,10 @@ class CutterRadius:
         leaves = self._before.direction(self._before.end)
         turn = float(np.angle(element.direction(element.start) / leaves))
         if abs(abs(turn) - pi) < SMOOTH:
-            turn = -float(np.copysign(pi, self._distance))  # back along itself: about its end
+            # Back along itself: about its end, unless the tool stands between both.
+            bend = self._before.curvature + element.curvature
+            between = bend * self._distance < 0.0
+            turn = float(np.copysign(pi, self._distance if between else -self._distance))
         vertex = element.start
         if abs(turn) < SMOOTH:
             ready, self._last = self._to(offset.start, row), offset
@@ -282,6 +313,8 @@ class CutterRadius:
             about = Element(self._flat(ready[-1][POINT]), offset.start, vertex, turn)
             self._path.append((self._count - 1, about))
             around = self._row_of(about, ready[-1])
+            if isfinite(row[FEEDRATE]):
+                around[FEEDRATE] = row[FEEDRATE]  # F of the element to which the corner leads
             around[EXACT_STOP] = float(ready[-1][EXACT_STOP] == 1.0)  # nobody waits at its end
             ready.append(around)
             self._last = offset
@@ -366,6 +399,9 @@ class CutterRadius:
             return
         short = (abs(self._distance) - distance) / MM
         fault = self._fault(f'{_NO_FIT}; it would cut {short:.3g} mm into the contour', row)
+        if self._told is not None:
+            self._told(fault)
+            return
         if before >= LEADS or end >= 0 or after - before < 2:
             raise fault
         self._pending.append((before, after, fault))

@@ -50,7 +50,7 @@ class Hole:
     feeds_back: bool = False  #: Whether it comes back from each peck by feed.
     rests: bool = False
     waits: bool = False  #: Whether an operator retracts the tool.
-    feeds_out: bool = False
+    out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
     shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
     #: Feed out of the hole [m/s]; None: that into it.
     feed_out: float | None = None
@@ -83,11 +83,11 @@ def make_hole(mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given
     go(hole.bottom, False)
     if hole.rests or hole.waits:
         mover.targets.stop_here(AT_M0 if hole.waits else 1.0)
-    if hole.feeds_out:
+    if hole.out is not None:
         mover.targets.stop_here()
         kept = mover.feedrate
         mover.feedrate = kept if hole.feed_out is None else hole.feed_out
-        go(hole.retract, False)
+        go(hole.out, False)
         mover.feedrate = kept
     elif hole.shift is not None:
         beside = place.copy()
@@ -140,6 +140,9 @@ class CannedCycle:
         if self.code in (*_SHIFTING, 'G88') and mover.dialect is LINUXCNC:
             threads = 'G76 cuts threads on LinuxCNC' if self.code == 'G76' else 'LinuxCNC has none'
             raise mover.fault(f'{threads}; post the cycle as G0 and G1 moves', self.code)
+        if self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17':
+            raise mover.fault('LinuxCNC taps along the wrong axis here; tap in G17, or choose '
+                              '--dialect fanuc', self.code)  # fmt: skip
 
     def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
         """Drill one hole at a position in program coordinates, shape (5,) [m, rad]."""
@@ -160,10 +163,12 @@ class CannedCycle:
         clear = max(self.start, retract) if mover.retract_to_start else retract
         if self.code == 'G87':
             clear = max(self.start, retract)
+        whole = mover.dialect is LINUXCNC and self.code != 'G85'
+        out = (clear if whole else retract) if self.code in _FEED_OUT else None
         hole = Hole(
             retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
             _CLEARANCE[mover.unit], self.code in TAPPING, self.code in _RESTING,
-            self.code == 'G88', self.code in _FEED_OUT, self._shift(mover),
+            self.code == 'G88', out, self._shift(mover),
         )  # fmt: skip
         if self.code in _RESTING and self._sticky.get('P'):
             mover.notice(self.code, DWELL)

@@ -20,7 +20,7 @@ from cnc_interp.program.words import BlockWords
 # One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
 _O_WORD = re.compile(
     r'O\s*(\d+|<[^<>]+>|\[.*?\]|#+(?:\d+|<[^<>]+>|\[.*?\]))\s*'
-    r'(SUB|ENDSUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|'
+    r'(SUB|END\s*SUB|CALL|RETURN|IF|ELSEIF|ELSE|ENDIF|WHILE|ENDWHILE|DO|REPEAT|ENDREPEAT|BREAK|'
     r'CONTINUE)(?![A-Z_])\s*(.*)'
 )
 _IF = re.compile(r'IF(.*?)(?<![A-Z_])(GOTO[FBC]?|THEN)(?![A-Z_])\s*(.*)')
@@ -53,7 +53,7 @@ class Flow(SiemensFlow):
                 return None
         head = line[0]
         if head == 'O' and (match := _O_WORD.fullmatch(line)):
-            self._o_word(match[1], match[2], match[3])
+            self._o_word(match[1], ''.join(match[2].split()), match[3])
             return None
         if head == 'I' and (match := _IF.fullmatch(line)):
             return self._if(match)
@@ -169,7 +169,7 @@ class Flow(SiemensFlow):
 
     def _pass_sub(self, name: bytes, label: str) -> None:
         """Go on after a subprogram, which may not contain another."""
-        end = self._skip(name + b'ENDSUB', f'O{label} ENDSUB')
+        end = self._skip(name + rb'END\s*SUB', f'O{label} ENDSUB')
         inner = self.source.find(_INNER_SUB, self.window.place(self.row + 1))
         if self.depth or (inner is not None and inner.offset < end.offset):
             raise self.fault('a subprogram within a subprogram; write one after the other',

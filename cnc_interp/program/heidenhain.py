@@ -580,7 +580,7 @@ class HeidenhainReader(GcodeReader):
         make_hole(
             mover,
             Hole(retract, bottom, clear, pecks, breaks, gap, rests=of('Q211') > 0.0 or taps,
-                 feeds_out=taps or self.cycle == 201, feed_out=out or None),
+                 out=retract if taps or self.cycle == 201 else None, feed_out=out or None),
             here, axis, feed_given=True,
         )  # fmt: skip
         mover.feedrate = kept

@@ -99,7 +99,13 @@ class Mover(ModalState):
             raise self.fault('the tool does not stand upright on the plane of the contour', code)
         self.radius_code, self.radius_plane = code, self.plane
         if distance:
-            self.targets.begin_radius(distance, frame, self.dialect.own_entry)
+            told = self._tell_gouge if self.dialect is LINUXCNC else None
+            self.targets.begin_radius(distance, frame, self.dialect.own_entry, told)
+
+    def _tell_gouge(self, gouge: ProgramError) -> None:
+        """Tell a cut into the contour at a distance at which LinuxCNC does not look for one."""
+        text = f'{gouge.message}; LinuxCNC does not look so far ahead'
+        self.notices.once('gouge', gouge.line_number, f'WARNING: {text}')
 
     def begin_contact(self, code: str, cutter: Cutter) -> None:
         """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""

@@ -80,7 +80,8 @@ class SiemensCycle:
         mover.feedrate = self._feed(kept)
         hole = Hole(
             retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
-            waits=waits, feeds_out=self.name in _FEED_OUT, shift=shift, feed_out=self._feed_out(),
+            waits=waits, out=retract if self.name in _FEED_OUT else None, shift=shift,
+            feed_out=self._feed_out(),
         )  # fmt: skip
         make_hole(mover, hole, here, axis, feed_given=True)
         mover.feedrate = kept

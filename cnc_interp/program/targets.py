@@ -21,7 +21,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cutter_radius import CutterRadius
+from cnc_interp.program.cutter_radius import CutterRadius, Told
 from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, waits_at
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import (
@@ -108,10 +108,12 @@ class TargetColumns:
         for ready in self._radius.push(np.array(whole)):
             self._rows.extend(ready)
 
-    def begin_radius(self, distance: float, frame: FloatArray, own_entry: bool) -> None:
+    def begin_radius(
+        self, distance: float, frame: FloatArray, own_entry: bool, told: Told | None
+    ) -> None:
         """Take the targets from here on as a contour beside which the tool runs."""
         before = np.array(self._rows[-WIDTH:])
-        self._radius = CutterRadius(distance, frame, before, self._source, own_entry)
+        self._radius = CutterRadius(distance, frame, before, self._source, own_entry, told)
 
     def end_radius(self) -> FloatArray:
         """End the contour; return the point at which the tool stands, shape (3,) [m]."""

@@ -105,6 +105,24 @@ def test_an_outer_corner_is_an_arc_and_an_inner_one_a_point():
     np.testing.assert_allclose(inner[:, :2], [[0, 5], [35, 5], [35, 40]], atol=1e-9)
 
 
+def test_a_line_back_from_an_arc_meets_it_where_the_tool_stands_between_them():
+    text = 'G42.1 D4\nG1 X20 Y0 F900\nG3 X-20 Y0 I-20\nG1 X-20 Y30\nG40 G1 X-10 Y40'
+    between = path(text, [5, 6, 7], 'G21\nG0 X20 Y-10 Z0\n')
+    wanted = [[-18, np.sqrt(22**2 - 18**2)], [-18, 30]]
+    np.testing.assert_allclose(between[[-3, -2], :2], wanted, atol=CHORD)
+    outside = path(text.replace('G42', 'G41'), [5, 6, 7], 'G21\nG0 X20 Y-10 Z0\n')
+    assert outside[:, 1].min() < -1.99
+
+
+def test_inverse_time_gives_a_contour_its_speed_and_its_corners_that_of_the_next_line():
+    head = 'G21\nG0 X-10 Y0 Z0\nG42.1 D2\nG1 X0 Y0 F600\n'
+    blocks = read(f'{head}G93 G1 X10 F30\nG1 Y10 F15\nG94 G40 G1 X20 Y20 F600').blocks
+    feed, line = blocks.feedrate * 60 / MM, blocks.line_number
+    np.testing.assert_allclose(feed[line == 5][0], 300)
+    np.testing.assert_allclose(feed[line == 5][1:], 150)  # about the corner
+    np.testing.assert_allclose(feed[line == 6], 150)
+
+
 def test_a_helix_rises_as_programmed_and_a_plunge_stays_in_place():
     text = 'G41 D2\nG1 X10 Y0 F900\nZ0\nG3 X-10 Y0 Z4 I-10\nG3 X10 Y0 Z8 I10\nG40 G1 X0\n'
     points = path(text, [4, 5, 6, 7])

@@ -146,6 +146,14 @@ def test_the_machine_tells_whose_control_it_has():
             from_mapping(content | {'control': wrong})
 
 
+def test_taps_come_back_as_the_control_has_it():
+    text = 'G0 X0 Y0 Z9\nG98 G84 X1 Z-2 R3 F900'
+    assert heights(read(text).blocks)[1:] == ['r9', 'r3', 'f-2', 'f3', 'r9']
+    assert heights(read(text, dialect='linuxcnc').blocks)[1:] == ['r9', 'r3', 'f-2', 'f9']
+    with pytest.raises(ProgramError, match='wrong axis'):
+        read(text.replace('G98', 'G18 G98'), dialect='linuxcnc')
+
+
 def test_letters_that_posts_leave_out_of_arcs():
     for text in (
         'G3 X0 Y10 I-10 J0 F900\nX-20 Y10', 'G2 X0 Y-10 R10 F900\nG2 X-10 Y0',

@@ -22,10 +22,10 @@ from cnc_interp.batch.processes import Processes, total_memory
 from cnc_interp.batch.table import write_tables
 from cnc_interp.batch.task import Jobs, Verdict
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.named_files import require_allowed
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import run_node
-from cnc_interp.nodes.program_check import require_allowed
 from cnc_interp.settings.texts import with_texts
 
 #: Time between feedbacks [s].
@@ -97,12 +97,17 @@ class BatchNode(Node):
             raise InterpError('batch_node was started without batch_folder; give it one')
         if not NAME.fullmatch(goal.name):
             raise InterpError('name: letters, digits, dots, blanks and dashes, at most 100')
-        programs = [Path(program) for program in goal.programs]
-        for program in programs:
-            require_allowed(program, self._values['program_folders'])
+        folders = self._values['program_folders']
+        programs = [require_allowed(Path(program), folders) for program in goal.programs]
         machines = list(goal.machines) or [self._values['machine']]
+        for machine in goal.machines:
+            if Path(machine).exists():  # not a bundled one
+                require_allowed(Path(machine), folders)
         asked = ((pair.key, pair.value) for pair in goal.settings)
-        jobs = Jobs(programs, machines, with_texts(self._settings, asked, need_units=True))
+        settings = with_texts(self._settings, asked, need_units=True)
+        if settings.setup != self._settings.setup and settings.setup is not None:
+            require_allowed(settings.setup, folders)
+        jobs = Jobs(programs, machines, settings)
         out = Path(folder) / goal.name
         results = run_batch(
             jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']

@@ -12,6 +12,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, InterpError, ProgramError
+from cnc_interp.core.named_files import open_named, require_allowed
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks
@@ -77,13 +78,18 @@ def prepare(
             f"the nodes run machine '{machine.name}', not '{goal.machine}'; start them with it"
         )
     settings = settings_of_goal(goal, defaults)
-    setup = JobSetup.load(settings.setup) if settings.setup else of_machine()
-    if goal.program and not goal.text:
-        require_allowed(Path(goal.program), folders)
-        stream = open_program(Path(goal.program), transform, settings, setup)
-        text = text_of(Path(goal.program))
+    if settings.setup:
+        setup = JobSetup.load(require_allowed(settings.setup, folders))
     else:
-        source = Source.of_text(goal.text, Path(goal.program).name or '<text>')
+        setup = of_machine()
+    if goal.program and not goal.text:
+        path = Path(goal.program)
+        stream = open_program(path, transform, settings, setup, folders)
+        with open_named(path, folders) as file:
+            content = file.read(LONGEST_TEXT + 1)
+        text = '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', 'replace')
+    else:
+        source = Source.of_text(goal.text, Path(goal.program).name or '<text>', folders)
         stream = ProgramStream(source, transform, settings, setup)
         text = goal.text if len(goal.text) <= LONGEST_TEXT else ''
     return check(stream, setup, text, transform, settings, told)
@@ -134,23 +140,6 @@ def check(
         blocks, (*stream.read_as, *stream.notices), text, settings, length, stops, setup,
         settings.setup is not None, stream.changes, stream.used, stream.modes, start,
     )  # fmt: skip
-
-
-def require_allowed(program: Path, folders: Sequence[str]) -> None:
-    """Refuse a path that is neither one of some files nor below one of some folders, unread."""
-    wanted = program.resolve()
-    if not any(wanted.is_relative_to(Path(folder).resolve()) for folder in folders if folder):
-        raise InterpError(
-            f'{program}: no program of a folder that program_node may read; start it with '
-            'program_folders, or send the text of the program'
-        )
-
-
-def text_of(path: Path) -> str:
-    """Return the text of a program as the reader saw it, or an empty text if it is very long."""
-    with path.open('rb') as file:  # a device tells no length
-        content = file.read(LONGEST_TEXT + 1)
-    return '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', errors='replace')
 
 
 def checked_path(

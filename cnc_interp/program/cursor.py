@@ -12,7 +12,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.program.expressions import ProgramVariables
 from cnc_interp.program.files import subprogram_file
 from cnc_interp.program.source import Place, Source
@@ -211,7 +211,10 @@ class Cursor:
             raise self.fault(
                 f'the subprogram {stem} is not in this file or its folder; add it', stem
             )
-        return Source.of_file(path)
+        try:
+            return self.main.beside(path)
+        except InterpError as problem:
+            raise self.fault(f'the subprogram {stem}: {problem}', stem) from None
 
     def leave(self) -> None:
         """Return from a subprogram, or begin its next round."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -129,10 +129,11 @@ class ProgramStream:
 
 
 def open_program(
-    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None
-) -> ProgramStream:
-    """Open a part program to read it batch by batch."""
-    return ProgramStream(Source.of_file(path), geometry, settings, setup)
+    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
+    folders: Sequence[str] | None = None,
+) -> ProgramStream:  # fmt: skip
+    """Open a part program to read it batch by batch; ``folders`` as for ``open_named``."""
+    return ProgramStream(Source.of_file(path, folders), geometry, settings, setup)
 
 
 def read_program(

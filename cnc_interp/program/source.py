@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.named_files import open_named
 from cnc_interp.program import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
@@ -77,10 +79,11 @@ class Source:
     The text of a program.
 
     ``stream``: the text. A stream that cannot be positioned is read into memory.
+    ``folders``: where its subprograms may lie, as for ``open_named``; a file adds its own folder.
     """
 
-    def __init__(self, stream: BinaryIO, name: str):
-        self.name = name
+    def __init__(self, stream: BinaryIO, name: str, folders: Sequence[str] | None = None):
+        self.name, self.folders = name, folders
         if not stream.seekable():
             stream = io.BytesIO(stream.read())
         self._stream = stream
@@ -94,17 +97,22 @@ class Source:
         self._window: Window | None = None
 
     @staticmethod
-    def of_text(text: str, name: str) -> Source:
+    def of_text(text: str, name: str, folders: Sequence[str] | None = None) -> Source:
         """Return a source for a string."""
-        return Source(io.BytesIO(text.encode('utf-8', 'replace')), name)
+        return Source(io.BytesIO(text.encode('utf-8', 'replace')), name, folders)
 
     @staticmethod
-    def of_file(path: Path) -> Source:
-        """Open a file."""
+    def of_file(path: Path, folders: Sequence[str] | None = None) -> Source:
+        """Open a file; ``folders`` as for ``open_named``."""
         try:
-            return Source(path.open('rb'), str(path))
+            file = open_named(path, folders)
         except OSError as error:
             raise ProgramError(f'cannot be opened: {error.strerror}', str(path)) from error
+        return Source(file, str(path), folders and [*folders, str(path.parent)])
+
+    def beside(self, path: Path) -> Source:
+        """Open the file of a subprogram; InterpError if it may not be opened."""
+        return Source.of_file(path, self.folders)
 
     def close(self) -> None:
         """Close the file."""

@@ -1,6 +1,8 @@
 """Programs are read and checked to their last block before a node sends the first one."""
 
+import os
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 
@@ -8,6 +10,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
+from diagnostic_msgs.msg import KeyValue
 from whole_plans import plan_program
 
 from cnc_interp.core.errors import BlockError, InterpError, ProgramError
@@ -117,7 +120,34 @@ def test_a_goal_for_another_machine_is_refused_and_no_file_is_read(machine):
         prepare(RunProgram.Goal(text=TEXT, machine=machine), TRANSFORM, Settings(), print)
 
 
-def test_a_device_is_refused_in_bounded_memory():
-    """Its text was read for those who show it, though it has no end."""
-    with pytest.raises(InterpError, match='this is no text'):
-        prepared_file('/dev/zero', '/dev')
+@pytest.mark.parametrize('kind', ['device', 'pipe', 'folder'])
+def test_what_is_no_file_is_never_opened(folder, kind):
+    """A pipe below the folder blocked the node for ever; a device has no end."""
+    path = Path('/dev/zero') if kind == 'device' else folder / 'parts' / 'pipe.ngc'
+    if kind == 'pipe':
+        os.mkfifo(path)
+    elif kind == 'folder':
+        path.mkdir()
+    with pytest.raises(InterpError, match='it is not a file'):
+        prepared_file(path, '/dev', folder / 'parts')
+
+
+def test_the_setup_of_a_goal_is_held_to_the_folders(folder):
+    """The first word of any file of the computer was told to everybody on the domain."""
+    goal = RunProgram.Goal(text=TEXT)
+    goal.settings = [KeyValue(key='setup', value=str(folder / 'secret'))]
+    with pytest.raises(InterpError, match='program_folders') as refusal:
+        prepare(goal, TRANSFORM, Settings(), lambda share: None, [str(folder / 'parts')])
+    assert 'root:x' not in str(refusal.value)
+
+
+def test_a_subprogram_of_the_folder_is_read_and_one_linked_from_outside_is_not(folder):
+    main, called = folder / 'parts' / 'main.ngc', folder / 'parts' / '10.ngc'
+    main.write_text('o10 call\nM2\n')
+    called.write_text(f'o10 sub\n{TEXT}\no10 endsub\n')
+    assert prepared_file(main, main).path_length > 0.0
+    called.rename(folder / '10.ngc')
+    called.symlink_to(folder / '10.ngc')
+    with pytest.raises(InterpError, match=r'subprogram.*program_folders'):
+        prepared_file(main, main)
+    assert prepared_file(main, folder).path_length > 0.0

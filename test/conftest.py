@@ -1,5 +1,6 @@
 """Two tiers of tests, thorough ones by turns, and what runs side by side."""
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -8,8 +9,12 @@ import tiers
 
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
-#: Folders of tests that start nodes or a browser: never two of them at a time.
-LIVE = ('test/ros/', 'test/page/', 'test/replay/test_bags.py')
+#: Tests that start nodes or a browser, in two lanes: one of each lane at a time, no more.
+LANES = (
+    ('test/page/', 'test/replay/test_bags.py', 'test/ros/test_command_lines.py'),
+    ('test/ros/',),
+)
+LIVE = tuple(folder for lane in LANES for folder in lane)
 
 
 def pytest_addoption(parser):
@@ -56,14 +61,21 @@ def pytest_collection_modifyitems(config, items):
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """One process more than there are cores: live tests wait half of their time."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Let each file run in one process, and all live tests in the same one."""
+    """Let each file run in one process, and the live tests of a lane in the same one."""
     from xdist.scheduler import LoadScopeScheduling
 
     config.option.loadscopereorder = False
 
     class Files(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            return 'live' if nodeid.startswith(LIVE) else nodeid.split('::')[0]
+            lane = next((lane for lane in LANES if nodeid.startswith(lane)), None)
+            return str(lane) if lane else nodeid.split('::')[0]
 
     return Files(config, log)

@@ -16,6 +16,8 @@ NAMES = ('chromium', 'chromium-browser', 'google-chrome')
 PATIENCE = 300.0  # [s]; a bound for slow and busy computers, not a timing
 #: What a page shows is fresh: its user would press a key now.
 IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
+#: Drawing in software takes half a core at the 20 frames a second of the view.
+FEW_FRAMES = 'window.requestAnimationFrame = (draw) => setTimeout(draw, 300, performance.now())'
 
 
 def found():
@@ -39,6 +41,7 @@ class Browser:
                 '--remote-debugging-port=0', f'--user-data-dir={profile}', '--no-first-run',
                 '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--hide-scrollbars',
                 '--disable-dev-shm-usage', '--disable-background-networking',
+                '--disable-gpu-compositing',
                 '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
                 'about:blank',
             ],
@@ -80,6 +83,7 @@ class Tab:
         self.faults = []
         self.send('Runtime.enable')
         self.send('Page.enable')
+        self.send('Page.addScriptToEvaluateOnNewDocument', source=FEW_FRAMES)
 
     def send(self, method, **parameters):
         self._number += 1

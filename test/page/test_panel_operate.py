@@ -18,6 +18,7 @@ from browser import IN_CONTACT, found
 from cnc_interp_msgs.msg import MachineState, SetupTable
 from page_under_test import REFUSED, PanelUnderTest
 from std_msgs.msg import Float64
+from tiers import few_of
 
 from cnc_interp import page
 from cnc_interp.nodes import qos
@@ -170,7 +171,10 @@ def test_the_task_list(panel, part):
     assert tab.faults == []
 
 
-@pytest.fixture(params=[('mouse', 1366, 768), ('pen', 1366, 768), ('touch', 390, 844)])
+DEVICES = ('mouse', 1366, 768), ('pen', 1366, 768), ('touch', 390, 844)
+
+
+@pytest.fixture
 def pad(request, panel):
     """A page with its jog keys shown, on a screen of one size, and the pointer of its user."""
     device, width, height = request.param
@@ -205,15 +209,16 @@ def moves(panel, tab, device):
 
 def rests(panel):
     """See the axes come to rest and stay there, once no beat that was on its way counts."""
-    time.sleep(2 * STALE)
+    time.sleep(STALE)
     panel.until(MachineState.IDLE)
     before = np.array(panel.next_state().commanded_positions)
-    for _ in range(20):
+    for _ in range(4):  # a second: at rest states are told rarely
         state = panel.next_state()
         assert state.state == MachineState.IDLE
         assert (np.array(state.commanded_positions) == before).all()
 
 
+@pytest.mark.parametrize('pad', few_of(3, DEVICES), indirect=True)
 def test_an_axis_moves_exactly_while_a_real_pointer_holds_its_key(panel, pad):
     tab, device = pad
     for _ in range(2):
@@ -234,6 +239,7 @@ def test_an_axis_moves_exactly_while_a_real_pointer_holds_its_key(panel, pad):
     assert tab.faults == []
 
 
+@pytest.mark.parametrize('pad', few_of(3, DEVICES[::-1]), indirect=True)
 def test_a_held_key_ends_with_its_window_and_with_the_contact(panel, pad):
     tab, device = pad
     other = panel.open()
@@ -261,7 +267,7 @@ DIALOGS = ('keyboard', 'settings', 'offsets', 'history messages')
 OPEN = '[...document.querySelectorAll(".q-dialog__inner > *")].some(d => d.checkVisibility())'
 
 
-@pytest.mark.parametrize('size', [(1366, 768), (390, 844, True)])
+@pytest.mark.parametrize('size', few_of(2, [(390, 844, True), (1366, 768)]))
 def test_the_stops_are_pressed_with_any_dialog_open(panel, size):
     texts = [file.read_text() for file in Path(page.__file__).parent.glob('*.py')]
     assert sum(text.count('ui.dialog(') for text in texts) == len(DIALOGS)
@@ -346,6 +352,7 @@ def show_pose(panel, tab):
     return before
 
 
+@pytest.mark.thorough
 def test_the_tool_goes_to_a_pose(panel):
     tab = panel.open_in_charge()
     before = show_pose(panel, tab)
@@ -503,6 +510,7 @@ def test_a_coordinate_is_set_to_zero_and_gone_to(panel):
     assert tab.faults == []
 
 
+@pytest.mark.thorough
 def test_lengths_in_inches_and_a_light_page_are_remembered(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: tab.text('state') == 'idle')

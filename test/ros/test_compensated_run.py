@@ -52,6 +52,7 @@ def test_a_limit_on_the_error_at_the_tool_holds_for_what_was_executed(tmp_path):
     assert 0.9 * largest < error.tip.max() <= 1.001 * largest
 
 
+@pytest.mark.thorough
 def test_the_run_and_its_plan_have_one_verdict(tmp_path):
     """Friction and backlash need more than this at any speed; the machine stands at the start."""
     program = tmp_path / 'part.ngc'

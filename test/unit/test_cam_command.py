@@ -68,6 +68,7 @@ def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
         assert found['highest'] < 13e-6 and found['uncut'] == 0.0
 
 
+@pytest.mark.thorough
 def test_all_formats_hold_the_same_path(surface, tmp_path, capsys):
     motions = {}
     for form, suffix in (('spline', 'mpf'), ('cl', 'apt'), ('gcode', 'ngc')):

@@ -203,6 +203,7 @@ def test_heel_in_a_hollow_is_seen():
         iso_scallop_paths(HOLLOW, MILL, Y, options)
 
 
+@pytest.mark.thorough
 def test_heel_in_a_hollow_raises_the_tilt_and_brings_the_planes_closer():
     options = IsoScallopOptions(stepover=4 * MM, tilt_limits=(0.1 * DEG, 60 * DEG))
     paths = iso_scallop_paths(HOLLOW, MILL, Y, options)

@@ -180,6 +180,7 @@ def test_spline_face_is_the_spline(sense, weights, tmp_path):
     assert notes == []
 
 
+@pytest.mark.thorough
 def test_trimmed_spline_face_is_the_part_within_its_boundary(tmp_path):
     """A plane net: u and v are x and y, and the boundary is a triangle with a hole."""
     knots = np.array([-9, -9, -9, -9, 9, 9, 9, 9.0]), np.array([-6, -6, -6, -6, 6, 6, 6, 6.0])

@@ -156,6 +156,7 @@ def test_a_start_that_cannot_stop_in_time_is_refused_with_its_state():
     assert piece.law.s_dot[0] == 0.04
 
 
+@pytest.mark.thorough
 def test_a_law_from_rest_is_slowed_where_corrections_do_not_end(monkeypatch):
     """From rest, driving all of it slower always helps."""
     monkeypatch.setattr(jerk_stage.StretchProblem, 'lower_limits', lambda self: None)

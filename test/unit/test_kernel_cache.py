@@ -80,6 +80,7 @@ def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package
     assert outer(package) == (20, True)
 
 
+@pytest.mark.thorough
 def test_two_processes_that_compile_two_forms_at_once_keep_both(package):
     (package / 'twice.py').write_text(TWICE)
     values = [2, 0.75]

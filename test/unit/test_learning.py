@@ -112,6 +112,18 @@ def test_two_runs_take_four_fifths_of_the_error_out(up_and_down):
     assert tips[3] < 0.22 * tips[0]  # it does not come back
 
 
+def test_what_is_learnt_moves_a_drive_with_friction_by_its_error():
+    plain = {'static': 0.0, 'backlash': 0.0, 'mode_frequency': 0.0, 'resolution': 0.0}
+    drive, load = replace(TIRED.drives[0], **plain), replace(TIRED.loads[0], coulomb=0.0)
+    viscous = 0.5 * load.inertia / drive.time_constant
+    model = replace(TIRED, drives={0: drive}, loads={0: replace(load, viscous=viscous)})
+    setpoint, error = np.zeros((1200, 5)), np.zeros((1200, 5))
+    error[300:700, 0] = 1e-4 * np.sin(np.linspace(0.0, np.pi, 400)) ** 4
+    rates = learnt_rates(model, T, Compensation(model, T, setpoint[0]).lead, setpoint, -error)
+    moved = follow_all(words_of(model, T, setpoint[0]), setpoint, rates)[0]
+    assert np.abs(moved - error).max() < 1e-3 * error.max()
+
+
 def test_the_cycle_adds_each_learnt_row_to_its_setpoint_bit_for_bit():
     q, model = program(), wrong(True)
     setpoint = with_hold(q, T)

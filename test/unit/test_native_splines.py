@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from whole_plans import plan_program, write_plan
+from whole_plans import path_of, plan_program, write_plan
 
 from cnc_interp.core import jet
 from cnc_interp.core.errors import BlockError, ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.machine_model.transform import Transform
@@ -258,6 +258,19 @@ def test_segments_do_not_depend_on_how_control_points_arrive(batch):
         for field in fields(PathSegments):
             one, other = getattr(whole, field.name), getattr(pieces, field.name)
             assert one.tobytes() == other.tobytes(), field.name
+
+
+def test_rotary_words_of_the_first_pose_choose_the_turns_of_a_spline():
+    tip, top = control_points(np.random.default_rng(3))
+
+    def q_of(first):
+        blocks = read(program(tip, top, np.ones(len(tip) - 1), first)).blocks
+        return path_of(blocks, TRANSFORM, Settings()).q
+
+    plain = q_of('')
+    words = zip('XYZAC', [*tip[0], *(plain[0, 3:] / DEG + [0.0, 360.0])], strict=True)
+    turned = q_of('G0 ' + ' '.join(f'{name}{value:.9f}' for name, value in words))
+    assert np.abs(turned - plain - [0.0, 0.0, 0.0, 0.0, 2.0 * np.pi]).max() < 1e-9
 
 
 def test_rows_carry_line_feed_and_stop():

@@ -13,11 +13,12 @@ from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_along
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
-from cnc_interp.run.path_chain import PathChain
+from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 
@@ -79,12 +80,15 @@ def test_tool_rests_where_an_inexact_connection_has_a_kink(way):
     assert not path_of(zigzag(3, tolerance=1 * MM)).stop[1:-1].any()
 
 
-@pytest.mark.parametrize('batch', [2, 3, 1000])
-def test_kinks_are_seen_across_batches(batch):
-    options = {'parametrization': 'linear', 'top': 'tolerance'}
-    whole = path_of(zigzag(3, tolerance=1 * MM), **options)
-    pieces = path_of(zigzag(3, tolerance=1 * MM), batch=batch, **options)
-    assert np.array_equal(whole.stop, pieces.stop)
+@pytest.mark.parametrize('options', [{}, {'parametrization': 'linear', 'top': 'tolerance'}])
+def test_kinks_are_seen_between_segments_that_come_one_by_one(options):
+    segments = segments_of(zigzag(3, tolerance=1 * MM), AC, Settings(**options))
+    whole = AxisPathBuilder(AC, 0.03, 1e-3).push(segments)
+    builder = AxisPathBuilder(AC, 0.03, 1e-3)
+    pieces = [builder.push(segments[i : i + 1]) for i in range(len(segments))]
+    joined = AxisPath.join([piece for piece in pieces if piece is not None])
+    assert np.array_equal(whole.stop, joined.stop)
+    assert whole.stop[1:-1].any() == bool(options)
 
 
 def test_arc_length_is_that_of_the_tip():
@@ -187,11 +191,12 @@ def test_c_turns_under_the_moving_tip_before_the_tool_leaves_the_pole_sideways()
     assert np.abs(tip - path.tip).max() < 1e-12 and np.abs(axis - path.axis).max() < 1e-12
 
 
-def test_c_turns_at_rest_if_the_tool_leaves_the_pole_after_a_stop():
+@pytest.mark.parametrize('turns', [0, 3])
+def test_c_turns_at_rest_if_the_tool_leaves_the_pole_after_a_stop(turns):
     tips = [[0, 0, 0], [20 * MM, 0, 0], [40 * MM, 0, 0]]
     stop = [False, True, False]
     rotary = np.full((3, 2), np.nan)
-    rotary[0] = 0.0
+    rotary[0] = 0.0, 2.0 * np.pi * turns
     axes = [[0, 0, 1], [0, 0, 1], [0.3, 0, 1]]
     path = path_of(blocks_of(tips, axes, rotary=rotary, exact_stop=stop))
     turning = np.abs(path.tip[:, 0] - 20 * MM) < 1e-12
@@ -229,6 +234,24 @@ def test_pose_out_of_travel_is_refused_naming_axis_and_value():
     tips = [[0, 0, 0], [480 * MM, 0, 0]]
     with pytest.raises(TravelError, match=r'line 2: axis X .* 520\.000 mm, .* -500 \.\.\. 500 mm'):
         path_of(blocks_of(tips, [[0, 0, 1]] * 2))
+
+
+def test_a_septic_that_ends_at_the_end_of_travel_is_within_it_though_its_bezier_values_are_not():
+    machine, lines = Machine.load('xyzac'), np.array([7])
+    low = machine.travel[0, 0]
+
+    def checked(last_but_three):
+        points = low + np.array([0.5, 0.5, 0.5, -0.01, last_but_three, 0.0, 0.0, 0.0])
+        ends = np.zeros((2, 1, 4, 5))
+        for end, side in zip(ends, (points, points[::-1]), strict=True):
+            jet = [np.diff(side[: k + 1], k)[0] * (1, 7, 42, 210)[k] for k in range(4)]
+            end[0, :, 0] = jet
+        ends[1] *= np.array([1.0, -1.0, 1.0, -1.0])[:, None]
+        check_travel(machine, np.ones(1), *ends, lines)
+
+    checked(0.01)
+    with pytest.raises(TravelError, match='line 7: axis X'):
+        checked(0.0)
 
 
 HIDDEN = {

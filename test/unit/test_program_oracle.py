@@ -76,7 +76,7 @@ SNIPPETS = {
 
 @pytest.mark.parametrize(
     'name',
-    [pytest.param(n, marks=[pytest.mark.thorough] * (MOTIONS[n] > 40_000)) for n in PROGRAMS],
+    [pytest.param(n, marks=[pytest.mark.thorough] * (MOTIONS[n] > 5_000)) for n in PROGRAMS],
 )
 def test_public_programs(name):
     if not (SHARED / name).is_dir():

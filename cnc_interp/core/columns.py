@@ -36,9 +36,11 @@ class Column:
 
     def fits(self, shape: tuple[int, ...], rows: int) -> bool:
         """Tell whether an array of this shape is such a column with so many rows."""
-        return len(shape) == 1 + len(self.tail) and shape[0] == rows and all(
-            isinstance(count, str) or count == found
-            for count, found in zip(self.tail, shape[1:], strict=True)
+        return shape == (rows, *self.tail) or (
+            len(shape) == 1 + len(self.tail) and shape[0] == rows and all(
+                isinstance(count, str) or count == found
+                for count, found in zip(self.tail, shape[1:], strict=True)
+            )
         )  # fmt: skip
 
     def shape_text(self, rows: int) -> str:
@@ -92,7 +94,16 @@ class Table:
 
     def __getitem__(self, rows: slice | IntArray | BoolArray) -> Self:
         """Return some rows."""
-        return type(self)(*(getattr(self, name)[rows] for name in self._names))
+        return self._of({name: getattr(self, name)[rows] for name in self._names})
+
+    @classmethod
+    def _of(cls, columns: Mapping[str, Any]) -> Self:
+        """Return a table of columns whose shapes are known to be right."""
+        made = object.__new__(cls)
+        made.__dict__.update(columns)
+        for name in cls.declared:
+            columns[name].flags.writeable = False
+        return made
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by name."""
@@ -117,6 +128,8 @@ class Table:
         """Join tables in order; those without rows may have columns of any width."""
         parts = list(parts)
         full = [part for part in parts if len(part)] or parts[:1]
+        if len(full) == 1:
+            return full[0]
         return cls(*(_joined([getattr(part, name) for part in full]) for name in cls._names))
 
 

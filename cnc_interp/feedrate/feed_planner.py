@@ -418,7 +418,8 @@ class FeedPlanner:
             ends = ends[ends <= half] if self.options.law == 'optimal' else ends[:0]
             parts = self._older.tool
             parts = None if parts is None else parts[:, : len(ends)]
-            self._kept = KeptCells(ends, self._older.scale[: len(ends)], parts)
+            scale, m = self._older.scale[: len(ends)], self._older.coefficients[: len(ends)]
+            self._kept = KeptCells(ends, scale, m, parts)
             position = np.concatenate([position, ends])
         self._begin_at(position)
         self._scan_again(self.options.window_ratio)

@@ -50,8 +50,9 @@ AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
 #: Further corrections where the error at the tool is limited.
 TOOL_PASSES = 8
-#: Factor on the excess in a correction, because neighbouring cells take over a part of it.
-EXCESS_FACTOR = 1.3
+#: Factor on the excess in the first correction of a cell, because neighbouring cells take over a
+#: part of it; and its growth with each further correction, where they take over more.
+EXCESS_FACTOR, HARDER = 1.3, 1.6
 #: Smallest part of every limit after a correction that still allows a warm start.
 WARM_START_PART = 0.7
 MOST_ITERATIONS = 80
@@ -165,6 +166,7 @@ class StretchProblem:
             # The start state may come from a law with the full limits, so these are relaxed.
             k = n
             self.scale += RELAXED[:, None]
+        self.factor = np.full(n, EXCESS_FACTOR)
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         guess = grid.guess
@@ -172,6 +174,7 @@ class StretchProblem:
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         self.m = _first_coefficients(self.h, grid.bounds, guess)
+        self.m[: len(kept.m)] = kept.m
         self.use = np.empty((2, n, 4, n_axes))
         self.loaded = has_loads(table)
         self.tool = None if tool is None else tool.stretch_rows(self.left, self.right, kept.tool)
@@ -298,7 +301,9 @@ class StretchProblem:
         inside, ends = self.use
         over = inside > self.accepted[:, :, None]
         reached = np.clip(ends, 0.5 * self.scale, self.scale)
-        less = self.aim[:, :, None] / np.where(over, 1 + EXCESS_FACTOR * (inside - 1), 1.0)
+        factor = self.factor[:, None, None]
+        less = self.aim[:, :, None] / np.where(over, 1 + factor * (inside - 1), 1.0)
+        self.factor[over.any(axis=(1, 2))] *= HARDER
         lowered = np.where(over, reached * less, self.scale)
         near = bool((lowered > WARM_START_PART * self.scale).all())
         self.changed |= (lowered < self.scale).any(axis=(1, 2))
@@ -346,7 +351,7 @@ def plan(
 ) -> Stretch | None:  # fmt: skip
     """Plan from a state of motion to rest at the end of the path."""
     options = options or PlanOptions()
-    kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])))
+    kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])), np.empty(0))
     kept = kept.before(path.s[-1])
     grid = planning_grid(
         path, table, start, options.cell_time, options.share, options.bend, kept.ends

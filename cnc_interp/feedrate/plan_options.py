@@ -53,6 +53,7 @@ class KeptCells:
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
     #: (k, 4, n_axes): Parts of the limits that these cells were allowed to use [-].
     scale: FloatArray
+    m: FloatArray  #: (k,): Coefficients of the older law, from which the solver begins [m2/s2].
     #: (2, k): Parts of the limit on the error at the tool, likewise [-].
     tool: FloatArray | None = None
 
@@ -60,7 +61,7 @@ class KeptCells:
         """Return the cells that end before a place [m]."""
         count = int(np.searchsorted(self.ends, s))
         tool = None if self.tool is None else self.tool[:, :count]
-        return KeptCells(self.ends[:count], self.scale[:count], tool)
+        return KeptCells(self.ends[:count], self.scale[:count], self.m[:count], tool)
 
 
 def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:

@@ -37,6 +37,14 @@ class Stretch:
     #: Largest error at the tool by the simulated drives, over its limit [-].
     tool_use: float = 0.0
 
+    @property
+    def coefficients(self) -> FloatArray:
+        """Coefficients of the planner cells (n,) [m2/s2]: v^2 + a H with their effective width H."""
+        v, a = self.v[self.nodes], self.a[self.nodes]
+        width = np.add.reduceat(self.duration, self.nodes[:-1]) * (v[:-1] + v[1:]) / 2
+        m: FloatArray = np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)
+        return m
+
     def after(self, cell: int) -> Stretch:
         """Return the part of the stretch that begins at a planner cell."""
         first = int(self.nodes[cell])

@@ -12,6 +12,7 @@ the motion of the line: the tip moves straight and the tool axis on the great ci
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -334,24 +335,23 @@ def line_row(
     smooth: bool,
 ) -> Rows:  # fmt: skip
     """Return the row of the line to vertex k."""
-    block = replace(skeleton.blocks[k : k + 1], exact_stop=skeleton.stop[k : k + 1].copy())
-    tolerance = skeleton.tolerance[k]
+    block, tolerance = skeleton.blocks[k : k + 1], skeleton.tolerance[k]
+    changed: dict[str, Any] = {'exact_stop': skeleton.stop[k : k + 1].copy()}
     if leg is not None:
         off, tolerance = leg.used, leg.tolerance
+        if not block.rapid[0]:
+            changed['feedrate'] = np.array([leg.feed])
+        if leads:
+            changed |= {
+                'tip': leg.pose[0][None].copy(), 'axis': leg.pose[1][None].copy(),
+                'rotary': np.full((1, 2), np.nan), 'exact_stop': np.zeros(1, dtype=bool),
+            }  # fmt: skip
     elif off is None:
         off = skeleton.used[k]
-    if leg is not None and not block.rapid[0]:
-        block = replace(block, feedrate=np.array([leg.feed]))
-    if leg is not None and leads:
-        block = replace(
-            block, tip=leg.pose[0][None].copy(), axis=leg.pose[1][None].copy(),
-            rotary=np.full((1, 2), np.nan), exact_stop=np.zeros(1, dtype=bool),
-        )  # fmt: skip
-    block = replace(
-        block,
-        contour_tolerance=tolerance[:1] - off[0],
-        orientation_tolerance=tolerance[1:] - off[1],
-    )
+    assert off is not None
+    changed['contour_tolerance'] = tolerance[:1] - off[0]
+    changed['orientation_tolerance'] = tolerance[1:] - off[1]
+    block = replace(block, **changed)
     return Rows.line(block, int(skeleton.row[k]), off, smooth=smooth, leads=leads)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -66,12 +67,12 @@ class Skeleton:
         """Return whether a curve must end at each vertex, shape (n,)."""
         return self.closed | self.corner
 
-    @property
+    @cached_property
     def tolerance(self) -> FloatArray:
         """Return contour and orientation tolerance of each segment, shape (n, 2) [m]."""
         return np.stack([self.blocks.contour_tolerance, self.blocks.orientation_tolerance], axis=1)
 
-    @property
+    @cached_property
     def narrow(self) -> FloatArray:
         """
         Return the smallest tolerances of each segment and of those beside it, shape (n, 2) [m].

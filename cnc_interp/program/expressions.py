@@ -53,7 +53,7 @@ given: [expression | STRING]
      | bracketed
      | NAME "[" expression ("," expression)* "]" -> call
      | NAME "(" expression ("," expression)* ")" -> call
-     | (NAME | INDEXED)                        -> name
+     | (NAME | INDEXED | R_NUMBER)             -> name
      | "(" expression ")"                      -> group
 ?bracketed: "[" expression "]"                 -> group
 ?index: NUMBER                                 -> number
@@ -74,7 +74,8 @@ NUMBER: /(\d+(\.\d*)?|\.\d+)/
 OWN_NAME: /<[^<>\[\]#]+>/
 STRING: /"[^"]*"/
 ADDRESS.2: /[A-Z](?![A-Z_])(?!\d+\s*=)/
-INDEXED.3: /[A-Z]\d+(?=\s*=(?!=))|R\d+/
+INDEXED.3: /[A-Z]\d+(?=\s*=(?!=))/
+R_NUMBER.3: /R\d+/
 NAME: /[A-Z_$][A-Z_][A-Z0-9_]*/
 %ignore /\s+/
 """

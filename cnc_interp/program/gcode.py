@@ -23,7 +23,7 @@ from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cycles import TAPPING, CannedCycle
-from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, Dialect
+from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.job import JobSetup, SetupChange
@@ -487,6 +487,8 @@ class GcodeReader:
         mover, values = self.mover, words.values
         machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
         axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(values)
+        if machine and axes and mover.incremental and mover.dialect is not SIEMENS:
+            raise self.fault('with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90', 'G53')
         if self._cycle is not None and axes:
             if machine:
                 raise self.fault('machine coordinates in a canned cycle; write G80 before', 'G53')

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from cnc_interp.core.errors import ProgramError, RefusedLinesError
@@ -45,8 +47,10 @@ class Notices:
 
 #: Different refusals after which the reading ends, and refused lines.
 MOST, MOST_LINES = 20, 1000
-#: Lines that are named for one refusal.
-NAMED = 5
+#: Lines that are named for one refusal; more different refusals get a table of their words.
+NAMED, NAMED_ALONE = 5, 3
+#: The code or the letters with which a word begins.
+_HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 
 
 class Refusals:
@@ -92,6 +96,15 @@ class Refusals:
         """Note that a line has led to a known position."""
         self._is_lost = False
 
+    def _table(self) -> str:
+        """Return how many lines each word stands in, the most frequent first."""
+        counts: Counter[str] = Counter()
+        for key, problem in self._first.items():
+            head = _HEAD.match(problem.word)
+            counts[head[0] if head else problem.message.split(';')[0]] += len(self._lines[key])
+        words = ', '.join(f'{word} in {count}' for word, count in counts.most_common())
+        return f'{counts.total()} refused lines: {words}'
+
     def error(self, ended: bool = False) -> ProgramError:
         """
         Return the error with all refusals.
@@ -108,6 +121,8 @@ class Refusals:
             rest = f' and {len(others) - NAMED} more' if len(others) > NAMED else ''
             lines = 'lines' if len(others) > 1 else 'line'
             texts.append(f'{problem} (also {lines} {named}{rest})' if others else str(problem))
+        if len(first) > NAMED_ALONE:
+            texts.append(self._table())
         if ended:
             texts.append('there may be more; the reading ended here')
         return RefusedLinesError(first, '\n'.join(texts))

@@ -29,6 +29,7 @@ def test_all_lines_are_refused_at_once_in_their_order():
         'part.ngc:4: G12.7: this G code is not supported; post without it',
         'part.ngc:6: FOO: the letter O stands where a number must; write F00 with the digit 0',
         'part.ngc:9: P9: this word has no meaning here',
+        '6 refused lines: Q in 3, G12.7 in 1, FOO in 1, P in 1',
     ]
     assert (error.line_number, error.word, error.source) == (2, 'Q5', 'part.ngc')
     assert [one.line_number for one in error.errors] == [2, 4, 6, 9]
@@ -72,6 +73,15 @@ def test_cl_data_are_refused_at_once_too():
         'MACRO/1\nGOTO/1,$\n', 'part.cl',
     )  # fmt: skip
     assert [one.line_number for one in error.errors] == [3, 4, 5, 7, 8]
+
+
+def test_many_different_refusals_end_with_a_table_of_their_words():
+    text = 'G21\nG0 X0 Y0 Z0\n' + 'G7\n' * 3 + 'FOO\nG1 X1 Q5 F9\nX2 Q6\nG51 X1\n'
+    assert (
+        str(refused(text)).splitlines()[-1]
+        == '7 refused lines: G7 in 3, Q in 2, FOO in 1, G51 in 1'
+    )
+    assert 'refused lines' not in str(refused(text.replace('G51 X1\n', '').replace('FOO', '')))
 
 
 def test_words_of_cam_systems():

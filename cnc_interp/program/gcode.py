@@ -168,6 +168,7 @@ class GcodeReader:
         if refused:
             raise refused.error()
         self.splines.end()
+        self.mover.end_corner()
         yield from targets.finish()
 
     def _goes_on(self, refused: Refusals) -> bool:
@@ -474,6 +475,7 @@ class GcodeReader:
 
     def _program_stop(self, code: str) -> None:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
+        self.mover.end_corner()
         if self.mover.targets.stands and not self.splines.open:
             self.notice(f'{code} at the start', codes.NOT_YET)
         else:
@@ -528,6 +530,7 @@ class GcodeReader:
 
     def _dwell(self, words: BlockWords) -> None:
         """Process G4: its P, X, F, S or U is a time."""
+        self.mover.end_corner()
         for letter in 'PXFSU':
             words.values.pop(letter, None)
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):

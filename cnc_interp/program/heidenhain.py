@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from cmath import exp, phase
-from math import pi
 from typing import Any
 
 import numpy as np
@@ -20,12 +19,14 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
+from cnc_interp.program.corners import Corner
 from cnc_interp.program.cursor import Loop
 from cnc_interp.program.cycles import Hole, go_along, make_hole
 from cnc_interp.program.expressions import UNSET
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_frames import HeidenhainFrames
 from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
+from cnc_interp.program.motion import NO_CORNER
 from cnc_interp.program.source import Place
 from cnc_interp.program.words import BlockWords
 
@@ -67,10 +68,6 @@ class HeidenhainReader(GcodeReader):
         super().__init__(*given)
         self.centre = 0j  # CC in the plane [m]
         self.heading: complex | None = None  # of the last motion at its end, in the plane
-        #: The place that a rounding has left out, before the next line and of this one.
-        self.corner: FloatArray | None = None
-        self._rounded: FloatArray | None = None
-        self._next = self.flow.source.start  # the line after RND or CHF
         self.shortest = False  # M126
         self.modal_cycle = False  # M89
         self.cycle = 0  # number of the cycle that is defined
@@ -216,7 +213,8 @@ class HeidenhainReader(GcodeReader):
                 raise self.fault('angles in space are not supported; post with AXIS POS', 'TCPM')
             self._execute(BlockWords(m=['M129' if match[1] else 'M128']))
         elif match := _CORNER.fullmatch(line):
-            raise self.fault('stands between two lines L, in the plane', match[1])
+            if self.mover.held is None:  # the line before has looked for it
+                raise self.fault('stands between two lines L, in the plane', match[1])
         elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)', line):
             self._motion(match[1], match[2])
         elif line.startswith('M140'):
@@ -277,13 +275,9 @@ class HeidenhainReader(GcodeReader):
                 raise self.fault('the direction is missing; write DR+ or DR-', kind)
             words.g[:1] = [self._arc(kind, values, words, turn)]
         start = self._flat(self.mover.here())
-        corner = self._coming_corner() if kind == 'L' and moves and words.g[0] != 'G0' else None
-        if corner is None:
-            self._execute(words)
-        else:
-            self._round(words, *corner)
-            self.flow.go(self._next)
-        self.corner, self._rounded = self._rounded, None
+        if kind == 'L' and moves and words.g[0] != 'G0':
+            self.mover.corner = self._coming_corner()
+        self._execute(words)
         if kind == 'L' and moves:
             way = self._flat(self.mover.here()) - start
             self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading
@@ -323,24 +317,15 @@ class HeidenhainReader(GcodeReader):
         if self.shortest:
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 
-    def _here(self) -> FloatArray:
-        """Return the programmed position, shape (5,) [m, rad]; a rounding leaves a corner out."""
-        here = self.mover.here()
-        if self.corner is not None:
-            here[:3] = self.corner
-        return here
-
     def _place(self, values: dict[str, float]) -> dict[str, float]:
         """Return the absolute axis words of a line; I before a letter is incremental."""
-        here = self._here()
+        here = self.mover.here()
         letters = ('X', 'Y', 'Z', *self.mover.rotary_letters)
         found = {letter: values[letter] for letter in 'XYZABCUVW' if letter in values}
         for i, letter in enumerate(letters):
             size = self.mover.unit if i < 3 else DEG
             if f'I{letter}' in values:
                 found[letter] = float(here[i]) / size + values[f'I{letter}']
-            elif self.corner is not None and i < 3 and letter not in found:
-                found[letter] = float(here[i]) / size  # the corner, not the end of its rounding
         return found
 
     # --- circles -------------------------------------------------------------------------------
@@ -352,7 +337,7 @@ class HeidenhainReader(GcodeReader):
 
     def _set_centre(self, values: dict[str, float]) -> None:
         """Process CC: the centre of circles and polar coordinates."""
-        place, a, b = self._here(), *PLANES[self.mover.plane][:2]
+        place, a, b = self.mover.here(), *PLANES[self.mover.plane][:2]
         given = self._place(values)
         for i, letter in enumerate('XYZ'):
             if letter in given:
@@ -364,7 +349,7 @@ class HeidenhainReader(GcodeReader):
         turn: str,
     ) -> None:  # fmt: skip
         """Put the place of LP and CP, in polar coordinates about CC, into a line."""
-        unit, arm = self.mover.unit, self._flat(self._here()) - self.centre
+        unit, arm = self.mover.unit, self._flat(self.mover.here()) - self.centre
         radius, angle = abs(arm), phase(arm)
         if 'PR' in values:
             radius = values['PR'] * unit
@@ -386,7 +371,7 @@ class HeidenhainReader(GcodeReader):
     def _arc(self, kind: str, values: dict[str, float], words: BlockWords, turn: str) -> str:
         """Give an arc its centre or radius; return G2 or G3."""
         a, b, _ = PLANES[self.mover.plane]
-        unit, start = self.mover.unit, self._flat(self._here())
+        unit, start = self.mover.unit, self._flat(self.mover.here())
         if kind == 'CR':
             if 'R' not in values:
                 raise self.fault('the radius is missing; write R', 'CR')
@@ -394,7 +379,8 @@ class HeidenhainReader(GcodeReader):
             self.heading = None
             return 'G3' if turn == '+' else 'G2'
         centre, ccw = self.centre, turn == '+'
-        end = complex(*(words.values.get('XYZ'[i], self._here()[i] / unit) * unit for i in (a, b)))
+        here = self.mover.here()
+        end = complex(*(words.values.get('XYZ'[i], here[i] / unit) * unit for i in (a, b)))
         if kind == 'CT':
             if self.heading is None or abs(end - start) < 1e-9:
                 raise self.fault('CT needs a line or an arc about CC before', 'CT')
@@ -410,70 +396,15 @@ class HeidenhainReader(GcodeReader):
             words.ways[letter] = 'AC'
         return 'G3' if ccw else 'G2'
 
-    # --- corners -------------------------------------------------------------------------------
-
-    def _coming_corner(self) -> tuple[str, float, dict[str, float]] | None:
-        """Return what RND or CHF in the next line asks for, and the place of the line after it."""
-        lines, place = [], self.flow.window.place(self.flow.row + 1)
-        place_of_next = self.flow.source.after(place)
-        for _ in range(2):
-            text = _HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
-            lines.append(text[1] if text else '')
-            place = self.flow.source.after(place)
-        match = _CORNER.fullmatch(lines[0])
+    def _coming_corner(self) -> Corner:
+        """Return what RND or CHF in the next line asks for."""
+        place = self.flow.window.place(self.flow.row + 1)
+        text = _HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
+        match = _CORNER.fullmatch(text[1]) if text else None
         if match is None:
-            return None
-        following = re.fullmatch(r'L(?![A-Z])\s*(.*)', lines[1])
-        if following is None:
-            raise self.fault('stands between two lines L, in the plane', match[1])
-        values, _, _ = self._words(following[1])
-        self._next = place_of_next
-        return match[1], formula(match[2], self._q) * self.mover.unit, values
-
-    def _round(
-        self, words: BlockWords, kind: str, size: float, following: dict[str, float]
-    ) -> None:
-        """Execute a line, and the rounding or chamfer at its end."""
-        mover, here = self.mover, self._here()
-        a, b, across = PLANES[mover.plane]
-        corner = here.copy()
-        for i, letter in enumerate('XYZ'):
-            if letter in words.values:
-                corner[i] = words.values[letter] * mover.unit
-        self.corner = corner[:3]
-        after = corner.copy()
-        for letter, value in self._place(following).items():
-            if letter in 'XYZ':
-                after['XYZ'.index(letter)] = value * mover.unit
-        self.corner = None
-        start, vertex, end = (self._flat(place) for place in (here, corner, after))
-        if (
-            abs(vertex - start) < 1e-9
-            or abs(end - vertex) < 1e-9
-            or np.ptp([place[across] for place in (here, corner, after)]) > 1e-9
-        ):
-            raise self.fault('needs two lines in the plane', kind)
-        into, out = ((q - p) / abs(q - p) for p, q in ((start, vertex), (vertex, end)))
-        angle = phase(out / into)
-        if abs(angle) < 1e-9 or abs(abs(angle) - pi) < 1e-9:
-            raise self.fault('the lines before and after it make no corner', kind)
-        cut = size * np.tan(0.5 * abs(angle)) if kind == 'RND' else size
-        if cut > min(abs(vertex - start), abs(end - vertex)):
-            raise self.fault('does not fit between the lines; make it smaller', kind)
-        first, last = vertex - cut * into, vertex + cut * out
-        for place, code in (
-            (first, words.g),
-            (last, ['G1'] if kind == 'CHF' else ['G3' if angle > 0 else 'G2']),
-        ):
-            line = words if place is first else BlockWords()
-            line.g = code
-            for i, value in ((a, place.real), (b, place.imag)):
-                line.values['XYZ'[i]], line.texts['XYZ'[i]] = value / mover.unit, kind
-            if line.g[0] in ('G2', 'G3'):
-                line.values['R'], line.texts['R'] = size / mover.unit, kind
-            self._execute(line)
-        self._rounded = corner[:3]
-        self._rounded[across] = mover.here()[across]
+            return NO_CORNER
+        kind = 'CHR' if match[1] == 'CHF' else 'RND'  # CHF is measured along the lines here
+        return Corner(kind, formula(match[2], self._q) * self.mover.unit)
 
     # --- tools, frames, cycles -----------------------------------------------------------------
 

@@ -16,12 +16,14 @@ from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import AS_ABSOLUTE, AS_REVERSED, FAULTS, PLANES, TOLD, arcs_of
 from cnc_interp.program.contact_normal import ContactPath, Cutter
+from cnc_interp.program.corners import Corner
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.targets import NO_ARC
 from cnc_interp.program.words import BlockWords
 
+NO_CORNER = Corner('', 0.0)
 #: Two directions agree if their cosine is 1 within this [-].
 SAME_AXIS = 1e-9
 #: The plane that two centre letters of an arc tell.
@@ -31,6 +33,10 @@ MOST_TURN = 1e3 * 360.0 * DEG
 
 class Mover(ModalState):
     """The motions of a program: executes the words of a block that move the tool."""
+
+    corner = NO_CORNER  #: At the end of the next line.
+    #: A line that waits for the next one: its corner, place in the text, start [m] and row.
+    held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...]] | None = None
 
     # --- one block -----------------------------------------------------------------------------
 
@@ -59,7 +65,10 @@ class Mover(ModalState):
         if machine:
             target, point = self.here(), self.machine_target(words)
         else:
+            letters = words.values.keys() & set('XYZ')
             target = self.target(words)
+            if (angle := dict(words.sets).get('ANG')) is not None:
+                self._end_at_angle(target, letters, angle * DEG)
             point = self.frames.point(target[:3])
         rotary = self._rotary_target(words, target, machine)
         self.extra = self.extra_target(words, machine)
@@ -73,6 +82,15 @@ class Mover(ModalState):
         self.go(point, rotary, vector, arc, feed_given)
         if by_machine:
             self.switch_tcp(by_machine)
+
+    def _end_at_angle(self, target: FloatArray, letters: set[str], angle: float) -> None:
+        """Process ANG: the line has this angle in the plane; one word of its end is given."""
+        a, b, _ = PLANES[self.plane]
+        given, wanted = (a, b) if 'XYZ'[a] in letters else (b, a)
+        here, slope = self.here(), np.tan(angle) if given == a else 1.0 / np.tan(angle)
+        if len({'XYZ'[a], 'XYZ'[b]} & letters) != 1 or not abs(slope) < 1e9:
+            raise self.fault('give one word of the end in the plane, not along the angle', 'ANG')
+        target[wanted] = here[wanted] + (target[given] - here[given]) * slope
 
     def stand_at(self, q: FloatArray) -> None:
         """Begin where the machine stands: its pose becomes the first target."""
@@ -137,6 +155,7 @@ class Mover(ModalState):
 
         After contact normals the next block leads to its end as programmed.
         """
+        self.end_corner()
         self.leaves_contour = bool(self.radius_code) and self.contact is None
         if self.contact is not None:
             self.contact, self.radius_code, self.radius_plane = None, '', ''
@@ -295,6 +314,7 @@ class Mover(ModalState):
         self.leaves_contour = False
         feed = (inf, nan, inf) if rapid else self.feed(feed_given)
         self.tell_long_way(np.abs(rotary - self.rotary), rapid)
+        before = self.point
         self.point, self.rotary = point, rotary
         if vector is not None:
             self.vector = vector
@@ -307,13 +327,52 @@ class Mover(ModalState):
         if self.vector is not None:
             axis, named, circle = tuple(self.vector), 0.0, True
         feedrate, duration, turn_rate = feed
-        self.targets.add(
-            (
-                *place, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
-                self.stop_always or self.stop_once, self.contour, self.orientation,
-                self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
-            )
+        row = (
+            *place, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
+            self.stop_always or self.stop_once, self.contour, self.orientation,
+            self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
         )  # fmt: skip
+        if self.held is not None:
+            before = self._make_corner(place, rapid or arc is not NO_ARC)
+        corner, self.corner = self.corner, self.corner if self.corner.modal else NO_CORNER
+        if corner.size and not rapid and arc is NO_ARC and not self.targets.empty:
+            self.held = corner, self.flow.fault('', corner.kind), before, row
+        elif corner.size and not corner.modal:
+            raise self.fault('stands at the end of a line G1', corner.kind)
+        else:
+            self.targets.add(row)
+
+    def _make_corner(self, after: FloatArray, is_other: bool) -> FloatArray:
+        """Add the line that waits, and its corner; return where that ends."""
+        assert self.held is not None
+        corner, fault, before, row = self.held
+        self.held = None
+        frame = self.frames.turn[:, list(PLANES[self.plane])]
+
+        def at_line(message: str, word: str) -> ProgramError:
+            return ProgramError(message, fault.source, fault.line_number, word)
+
+        vertex, joint = np.array(row[:3]), None
+        if not (is_other and corner.modal):
+            joint = corner.joint(before, vertex, vertex if is_other else after, frame, at_line)
+        if joint is None:
+            self.targets.add(row)
+            return np.array(row[:3])
+        first, last, arc = joint
+        self.targets.add((*first, *row[3:]))
+        self.targets.add((*last, *row[3:-10], *arc, *row[-3:]))
+        return last
+
+    def switch_tcp(self, word: str) -> None:
+        """Switch tool-tip programming on or off, after a line that waits."""
+        self.end_corner()
+        super().switch_tcp(word)
+
+    def end_corner(self) -> None:
+        """Add a line that waits for the next one, which does not come."""
+        self.corner = NO_CORNER
+        if self.held is not None:
+            self._make_corner(self.point, is_other=True)
 
     # --- arcs and tool vectors -----------------------------------------------------------------
 

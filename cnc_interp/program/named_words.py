@@ -7,6 +7,7 @@ import re
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.contact_normal import NORMAL_WORDS
+from cnc_interp.program.corners import Corner
 from cnc_interp.program.expressions import ExpressionError, ProgramVariables
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
@@ -83,12 +84,15 @@ class NamedWords:
         mover = self._mover
         others = bool(words.values or words.g or words.m or words.keys)
         for name, value in words.sets:
-            if name in ('A3', 'B3', 'C3', 'RPL', *CURVE_WORDS, *NORMAL_WORDS):
+            if name in ('A3', 'B3', 'C3', 'RPL', 'ANG', *CURVE_WORDS, *NORMAL_WORDS):
                 continue
             if name == 'CR':
                 words.values['R'], words.texts['R'] = value, f'CR={value:g}'
             elif name == 'TURN':
                 words.values['P'], words.texts['P'] = value + 1.0, f'TURN={value:g}'
+            elif name in ('RND', 'RNDM', 'CHR', 'CHF') and not self._variables.exists(str(name)):
+                modal = name == 'RNDM'
+                mover.corner = Corner('RND' if modal else str(name), value * mover.unit, modal)
             elif name in ('CTOL', 'OTOL'):
                 if not 0.0 < value * mover.unit < FARTHEST:
                     raise self.fault('the tolerance must be greater than zero', str(name))

@@ -60,6 +60,8 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         or mover.leaves_contour
         or mover.beside is not None
         or mover.shifted.any()
+        or mover.held is not None
+        or mover.corner.modal
     ):
         return False
     motion = _filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)

@@ -36,6 +36,7 @@ class Splines:
         mover = self._mover
         if self._curve is not None:
             return
+        mover.end_corner()
         if mover.targets.empty:
             raise mover.fault('a spline begins where the tool is; move there first', 'BSPLINE')
         if mover.feed_mode == 'G93':

@@ -154,6 +154,25 @@ def test_taps_come_back_as_the_control_has_it():
         read(text.replace('G98', 'G18 G98'), dialect='linuxcnc')
 
 
+def test_corners_and_angles_of_siemens():
+    head = 'G0 X0 Y0 Z0 F900\nG1 X10 '
+    rounded = read(head + 'RND=2\nY10', 'a.mpf').blocks.tip[1:-1, :2] / MM
+    np.testing.assert_allclose(np.hypot(*(rounded - [8, 2]).T), 2.0)
+    np.testing.assert_allclose(rounded[[0, -1]], [[8, 0], [10, 2]], atol=1e-9)
+    for word, cut in (('CHR=2', 2.0), ('CHF=2', np.sqrt(2.0))):
+        tips = read(f'{head}{word}\nY10', 'a.mpf').blocks.tip[1:, :2] / MM
+        np.testing.assert_allclose(tips, [[10 - cut, 0], [10, cut], [10, 10]], atol=1e-9)
+    modal = read('RNDM=2\n' + head + '\nX10 Y10\nX0\nRNDM=0\nG1 Y0', 'a.mpf').blocks
+    assert (np.bincount(modal.line_number)[[3, 4, 5, 7]] > [9, 9, 9, 0]).all()
+    np.testing.assert_allclose(modal.tip[-2:] / MM, [[0, 8, 0], [0, 0, 0]], atol=1e-9)
+    angled = read(head + 'ANG=30\nY10 ANG=45', 'a.mpf').blocks.tip[1:, :2] / MM
+    y = 10 * np.tan(np.pi / 6)
+    np.testing.assert_allclose(angled, [[10, y], [20 - y, 10]])
+    for wrong in ('RND=2\nM30', 'RND=2\nX20', 'CHR=11\nY10', 'Y1 ANG=3', 'RND=1\nG2 X0 Y0 CR=9'):
+        with pytest.raises(ProgramError, match=r'(RND|CHR|ANG): '):
+            read(head + wrong, 'a.mpf')
+
+
 def test_letters_that_posts_leave_out_of_arcs():
     for text in (
         'G3 X0 Y10 I-10 J0 F900\nX-20 Y10', 'G2 X0 Y-10 R10 F900\nG2 X-10 Y0',

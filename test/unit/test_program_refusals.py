@@ -103,7 +103,6 @@ ARCS = [
 ]
 OFFSETS_AND_CYCLES = [
     ('G28 G92 X0', 'same block'),
-    ('RNDM=2', 'rounding and chamfers'),
     ('G1 X5 NAME=2 F60', 'no such word'),
     ('G43.1 Z5\nG0 X1 H2', 'changes the tool length'),
     ('G81 X1 R2 F60', 'depth'),

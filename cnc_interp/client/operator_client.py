@@ -29,8 +29,8 @@ from cnc_interp.client.question import AGAIN, Question
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
-from cnc_interp.nodes.peers import Peers
-from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE, STATE
+from cnc_interp.nodes.peers import Peers, watch_machine
+from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
 
@@ -104,7 +104,7 @@ class OperatorClient:
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
         self.machine = ''
         self._on_state = on_state
-        node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
+        watch_machine(node, self._see_state)
         node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
         node.create_subscription(ModalState, 'modal_state', self._see_modes, LOADED)
         node.create_subscription(ModalState, 'active_modes', self._see_active_modes, LOADED)

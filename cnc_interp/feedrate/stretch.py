@@ -39,7 +39,7 @@ class Stretch:
 
     @property
     def coefficients(self) -> FloatArray:
-        """Coefficients of the planner cells (n,) [m2/s2]: v^2 + a H with their effective width H."""
+        """Coefficients of the planner cells, (n,) [m2/s2]: v^2 + a H, H the effective width."""
         v, a = self.v[self.nodes], self.a[self.nodes]
         width = np.add.reduceat(self.duration, self.nodes[:-1]) * (v[:-1] + v[1:]) / 2
         m: FloatArray = np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)

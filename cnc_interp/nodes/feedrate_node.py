@@ -27,8 +27,8 @@ from cnc_interp.nodes.controls import OperatorInputs
 from cnc_interp.nodes.diagnostics import OK, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
-from cnc_interp.nodes.peers import SenderWatch
-from cnc_interp.nodes.qos import SETPOINTS, STATE
+from cnc_interp.nodes.peers import SenderWatch, watch_machine
+from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received, Task
@@ -126,7 +126,8 @@ class FeedrateNode(LifecycleNode):
             {'segments': PathSegmentBatch}, self._check, self._take, self._session.end_path,
             self._diagnostics, gate=attrgetter('segments'),
         )  # fmt: skip
-        self.create_subscription(MachineState, 'machine_state', self._see_machine, STATE)
+        count = len(self._transform.machine.axis_names)
+        watch_machine(self, self._see_machine, count, self._diagnostics)
         self._inputs = OperatorInputs(self)
         self._pace = Pace(self, WORK_PERIOD, self._work)
         self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)

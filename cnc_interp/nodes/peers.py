@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
-from cnc_interp.core.errors import Refusal
+from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
@@ -23,16 +25,36 @@ RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints
 STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)
 
 
+def watch_machine(
+    node: Any, take: Callable[[MachineState], None], axis_count: int | None = None,
+    diagnostics: Diagnostics | None = None,
+) -> None:  # fmt: skip
+    """Pass on the states of the machine; drop one that is not sound, and tell why."""
+
+    def see(state: MachineState) -> None:
+        try:
+            check_state(state, axis_count)
+        except StreamError as problem:
+            if diagnostics is not None:
+                diagnostics.say('machine_state', WARN, f'{problem}; the message is ignored')
+            return
+        take(state)
+
+    node.create_subscription(MachineState, 'machine_state', see, STATE)
+
+
 class Peers:
     """The last message of every other node and when it arrived."""
 
-    def __init__(self, node: Any):
+    def __init__(
+        self, node: Any, axis_count: int | None = None, diagnostics: Diagnostics | None = None
+    ):
         self.state: MachineState | None = None
         self._state_seen = -math.inf
         self._status: dict[str, StreamStatus] = {}
         self._seen: dict[str, float] = {}
         node.create_subscription(StreamStatus, 'stream_status', self._see_status, STATUS)
-        node.create_subscription(MachineState, 'machine_state', self._see_state, STATE)
+        watch_machine(node, self._see_state, axis_count, diagnostics)
 
     def _see_status(self, status: StreamStatus) -> None:
         self._status[status.stream] = status

@@ -59,7 +59,7 @@ class ProgramNode(Node):
         self._run: ProgramRun | None = None
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
-        self._peers = Peers(self)
+        self._peers = Peers(self, len(self._transform.machine.axis_names), self._diagnostics)
         self._setup = SetupServices(self, self._table, self._transform, self._peers)
         self._feed = BlockFeed()
         self._outlet = Outlet(

@@ -29,7 +29,7 @@ from cnc_interp.smoothing.segments import PathSegments
 #: Positions tried in a cell, and how often the nearest interval is divided again.
 TRIED, DIVIDED = 16, 8
 #: Axes nearer than this to the next point stay where they are [m, rad].
-THERE = 1e-12
+THERE = 1e-9
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from array import array
 
 import numpy as np
-from cnc_interp_msgs.msg import BSpline, G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import BSpline, G1Block, MachineState, PathSegment, SetpointChunk
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import SettingsError, StreamError
@@ -211,6 +211,22 @@ def check_chunk(
         refuse_setpoints(machine, period, before, rows)
     except StreamError as fault:
         raise StreamError(f'{name}: {fault}') from None
+
+
+def check_state(message: MachineState, axis_count: int | None = None) -> None:
+    """Refuse a state of the machine that nobody can plan from; None: for any number of axes."""
+    name = 'machine_state'
+    count = len(message.commanded_positions) if axis_count is None else axis_count
+    if len(message.positions) != count:
+        raise StreamError(f'{name}: positions has {len(message.positions)} values, not {count}')
+    _check_rows(f'{name}: commanded_positions', message.commanded_positions, count)
+    if len(message.resume_positions):
+        _check_rows(f'{name}: resume_positions', message.resume_positions, count)
+    if message.state > MachineState.JOGGING or not message.interpolation_period > 0.0:
+        raise StreamError(f'{name}: it tells no state of a machine that works')
+    for field in ('interpolation_period', 'feed_override', 'rapid_override', 'path_position'):
+        if not math.isfinite(getattr(message, field)):
+            raise StreamError(f'{name}: {field} is not finite')
 
 
 def check_setpoints(message: SetpointChunk, axis_count: int) -> None:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 from cnc_interp_msgs.action import RunProgram
-from diagnostic_msgs.msg import KeyValue
+from cnc_interp_msgs.msg import MachineState
+from diagnostic_msgs.msg import DiagnosticArray, KeyValue
 from nodes_under_test import NodesUnderTest
 from whole_plans import plan_program
 
@@ -14,6 +15,7 @@ from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.replay import compute_again
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.nodes.qos import DIAGNOSTICS, STATE
 from cnc_interp.program import read_text
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import texts_of
@@ -42,6 +44,31 @@ def test_a_wrong_choice_is_refused_by_name_before_anything_moves(nodes):
         result = nodes.result_of(nodes.start(text=PROGRAM, settings=pairs(texts)))
         assert result.code == Result.REFUSED and result.message.startswith(f'{name}: ')
         assert result.samples == 0 and not nodes.loaded
+
+
+def test_states_that_no_machine_has_are_ignored_and_told(nodes):
+    """An inconsistent machine_state ended feedrate_node in 2 of 3 trials."""
+    node, nan = nodes.node, float('nan')
+    forger = node.create_publisher(MachineState, 'machine_state', STATE)
+    told = []
+    heard = node.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda m: told.extend(m.status), DIAGNOSTICS
+    )
+    goal = nodes.start(text=PROGRAM)
+    forged = [
+        MachineState(),
+        MachineState(interpolation_period=0.001, commanded_positions=[nan] * 5),
+        MachineState(interpolation_period=0.0, commanded_positions=[0.0] * 5, path_position=nan),
+        MachineState(state=200, plan_over=True, commanded_positions=[1e300], path_position=-1e300),
+    ]
+    for _ in range(20):
+        for message in forged:
+            forger.publish(message)
+    result = nodes.result_of(goal)
+    assert result.code == Result.SUCCEEDED, result.message
+    nodes.spin_until(lambda: any('machine_state' in status.name for status in told))
+    node.destroy_subscription(heard)
+    node.destroy_publisher(forger)
 
 
 def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_path):

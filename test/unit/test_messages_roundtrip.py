@@ -224,6 +224,9 @@ def sound(kind):
         )
         chunk = Chunk(still, still[:7], Wait.NOTHING)
         return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, P, 0, 0.001)
+    if kind is MachineState:
+        still = [0.0] * 5
+        return MachineState(positions=still, commanded_positions=still, interpolation_period=0.001)
     blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, Settings()).blocks
     if kind is G1Block:
         return messages.block_messages(blocks, P, 0, H, end=True)[1]
@@ -232,7 +235,9 @@ def sound(kind):
 
 
 def check(message):
-    if isinstance(message, SetpointChunk):
+    if isinstance(message, MachineState):
+        soundness.check_state(message, 5)
+    elif isinstance(message, SetpointChunk):
         soundness.check_chunk(message, Machine.load('xyzac'), 0.001, np.zeros((3, 5)))
     elif isinstance(message, G1Block):
         soundness.check_block(message)
@@ -281,6 +286,14 @@ NAN, INF = float('nan'), float('inf')
         (SetpointChunk, 'positions', [0.6] + [0.0] * 49, 'soft limit: X'),
         (SetpointChunk, 'wait', 7, 'wait 7'),
         (SetpointChunk, 'end_of_program', True, 'wait 0 does not fit'),
+        (MachineState, 'commanded_positions', [0.0] * 4, '4 values'),
+        (MachineState, 'commanded_positions', [0.0] * 4 + [NAN], 'not finite'),
+        (MachineState, 'positions', [], '0 values'),
+        (MachineState, 'resume_positions', [0.0], '1 values'),
+        (MachineState, 'path_position', NAN, 'path_position'),
+        (MachineState, 'interpolation_period', 0.0, 'no state'),
+        (MachineState, 'feed_override', INF, 'feed_override'),
+        (MachineState, 'state', 99, 'no state'),
     ],
 )
 def test_unsound_values_are_refused_by_name(kind, field, value, word):

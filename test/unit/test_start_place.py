@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -16,7 +18,7 @@ from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.path_chain import PathChain
-from cnc_interp.run.start_place import StartFinder, approach_inside, way_inside
+from cnc_interp.run.start_place import StartFinder, approach, approach_inside, way_inside
 from cnc_interp.settings.choices import Settings
 
 XYZAC = Machine.load('xyzac')
@@ -177,3 +179,20 @@ def test_a_tool_that_keeps_its_direction_is_positioned_above_both_ends():
     for a, b in ((low, high), (high, low)):
         points = way_inside(transform, a, b, 0.01)
         assert points[1, 2] == points[2, 2] == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize('exponent', range(-17, -5))
+def test_a_machine_that_stands_at_the_start_but_for_rounding_can_run(exponent):
+    """Ways of some 1e-11 m or rad were refused: no motion within the axis limits."""
+    transform = Transform.of(Machine.load('xyzac'))
+    limits = limits_at(transform.machine, 1e-3)
+    there = np.array([0.0123, -0.0456, 0.0314, -0.7, 1.9])
+    for axes in ([1, 0, 0, 0, 0], [0, 0, 0, 1, 0], [0.3, -1, 0.2, 0, 0.5]):
+        stands = there + 10.0**exponent * np.array(axes)
+        for way in (
+            approach(transform, 0.03, stands, there),
+            approach_inside(transform, 0.03, stands, there, 0.05, 0.01),
+        ):
+            if way is not None:
+                piece = plan_path(way, limits)
+                assert np.abs(piece.path.cell_right[0, -1] - there).max() < 1e-8

@@ -37,7 +37,6 @@ def tried(few: int, many: int) -> settings:
     """Settings of one property: the same examples in every run."""
     return settings(
         max_examples=examples(few, many),
-        deadline=None,
         derandomize=True,
         suppress_health_check=[HealthCheck.too_slow],
     )

@@ -169,7 +169,7 @@ def test_after_g40_the_tool_is_where_it_is():
     np.testing.assert_allclose(points[-2:], [[40, 5, 9], [41, 0, 9]], atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.floats(12.0, 40.0), min_size=5, max_size=12),
     st.floats(0.5, 3.0),

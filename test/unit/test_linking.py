@@ -77,7 +77,7 @@ def plainly(portion):
 
 
 @given(st.integers(0, 10**6), st.floats(0.85, 1.15), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_tool_axis_goes_on_where_both_curves_are_g2(seed, blend, septic):
     first, second = portions(seed, blend)
     try:

@@ -1,5 +1,7 @@
 """The program read again: the second reader agrees with the first, and finds what differs."""
 
+from shutil import copytree
+
 import numpy as np
 import pytest
 
@@ -65,12 +67,20 @@ CHANGED = [
 ]
 
 
+#: Plans that are copied, by their program.
+MADE = {}
+
+
 def planned(name, text, folder):
-    """Plan a program and return its file and its plan."""
-    program = folder / name
+    """Plan a program, once for all tests; return its file and its plan."""
+    program, plan = folder / name, folder / 'plan'
     program.write_text(text)
-    assert main(['plan', str(program), '--out', str(folder / 'plan')]) == 0
-    return program, folder / 'plan'
+    if (name, text) in MADE:
+        copytree(MADE[name, text], plan)
+    else:
+        assert main(['plan', str(program), '--out', str(plan)]) == 0
+        MADE[name, text] = copytree(plan, folder / 'made')
+    return program, plan
 
 
 @pytest.mark.parametrize('name', PROGRAMS)

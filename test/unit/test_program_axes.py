@@ -230,7 +230,7 @@ WORDS = st.fixed_dictionaries(
 )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     lines=st.lists(st.tuples(st.sampled_from(['G0', 'G1', '']), WORDS), min_size=8, max_size=20),
     tcp=st.booleans(),

@@ -2,14 +2,18 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_program, read_text, targets
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.settings.choices import Settings
+
+AC = Transform.of(Machine.load('xyzac'))
 
 
 class ThreeAxes:
@@ -280,7 +284,6 @@ def same_in_batches_of(rows, lines, whole, monkeypatch):
 NUMBERS = st.integers(-99999, 99999).map(lambda n: n / 1000)
 
 
-@settings(deadline=None)
 @given(
     points=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=2, max_size=20),
     spaced=st.booleans(),
@@ -300,11 +303,10 @@ def test_any_polyline_comes_back(points, spaced, incremental):
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
-@settings(deadline=None)
 @given(st.text(alphabet='GMXYZACFNT0123456789.-+ ()/;%#=\n$,O', max_size=60))
 def test_any_text_is_read_or_refused_with_its_lines(text):
     try:
-        read('G0 X0\n' + text)
+        read('G0 X0\n' + text, AC)
     except ProgramError as error:
         told = str(error).split('\n')[: len(getattr(error, 'errors', [error]))]
         assert all(line.startswith('part.ngc') for line in told)

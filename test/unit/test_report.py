@@ -46,6 +46,7 @@ def test_the_page_needs_no_network(tmp_path):
     assert '"modeBarButtonsToRemove"' in body
     assert len(page.encode()) < 2e6
     assert '>proven<' in page and 'not proven' not in page
+    assert 'corner-data' not in body  # there are no segments
 
 
 def test_what_is_not_proven_stands_at_the_head(tmp_path):
@@ -75,6 +76,7 @@ def test_a_long_program_stays_small(tmp_path):
     assert len(page.encode()) < 2e6
 
 
+@pytest.mark.thorough
 def test_three_axes(tmp_path):
     page = page_of(tmp_path, line_x(Machine.load('xyz')))
     assert '>proven<' in page

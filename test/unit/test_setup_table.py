@@ -51,7 +51,7 @@ setups = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(setup=setups)
 def test_a_setup_is_read_as_it_was_written(setup):
     again = JobSetup.of_text(setup.text())

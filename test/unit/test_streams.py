@@ -48,7 +48,7 @@ def test_perfect_line_delivers_everything_within_the_window(count):
     assert sender.all_acknowledged and receiver.complete and sender.sent == 100 * count
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 10**6),
     loss=st.floats(0.0, 0.6),

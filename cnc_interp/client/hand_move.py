@@ -24,6 +24,8 @@ from cnc_interp.machine_model.machine import Axis, Machine, place_text
 PATIENCE = 10.0
 #: Homing is not under way where the machine says so many times that it rests.
 CERTAIN = 20
+#: Letters of a pose: the tool tip in the workpiece, then the tool axis.
+POSE = 'XYZIJK'
 #: Nearer than this to its target, a move has arrived [m, rad].
 THERE = 1e-6
 
@@ -62,6 +64,17 @@ class Ended:
         }
 
 
+def pose_request(
+    values: Mapping[str, float], speed: float, length: float = MM
+) -> MoveAxes.Request:
+    """Return the request that moves the tool to a pose; what is not named stays as it is."""
+    request = MoveAxes.Request(speed=speed)
+    request.tip = [values.get(name, math.nan) * length for name in POSE[:3]]
+    if set(values) & set(POSE[3:]):
+        request.axis = [values.get(name, 0.0) for name in POSE[3:]]
+    return request
+
+
 def await_machine(
     client: OperatorClient,
     namespace: str,
@@ -90,12 +103,9 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
     check_place(namespace, domain)
     with OperatorClient('jog', namespace, domain) as client:
         machine = await_machine(client, namespace, domain)
-        request = MoveAxes.Request(relative=wanted.relative, speed=wanted.speed)
-        request.tool = wanted.tool * MM
-        if wanted.pose:
-            request.tip = [wanted.values.get(name, math.nan) * MM for name in 'XYZ']
-            turns = any(name in wanted.values for name in 'IJK')
-            request.axis = [wanted.values.get(name, 0.0) for name in 'IJK' if turns]
+        request = pose_request(wanted.values, wanted.speed) if wanted.pose else MoveAxes.Request(
+            relative=wanted.relative, speed=wanted.speed, tool=wanted.tool * MM
+        )  # fmt: skip
         for name, value in wanted.values.items() if not wanted.pose else ():
             if name not in machine.axis_names:
                 raise InterpError(

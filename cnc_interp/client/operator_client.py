@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -105,9 +106,12 @@ class OperatorClient:
         self.machine = ''
         self._on_state = on_state
         watch_machine(node, self._see_state)
-        node.create_subscription(LoadedProgram, 'loaded_program', self._see_program, LOADED)
-        node.create_subscription(ModalState, 'modal_state', self._see_modes, LOADED)
-        node.create_subscription(ModalState, 'active_modes', self._see_active_modes, LOADED)
+        for kind, topic, name in (
+            (LoadedProgram, 'loaded_program', 'program'),
+            (ModalState, 'modal_state', 'modes'),
+            (ModalState, 'active_modes', 'active_modes'),
+        ):
+            node.create_subscription(kind, topic, partial(setattr, self, name), LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
         self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
@@ -158,15 +162,6 @@ class OperatorClient:
         """The rapid override [-], as ``override``."""
         return self._overrides['rapid_override'].at(time.monotonic())
 
-    def _see_program(self, message: LoadedProgram) -> None:
-        self.program = message
-
-    def _see_modes(self, message: ModalState) -> None:
-        self.modes = message
-
-    def _see_active_modes(self, message: ModalState) -> None:
-        self.active_modes = message
-
     def _see_state(self, state: MachineState) -> None:
         for topic, override in self._overrides.items():
             override.hear(getattr(state, topic))
@@ -197,11 +192,11 @@ class OperatorClient:
 
     def trigger(self, name: str) -> Future[Answer]:
         """Call one of ``TRIGGERS``."""
-        return self._call(self._triggers[name], Trigger.Request(), name)
+        return self.ask(self._triggers[name], Trigger.Request(), name)
 
     def set_switch(self, name: str, on: bool) -> Future[Answer]:
         """Turn one of ``SWITCHES`` on or off."""
-        return self._call(self._switches[name], SetBool.Request(data=on), name)
+        return self.ask(self._switches[name], SetBool.Request(data=on), name)
 
     @property
     def can_move(self) -> bool:
@@ -210,15 +205,11 @@ class OperatorClient:
 
     def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
         """Move axes by hand; the answer carries the response of the service."""
-        return self._call(self._move_axes, request, 'move_axes')
-
-    def ask(self, client: Any, request: Any, name: str) -> Future[Answer]:
-        """Call a service by a client of this node; it is sent once."""
-        return self._call(client, request, name)
+        return self.ask(self._move_axes, request, 'move_axes')
 
     def home(self, axes: Sequence[str] = ()) -> Future[Answer]:
         """Home axes, all where none is named; answered when it has begun."""
-        return self._call(self._home, Home.Request(axes=list(axes)), 'home')
+        return self.ask(self._home, Home.Request(axes=list(axes)), 'home')
 
     def beat(self, message: Jog) -> None:
         """Send a beat of a motion by hand."""
@@ -307,8 +298,8 @@ class OperatorClient:
         self._commands.extend(sent.cancel for sent in found)
         return len(found)
 
-    def _call(self, client: Any, request: Any, name: str) -> Future[Answer]:
-        """Call a service; a stop is sent again until it is answered."""
+    def ask(self, client: Any, request: Any, name: str) -> Future[Answer]:
+        """Call a service by a client of this node; a stop is sent again until it is answered."""
         wanted: Future[Answer] = Future()
 
         def send() -> None:

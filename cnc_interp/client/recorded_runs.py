@@ -16,6 +16,7 @@ from cnc_interp.client.run_console import RunConsole
 from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
+from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 
 def run_recorded(
@@ -51,7 +52,7 @@ def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> 
     if not result.ok:
         return result
     run = replace(recorded_run(bag, result.program_id), name=result.program)
-    with TemporaryDirectory(prefix='cnc_interp_') as folder:
+    with TemporaryFolder() as folder:
         summary = write_run(run, machine, out or Path(folder))
     return replace(result, tool_error=summary['tool_error'], flank_height=summary['flank_height'])
 
@@ -59,12 +60,12 @@ def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> 
 @contextmanager
 def bag_folder(request: RunRequest) -> Iterator[Path | None]:
     """Yield the bag of a run: as asked for, or one for what is computed of it, or none."""
-    if request.record is None and request.out is None and request.settings.tool_error is not None:
-        with TemporaryDirectory(prefix='cnc_interp_') as folder:
-            yield Path(folder) / 'bag'
-        return
     if request.record is not None or request.out is None:
-        yield request.record
+        if request.record is not None or request.settings.tool_error is None:
+            yield request.record
+        else:
+            with TemporaryFolder() as folder:
+                yield Path(folder) / 'bag'
         return
     created = not request.out.exists()
     request.out.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ import uuid
 from argparse import Namespace
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cnc_interp.core.differences import excesses, tool_error_text
 from cnc_interp.core.errors import InterpError, ProgramError
@@ -167,22 +167,13 @@ def underruns(count: int) -> str:
     return f'{count or "no"} underrun{"" if count == 1 else "s"}'
 
 
-class Companion(Protocol):
-    """A process beside the nodes of a run, such as the operator page."""
-
-    def start(self, namespace: str, domain: int) -> None:
-        """Start the process while the nodes start."""
-
-    def finish(self, result: RunResult) -> None:
-        """Take the result of the run. The nodes end after this returns."""
-
-
 def run_session(
-    request: RunRequest, companion: Companion | None = None, started: float | None = None
+    request: RunRequest, companion: Any = None, started: float | None = None
 ) -> list[RunResult]:
     """
     Start the nodes, run one or more programs through them, and end the nodes.
 
+    ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
     ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
     the first program cannot be read or executed (nothing has moved then), if the machine file is
     wrong, or if a node cannot start.

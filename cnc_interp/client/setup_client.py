@@ -12,7 +12,6 @@ from cnc_interp_msgs.srv import SetOffset, SetTool, TouchOff
 
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.frames import rotation
@@ -56,14 +55,9 @@ class SetupClient:
         return self._nodes.ask(self._clients[service], message, service)
 
 
-def unit_of(letter: str) -> float:
-    """Return the unit in which people read an axis [m or rad]."""
-    return MM if letter in 'XYZ' else DEG
-
-
-def shown(letter: str, value: float) -> str:
-    """Return a position in mm or deg, without its unit."""
-    return f'{value / MM:z.3f}' if letter in 'XYZ' else f'{value / DEG:z.4f}'
+def of_axes(values: dict[str, float]) -> dict[str, Any]:
+    """Return values by axis letter [m, rad] as fields of a request."""
+    return {'axes': list(values), 'values': list(values.values())}
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:

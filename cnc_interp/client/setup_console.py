@@ -5,17 +5,11 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from cnc_interp.client.length_unit import MILLIMETRES
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
-from cnc_interp.client.setup_client import (
-    SetupClient,
-    offset_row,
-    shown,
-    unit_of,
-    work_coordinates,
-)
+from cnc_interp.client.setup_client import SetupClient, of_axes, offset_row, work_coordinates
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
 from cnc_interp.program.job import ROTATION
 
 #: Longest wait for the nodes [s].
@@ -47,10 +41,7 @@ class SetupConsole:
 
     def values(self, words: dict[str, float]) -> dict[str, Any]:
         """Return values by axis letter [mm, deg] as the fields of a request [m, rad]."""
-        return {
-            'axes': list(words),
-            'values': [value * unit_of(letter) for letter, value in words.items()],
-        }
+        return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
     def ask(self, service: str, **request: Any) -> str:
         """
@@ -80,9 +71,8 @@ class SetupConsole:
             letters.append(ROTATION)
         lines = [' ' * 10 + ''.join(f'{letter:>12}' for letter in letters)]
         for name, position in rows:
-            values = ''.join(
-                f'{shown(k, position[k]) if k in position else "":>12}' for k in letters
-            )
+            texts = {k: MILLIMETRES.shown(k, value) for k, value in position.items()}
+            values = ''.join(f'{texts.get(k, ""):>12}' for k in letters)
             lines.append(f'{name:<10}{values}'.rstrip())
         return '\n'.join([*lines, self._file_text()])
 
@@ -96,7 +86,7 @@ class SetupConsole:
             values = 'not in the table'
             if tool is not None:
                 sizes = ''.join(
-                    f'{"" if v is None else f"{v / MM:.3f}":>12}'
+                    f'{"" if v is None else MILLIMETRES.length(v):>12}'
                     for v in (tool.length, tool.radius, tool.corner_radius)
                 )
                 values = f'{sizes}  {tool.remark}'

@@ -1,8 +1,9 @@
-"""`cnc-interp convert`: a program in another dialect."""
+"""`cnc-interp convert`, `urdf` and `hal`: a program, a machine, a HAL file in another form."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +48,8 @@ def convert_command(options: argparse.Namespace) -> int:
     tolerance = options.fit_tolerance * MM
     slide = options.join == 'parametrization'
     made = convert(program, machine, settings, options.to, tolerance, slide)
-    if options.out is None:
-        print(made.text, end='')
-    else:
-        options.out.write_text(made.text, encoding='utf-8')
+    _write(made.text, options.out)
+    if options.out is not None:
         print(f'program        {options.out}')
     tell(made.notes)
     return FINE
@@ -72,9 +71,46 @@ def urdf_command(options: argparse.Namespace) -> int:
     from cnc_interp.description.urdf import urdf_of
     from cnc_interp.machine_model.machine import Machine
 
-    text = urdf_of(Machine.load(options.machine))
-    if options.out is None:
+    _write(urdf_of(Machine.load(options.machine)), options.out)
+    return FINE
+
+
+def add_hal_command(commands: Any) -> None:
+    """Declare `hal`."""
+    hal = command(
+        commands, 'hal', hal_command,
+        'write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC',
+        'cnc-interp hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal',
+    )  # fmt: skip
+    hal.add_argument('machine', metavar='M', help='bundled machine or YAML file')
+    hal.add_argument(
+        'files', type=Path, nargs='+', metavar='FILE',
+        help='HAL files of the LinuxCNC configuration, in the order of its INI file',
+    )  # fmt: skip
+    hal.add_argument(
+        '--joints', metavar='LETTERS',
+        help='letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
+    )  # fmt: skip
+    hal.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+
+
+def hal_command(options: argparse.Namespace) -> int:
+    """Write the HAL file; say what it does not connect any more."""
+    from cnc_interp.machine.hal_file import hal_file
+    from cnc_interp.machine_model.machine import Machine
+
+    axes = Machine.load(options.machine).axis_names
+    text = '\n'.join(file.read_text(encoding='utf-8', errors='replace') for file in options.files)
+    made, left_out = hal_file(text, axes, (options.joints or ''.join(axes)).upper())
+    _write(made, options.out)
+    for line in left_out:
+        print(f'not connected: {line}', file=sys.stderr)
+    return FINE
+
+
+def _write(text: str, file: Path | None) -> None:
+    """Write a text to a file, or print it."""
+    if file is None:
         print(text, end='')
     else:
-        options.out.write_text(text, encoding='utf-8')
-    return FINE
+        file.write_text(text, encoding='utf-8')

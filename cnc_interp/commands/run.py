@@ -80,9 +80,9 @@ def run_command(options: argparse.Namespace) -> int:
 
     beside = None
     if options.panel:
-        from cnc_interp.page.command import PanelBeside, PanelRequest
+        from cnc_interp.page.command import PanelBeside
 
-        beside = PanelBeside(PanelRequest.from_options(options))
+        beside = PanelBeside(options)
     results = run_session(RunRequest.from_options(options), beside, process_start())
     if options.json:
         found = [result.to_json() for result in results]
@@ -95,7 +95,7 @@ def run_command(options: argparse.Namespace) -> int:
 
 def panel_command(options: argparse.Namespace) -> int:
     """Serve the operator page."""
-    from cnc_interp.page.command import PanelRequest, run_panel
+    from cnc_interp.page.command import run_panel
 
-    run_panel(PanelRequest.from_options(options))
+    run_panel(options)
     return FINE

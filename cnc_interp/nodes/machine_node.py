@@ -129,7 +129,7 @@ class MachineNode(LifecycleNode):
             reason = state.text or 'activate it'
             raise StreamError(f'the machine is {state.state.value}: {reason}', kind)
         if begins and (axes := ' '.join(self._controls.homing.must_home)):
-            raise StreamError(f'{axes} must be homed first; call home', Refusal.NOT_READY)
+            raise StreamError(f'{axes} must be homed before a program starts', Refusal.NOT_READY)
         number, before = chunk.first_sample, playback.buffer.newest
         if chunk.joins:
             before = playback.before_join(run_id, number)

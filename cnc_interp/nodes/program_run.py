@@ -48,7 +48,7 @@ def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
         return Outcome(Code.BUSY, 'the axes are moved by hand; let go, then start again')
     if machine.must_home:
         axes = ' '.join(machine.must_home)
-        return Outcome(Code.REFUSED, f'{axes} must be homed first; call home')
+        return Outcome(Code.REFUSED, f'{axes} must be homed before a program starts')
     busy = 'the machine is in another run; wait for its end, or reset it'
     return None if machine.is_free else Outcome(Code.BUSY, busy)
 

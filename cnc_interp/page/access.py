@@ -87,22 +87,9 @@ class Access:
 
     def knows(self, token: str, address: str, now: float) -> bool:
         """
-        Tell whether a token is the right one, in the same time for all wrong ones.
+        Tell whether a token is the right one, in the same time for all wrong ones; none is no try.
 
-        Parameters
-        ----------
-        token : str
-            What a page was opened with; none is no try.
-        address : str
-            Where it comes from.
-        now : float
-            Time of any steady clock [s].
-
-        Raises
-        ------
-        TooManyTriesError
-            If the address has tried too many wrong ones lately; right or wrong is not told then.
-
+        Where the address has tried too many lately, TooManyTriesError is all that is told.
         """
         if not token:
             return False

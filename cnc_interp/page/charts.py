@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.page.desk import SPAN, Desk, Moment
+from cnc_interp.page.shown_unit import ShownUnit
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
@@ -26,11 +27,19 @@ HEADROOM = 1.5
 class Charts:
     """The charts of one page."""
 
-    def __init__(self, axis_names: tuple[str, ...]):
+    def __init__(self, axis_names: tuple[str, ...], unit: ShownUnit):
         names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))
-        self._feed = chart('feed, mm/min', names, None)
+        self._unit = unit
+        self._feed = chart('', names, None)
+        self._entitle(unit.now)
+        unit.follow(self._entitle)
         axes = tuple(zip(axis_names, cycle(AXES), strict=False))
         self._use = [chart(f'{kind} %', axes, 110) for kind in KINDS]
+
+    def _entitle(self, unit: LengthUnit) -> None:
+        """Name the unit of the feed."""
+        self._feed.options['title']['text'] = unit.named('feed, mm/min')
+        self._feed.update()
 
     def show(self, desk: Desk) -> None:
         """Draw the last half minute."""
@@ -43,12 +52,12 @@ class Charts:
         cutting = [m.feed for m in moments if m.programmed <= HEADROOM * usual]
         fast = cutting if usual > 0.0 else [m.feed for m in moments]
         ceiling = HEADROOM * max([usual, *fast], default=0.0)
-        columns = (
-            [min(m.feed, ceiling) for m in moments],
-            [min(m.programmed, ceiling) for m in moments],
-            [min(m.limit, ceiling) for m in moments],
-        )
-        draw(self._feed, moments, now, [[x / MM_PER_MIN for x in column] for column in columns])
+        shown = self._unit.now.per_minute
+        columns = [
+            [shown(min(getattr(m, name), ceiling)) for m in moments]
+            for name in ('feed', 'programmed', 'limit')
+        ]
+        draw(self._feed, moments, now, columns)
         for k, one in enumerate(self._use):
             count = moments[-1].use.shape[1] if moments else 0
             draw(one, moments, now, [[100.0 * m.use[k, j] for m in moments] for j in range(count)])

@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 from argparse import Namespace
-from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,8 +25,7 @@ from cnc_interp.client.session import (
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.processes.node_processes import Children
-from cnc_interp.settings.choices import DEFAULT_MACHINE
+from cnc_interp.processes.node_processes import NODES, Children
 
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
@@ -42,82 +40,38 @@ LAST_WAIT = 5.0
 WATCH_NODES = 0.5
 
 
-@dataclass(frozen=True)
-class PanelRequest:
-    """What shall be served, and where."""
-
-    program: Path | None = None  #: Laid on the desk at start.
-    machine: str = DEFAULT_MACHINE  #: Machine of the nodes that are started.
-    setup: Path | None = None  #: File in which they keep offsets and tools.
-    #: Drives of their machine; empty: as the parameters of the nodes say.
-    drives: dict[str, str] = field(default_factory=dict)
-    attach: bool = False  #: Join nodes that run already instead.
-    #: Where the nodes are; domain None leaves the choice to ROS_DOMAIN_ID.
-    namespace: str = '/'
-    domain: int | None = None
-    #: See ``Served``.
-    host: str = '127.0.0.1'
-    port: int = 8650
-    token_file: Path | None = None  #: Holds the token; without it a random one is made.
-
-    @staticmethod
-    def from_options(options: Namespace) -> PanelRequest:
-        """Take the options of `panel`, or those of `run`."""
-        return PanelRequest(
-            program=options.program,
-            machine=options.machine,
-            setup=options.setup,
-            drives=options.drives,
-            attach=getattr(options, 'attach', False),
-            namespace=getattr(options, 'namespace', '/'),
-            domain=getattr(options, 'domain', None),
-            host=options.host,
-            port=options.port,
-            token_file=options.token_file,
-        )
-
-
-def run_panel(request: PanelRequest) -> None:
-    """
-    Serve the page until Ctrl-C.
-
-    Raises
-    ------
-    InterpError
-        When the page's library is missing, the address is taken or the input is bad.
-
-    """
+def run_panel(options: Namespace) -> None:
+    """Serve the page until Ctrl-C; raises InterpError where it cannot be served as asked."""
     need_library()
     from cnc_interp.page.server import Served
 
-    token = token_of(request.token_file)
-    served = Served.prepare(request.host, request.port, token, request.program)
-    if not is_loopback(request.host):
+    token = token_of(options.token_file)
+    served = Served.prepare(options.host, options.port, token, options.program)
+    if not is_loopback(options.host):
         print(
-            f'cnc-interp: {request.host} is seen by others; page and token go unencrypted',
+            f'cnc-interp: {options.host} is seen by others; page and token go unencrypted',
             file=sys.stderr,
         )
-    domain = request.domain
-    if request.attach:
+    domain = options.domain
+    if options.attach:
         domain = domain_of_nodes(domain)
     elif domain is None:
         domain = chosen_domain()
-    check_place(request.namespace, domain)
-    if request.attach:
-        until_asked(served, request.namespace, domain)
+    check_place(options.namespace, domain)
+    if options.attach:
+        until_asked(served, options.namespace, domain)
         return
-    Machine.load(request.machine)  # a wrong name is told before anything starts
+    Machine.load(options.machine)  # a wrong name is told before anything starts
     parameters: dict[str, dict[str, object]] = {
-        name: {'machine': f"'{request.machine}'"}
-        for name in ('program_node', 'lookahead_node', 'feedrate_node', 'machine_node')
+        name: {'machine': f"'{options.machine}'"} for name in NODES
     }
-    parameters['machine_node'] |= request.drives
-    if request.setup is not None:
-        parameters['program_node']['setup'] = f"'{request.setup.resolve()}'"
-    with Children(request.namespace, domain, parameters, nodes_file()) as children:
+    parameters['machine_node'] |= options.drives
+    if options.setup is not None:
+        parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"
+    with Children(options.namespace, domain, parameters, nodes_file()) as children:
         print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
         with NodeWatch(children):
-            until_asked(served, request.namespace, domain)
+            until_asked(served, options.namespace, domain)
 
 
 class NodeWatch:
@@ -198,20 +152,20 @@ def need_library() -> None:
 class PanelBeside:
     """The page as a process of its own beside a run; it talks to the nodes over ROS 2 only."""
 
-    def __init__(self, request: PanelRequest):
+    def __init__(self, options: Namespace):
         need_library()
-        token_of(request.token_file)  # a wrong one is told before anything starts
-        self._request = request
+        token_of(options.token_file)  # a wrong one is told before anything starts
+        self._options = options
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, namespace: str, domain: int) -> None:
         """Start the page."""
-        request = self._request
+        options = self._options
         command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach']
-        command += ['--namespace', namespace, '--domain', str(domain), '--host', request.host]
-        command += ['--port', str(request.port)]
-        if request.token_file is not None:
-            command += ['--token-file', str(request.token_file)]
+        command += ['--namespace', namespace, '--domain', str(domain), '--host', options.host]
+        command += ['--port', str(options.port)]
+        if options.token_file is not None:
+            command += ['--token-file', str(options.token_file)]
         self._process = subprocess.Popen(
             command,
             env=os.environ | {PARENT: str(os.getpid())},

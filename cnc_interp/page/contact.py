@@ -13,15 +13,21 @@ reads fields sends the texts in them when pressed (``act_on_shown``).
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from concurrent.futures import Future
 from typing import Any
 
 from nicegui import events, ui
 
-from cnc_interp.client.operator_client import STOPS
+from cnc_interp.client.operator_client import STOPS, Answer
+
+#: What a key does, and how a page has it done: allowed or refused on the server.
+Act = Callable[[], Awaitable[Answer]]
+Command = Callable[[Act], Awaitable[None]]
 
 #: What the page says when it heard nothing for a while, and a key did nothing.
 INTERRUPTED = 'the connection was interrupted'
@@ -78,6 +84,21 @@ class Contact:
             self._done[number] = True
         if self._done[number]:
             ui.run_javascript(f'contact.answered({json.dumps(number)})')
+
+
+def asked(ask: Callable[..., Future[Answer]], *words: Any) -> Act:
+    """Return what asks the nodes for something and waits for their answer."""
+
+    async def answered() -> Answer:
+        return await asyncio.wrap_future(ask(*words))
+
+    return answered
+
+
+def key(text: str, mark: str = '', act: Any = None, colour: str = 'blue-grey-8') -> Any:
+    """Make a key of the page, with a mark for scripts and tests."""
+    button = ui.button(text, on_click=act, color=colour)
+    return button.props(f'dense unelevated no-caps data-mark="{mark or text}"')
 
 
 def pressing(name: str) -> dict[str, Any]:

@@ -41,7 +41,10 @@ LONGEST_PROGRAM = 64 << 20
 
 def in_program(state: MachineState | None) -> bool:
     """Tell whether a program is being executed, or was interrupted and can be continued."""
-    return state is not None and (state.state == MachineState.RUNNING or state.may_resume)
+    if state is None:
+        return False
+    away = len(state.resume_positions) > 0  # by hand, from a hold
+    return bool(state.state == MachineState.RUNNING or state.may_resume or away)
 
 
 def is_text(text: str) -> bool:
@@ -120,7 +123,7 @@ class Desk:
         self.tube, self.tube_number = b'', 0
         # path lengths at the points of the tube [m], and lines of the blocks that lead there
         self._drawn, self._drawn_lines = np.zeros(0), np.zeros(0, dtype=np.int64)
-        self._jobs = 0
+        self._jobs = self.laid = 0  # programs planned, and laid here
         self._planner: Planner | None = None
         self._running: Job | None = None
         self._adopted = ''
@@ -268,14 +271,16 @@ class Desk:
         job = self.job
         if job is None or self._planner is None or in_program(self.nodes.state):
             return
-        setup = self._setup_text(job.settings)
+        setup, table = self._setup_text(job.settings), self.setup.table
         if setup != job.setup:
-            self._set_job(self._planner, replace(job, plan=None, setup=setup))
+            again = self._set_job(self._planner, replace(job, plan=None, setup=setup))
+            if self._running is job and table and table.changed_by.startswith(f'{job.name} line '):
+                self._running = again  # the run that has changed them is shown on
 
     def _lay(self, planner: Planner, name: str, text: str, settings: Settings, setup: str) -> Job:
         path = planner.keep(name, text)
         job = Job(path.name, text.splitlines(), path, settings, setup=setup)
-        self.start = StartChoice()
+        self.start, self.laid = StartChoice(), self.laid + 1
         return self._set_job(planner, job)
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
@@ -439,10 +444,6 @@ class Desk:
         axes, amounts = list(values), list(values.values())
         asked = self.setup.ask('set_offset', offset=name, axes=axes, values=amounts)
         return await asyncio.wrap_future(asked)
-
-    async def give_line(self, text: str) -> Answer:
-        """Have a line by hand executed; answered at its end."""
-        return await asyncio.wrap_future(self.nodes.give_line(text))
 
     async def trigger(self, name: str) -> Answer:
         """Pass one of the plain commands on."""

@@ -11,50 +11,36 @@ from typing import Any
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.client.setup_client import SetupClient, shown, unit_of
+from cnc_interp.client.setup_client import SetupClient, of_axes
 from cnc_interp.core.errors import SettingsError
-from cnc_interp.core.units import MM
-from cnc_interp.page.contact import act_on_shown
+from cnc_interp.page.contact import Command, act_on_shown, key
+from cnc_interp.page.shown_unit import ShownUnit
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.declaration import Choice
 from cnc_interp.settings.texts import filled_in, offered, settings_filled_in
 
-#: What the browser calls a key; what is printed on it; the key of the page.
+#: What the browser calls a key; what is printed on it; the key of the page; what it does, where
+#: the key of the page does not say it itself.
 KEYBOARD = (
-    ('F1', 'F1', 'EMERGENCY STOP'),
-    ('Escape', 'Esc', 'feed hold'),
-    ('R', 'Shift + R', 'cycle start'),
-    ('-', '-', 'slower'),
-    ('+', '+', 'faster'),
-    ('0', '0', '100%'),
-    ('7', '7', 'rapid 25%'),
-    ('8', '8', 'rapid 50%'),
-    ('9', '9', 'rapid 100%'),
-    ('s', 'S', 'single block'),
-    ('o', 'O', 'optional stop'),
-    ('b', 'B', 'block delete'),
-    ('j', 'J', 'jog'),
-    ('p', 'P', 'pose'),
-    ('?', '?', 'keyboard'),
+    ('F1', 'F1', 'EMERGENCY STOP', ''),
+    ('Escape', 'Esc', 'feed hold', ''),
+    ('R', 'Shift + R', 'cycle start', ''),
+    ('-', '-', 'slower', 'feed override 5 % less'),
+    ('+', '+', 'faster', 'feed override 5 % more'),
+    ('0', '0', '100%', 'feed override 100 %'),
+    ('7', '7', 'rapid 25%', 'rapid override 25 %'),
+    ('8', '8', 'rapid 50%', 'rapid override 50 %'),
+    ('9', '9', 'rapid 100%', 'rapid override 100 %'),
+    ('s', 'S', 'single block', 'single block on or off'),
+    ('o', 'O', 'optional stop', 'optional stop (M1) on or off'),
+    ('b', 'B', 'block delete', 'block delete on or off: leaves out lines that begin with a slash'),
+    ('j', 'J', 'jog', 'show or hide the keys that move an axis'),
+    ('p', 'P', 'pose', 'show or hide the fields of a tool pose'),
+    ('?', '?', 'keyboard', 'show or hide this list'),
 )
 #: Names of keys, as the browser calls them, and the keys of the page.
-MARKS = {name: mark for name, _, mark in KEYBOARD}
-#: What is shown beside a key of the page that does not say it itself.
-MEANINGS = {
-    'slower': 'feed override 5 % less',
-    'faster': 'feed override 5 % more',
-    '100%': 'feed override 100 %',
-    'rapid 25%': 'rapid override 25 %',
-    'rapid 50%': 'rapid override 50 %',
-    'rapid 100%': 'rapid override 100 %',
-    'single block': 'single block on or off',
-    'optional stop': 'optional stop (M1) on or off',
-    'block delete': 'block delete on or off: lines that begin with a slash are left out',
-    'pose': 'show or hide the fields of a tool pose',
-    'jog': 'show or hide the keys that move an axis',
-    'keyboard': 'show or hide this list',
-}
+MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
 
 
 def keyboard_list() -> Any:
@@ -62,9 +48,9 @@ def keyboard_list() -> Any:
     with ui.dialog() as dialog, ui.card().classes('settings'):
         ui.label('keyboard').classes('title')
         with ui.element('div').classes('map'):
-            for _, printed, mark in KEYBOARD:
+            for _, printed, mark, meaning in KEYBOARD:
                 ui.html(f'<kbd>{printed}</kbd>', sanitize=False)
-                ui.label(MEANINGS.get(mark, mark))
+                ui.label(meaning or mark)
             ui.html('<kbd>← → ↑ ↓ PgUp PgDn</kbd>', sanitize=False)
             ui.label('X, Y, Z while the key is held and the jog keys are shown')
             ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
@@ -100,14 +86,11 @@ class SettingsDialog:
                 texts = filled_in(settings)
                 self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
             with ui.element('div').classes('ends'):
-                self._key('defaults').on('click', lambda: self.open(Settings()))
-                self._key('cancel').on('click', self._dialog.close)
-                act_on_shown(self._key('use'), 'click', self._fields.values(), self._accept)
+                key('defaults', 'defaults settings', lambda: self.open(Settings()), 'primary')
+                key('cancel', 'cancel settings', self._dialog.close, 'primary')
+                use = key('use', 'use settings', colour='primary')
+                act_on_shown(use, 'click', self._fields.values(), self._accept)
         self._dialog.open()
-
-    @staticmethod
-    def _key(text: str) -> Any:
-        return ui.button(text).props(f'dense no-caps unelevated data-mark="{text} settings"')
 
     @staticmethod
     def _field(choice: Choice, text: str) -> Any:
@@ -136,15 +119,14 @@ class SettingsDialog:
         await self._use(settings)
 
 
-Command = Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]]
 LENGTHS = ('length', 'radius', 'corner_radius')
 
 
 class SetupDialog:
     """Offsets and tools in one page."""
 
-    def __init__(self, setup: SetupClient, command: Command):
-        self._setup, self._command = setup, command
+    def __init__(self, setup: SetupClient, unit: ShownUnit, command: Command):
+        self._setup, self._unit, self._command = setup, unit, command
         self._dialog = ui.dialog()
         self._fields: dict[str, Any] = {}
         self._known: dict[str, tuple[str, float]] = {}  # text of a field, and its value in SI
@@ -161,13 +143,13 @@ class SetupDialog:
         fields = f'repeat({len(axes) + 1}, minmax(4em, 1fr))'
         columns = f'grid-template-columns: 4.5em {fields} auto auto auto'
         with self._dialog, ui.card().classes('setup'):
-            ui.label('offsets [mm, deg]').classes('title')
+            self._title('offsets [mm, deg]')
             with ui.element('div').classes('rows').style(columns):
                 for text in ('', *axes, ROTATION, '', '', ''):
                     ui.label(text).classes('name')
                 for name in (*WORK_OFFSETS, 'G92'):
                     self._offset_row(name, axes)
-            ui.label('tools [mm]').classes('title')
+            self._title('tools [mm]')
             with ui.element('div').classes('rows tools'):
                 for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
                     ui.label(text).classes('name')
@@ -180,14 +162,14 @@ class SetupDialog:
                 told = ui.label(f'last change by {table.changed_by}: {table.change}')
                 told.classes('small').props('data-mark="setup change"')
             with ui.element('div').classes('ends'):
-                self._key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
-                self._key('close', 'close setup', self._dialog.close)
+                key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
+                key('close', 'close setup', self._dialog.close)
         self._dialog.open()
 
     # Building -----------------------------------------------------------------------------------
 
-    def _name(self, text: str) -> None:
-        ui.label(text).classes('value')
+    def _title(self, text: str) -> None:
+        ui.label(self._unit.now.named(text)).classes('title')
 
     def _field(self, mark: str, text: str, value: float | None = None) -> None:
         field = ui.input(value=text).props(f'dense data-mark="{mark}"')
@@ -195,36 +177,32 @@ class SetupDialog:
         if value is not None:
             self._known[mark] = text, value
 
-    def _key(self, text: str, mark: str, act: Callable[[], Any] | None = None) -> Any:
-        key = ui.button(text, on_click=act, color='blue-grey-8')
-        return key.props(f'dense no-caps unelevated data-mark="{mark}"')
-
     def _reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
         """Make a key that reads fields of the dialog."""
-        act_on_shown(self._key(text, mark), 'click', self._fields.values(), act)
+        act_on_shown(key(text, mark), 'click', self._fields.values(), act)
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
         """Make the row of one offset; what is not set is empty."""
         setup = self._setup.setup
         position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
-        self._name(f'{name} ●' if active else name)
+        ui.label(f'{name} ●' if active else name).classes('value')
         turned = [ROTATION] if name != 'G92' else []
         for letter in (*axes, *turned):
             value = position.get(letter)
-            text = '' if value is None else shown(letter, value)
+            text = '' if value is None else self._unit.now.shown(letter, value)
             self._field(f'{name} {letter}', text, value)
         if not turned:
             ui.label('')
         act = partial(self._set_offset, name, [*axes, *turned])
         self._reading_key('set', f'set {name}', act)
         clear = partial(self._ask, 'set_offset', offset=name, clear=True)
-        self._key('clear', f'clear {name}', clear)
+        key('clear', f'clear {name}', clear)
         if name == 'G92':
             ui.label('')
         else:
             use = partial(self._ask, 'set_offset', offset=name, activate=True)
-            self._key('use', f'use {name}', use)
+            key('use', f'use {name}', use)
 
     def _tool_row(self, number: int | None) -> None:
         """Make the row of one tool, or the one for a new tool."""
@@ -233,18 +211,19 @@ class SetupDialog:
         if number is None:
             self._field(f'{mark} number', '')
         else:
-            self._name(f'{number} ●' if number == setup.tool else str(number))
+            ui.label(f'{number} ●' if number == setup.tool else f'{number}').classes('value')
         tool = None if number is None else setup.tools[number]
         for name in LENGTHS:
             value = None if tool is None else getattr(tool, name)
-            self._field(f'{mark} {name}', '' if value is None else f'{value / MM:.3f}', value)
+            text = '' if value is None else self._unit.now.length(value)
+            self._field(f'{mark} {name}', text, value)
         self._field(f'{mark} remark', '' if tool is None else tool.remark)
         self._reading_key('set', f'set {mark}', partial(self._set_tool, mark, number))
         if number is None:
             return
         remove = partial(self._ask, 'set_tool', number=number, remove=True)
-        self._key('remove', f'remove {mark}', remove)
-        self._key('in the spindle', f'load {mark}', partial(self._load, number))
+        key('remove', f'remove {mark}', remove)
+        key('in the spindle', f'load {mark}', partial(self._load, number))
 
     # Commands -----------------------------------------------------------------------------------
 
@@ -294,13 +273,13 @@ class SetupDialog:
 
     async def _set_offset(self, name: str, axes: list[str]) -> None:
         """Set an offset to what its fields say; an empty field removes the value."""
-        values = self._values({k: (f'{name} {k}', unit_of(k)) for k in axes})
+        values = self._values({k: (f'{name} {k}', self._unit.now.of(k)) for k in axes})
         if values is not None:
-            await self._ask('set_offset', offset=name, clear=True, **_of_axes(values))
+            await self._ask('set_offset', offset=name, clear=True, **of_axes(values))
 
     async def _set_tool(self, mark: str, number: int | None) -> None:
         """Set a tool to what its fields say."""
-        marks = {name: (f'{mark} {name}', MM) for name in LENGTHS}
+        marks = {name: (f'{mark} {name}', self._unit.now.size) for name in LENGTHS}
         if number is None:
             marks['number'] = f'{mark} number', 1.0
         values = self._values(marks)
@@ -314,60 +293,3 @@ class SetupDialog:
     async def _load(self, number: int) -> None:
         """Tell which tool is in the spindle."""
         await self._ask('set_tool', number=number, load=True)
-
-
-def _of_axes(values: dict[str, float]) -> dict[str, Any]:
-    """Return values by axis letter as fields of a request."""
-    return {'axes': list(values), 'values': list(values.values())}
-
-
-class TouchOffField:
-    """What the axes read where they stand, in one page; it covers nothing but the view."""
-
-    def __init__(
-        self,
-        setup: SetupClient,
-        axes: tuple[str, ...],
-        length: Callable[[], float],
-        command: Command,
-    ):
-        self._setup, self._length, self._command = setup, length, command
-        self._fields: dict[str, Any] = {}
-        with ui.element('div').classes('pose touch') as self._box:
-            ui.label('touch off: here reads, in the active offset').classes('small wide')
-            for name in axes:
-                field = ui.input().props('dense outlined inputmode=decimal autocomplete=off')
-                self._fields[name] = field.props(f'prefix={name} data-mark="here {name}"')
-            key = ui.button('touch off', color='blue-grey-8')
-            key.props('dense unelevated no-caps data-mark="touch off"').classes('wide')
-            act_on_shown(key, 'click', self._fields.values(), self._touch_off)
-        self._box.set_visibility(False)
-
-    def toggle(self) -> None:
-        """Show the fields, or hide them."""
-        self._box.set_visibility(not self._box.visible)
-
-    async def _touch_off(self) -> None:
-        """Set the active offset from where the axes stand; what is empty stays as it is."""
-        texts = {name: str(field.value or '').strip() for name, field in self._fields.items()}
-        try:
-            values = {
-                name: float(text.replace(',', '.'))
-                * (self._length() if unit_of(name) == MM else unit_of(name))
-                for name, text in texts.items()
-                if text
-            }
-            if not values or not all(map(math.isfinite, values.values())):
-                raise ValueError
-        except ValueError:
-            ui.notify('write numbers; a field that is empty stays as it is', type='warning')
-            return
-
-        async def asked() -> Answer:
-            request = self._setup.ask('touch_off', **_of_axes(values))
-            answer = await asyncio.wrap_future(request)
-            if answer.ok:
-                ui.notify(answer.message.partition(': ')[2])
-            return answer
-
-        await self._command(asked)

@@ -1,5 +1,5 @@
 """
-Motion by hand on a page: keys that move an axis while they are held or by steps, and a pose.
+Motion by hand on a page: keys that move an axis while they are held, or by steps.
 
 The browser repeats a beat while a key is held (``hand_motion.js``), and each one becomes a beat of
 topic ``jog``. It names the last beat of the server that the page has heard. So a beat that was on
@@ -8,11 +8,10 @@ its way for long is known, and does not count.
 
 from __future__ import annotations
 
-import asyncio
 import json
-import math
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,13 @@ from cnc_interp_msgs.msg import Jog
 from cnc_interp_msgs.srv import MoveAxes
 from nicegui import events, ui
 
-from cnc_interp.client.operator_client import Answer, OperatorClient
-from cnc_interp.core.units import MM
+from cnc_interp.client.length_unit import LengthUnit
+from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.core.units import MINUTE
 from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
-from cnc_interp.machine_model.machine import Axis, Machine
-from cnc_interp.page.contact import act_on_shown
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.page.contact import Command, asked, key
+from cnc_interp.page.shown_unit import ShownUnit
 
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {
@@ -35,10 +36,10 @@ ARROWS = {
 CROSS = 'XYZ'
 #: Name of the motion along the tool among the axes.
 TOOL = 'tool'
-#: Step of a key [mm, deg]; without one the axis moves while the key is held.
-HOLD, STEPS = 'hold', ('0.01', '0.1', '1', '10')
-#: Speeds along a linear axis or the tool [mm/min], of a rotary axis [deg/min]; the one at first.
-SPEEDS, SPEED = ('100', '300', '1000', '3000', '10000'), '300'
+#: In the place of a step: the axis moves while its key is held.
+HOLD = 'hold'
+#: The speed at first, counted from the slowest.
+SPEED = 1
 #: An axis nearer than this to the end of its travel is there [m, rad].
 AT_END = 1e-6
 #: A beat that names an older beat of the server was on its way for too long [s].
@@ -52,15 +53,11 @@ def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
     return Jog(axes=[name], shares=[share]) if name in axes else Jog()
 
 
-def step_of(name: str, distance: float, speed: float, axes: tuple[Axis, ...]) -> MoveAxes.Request:
-    """Return the request that moves an axis, or along the tool, by a distance [mm, deg]."""
-    request = MoveAxes.Request(relative=True, speed=speed)
+def step_of(name: str, distance: float, speed: float) -> MoveAxes.Request:
+    """Return the request that moves an axis, or along the tool, by a distance [m, rad]."""
     if name == TOOL:
-        request.tool = distance * MM
-    else:
-        (axis,) = (axis for axis in axes if axis.name == name)
-        request.axes, request.values = [name], [distance * axis.shown_size]
-    return request
+        return MoveAxes.Request(relative=True, speed=speed, tool=distance)
+    return MoveAxes.Request(relative=True, speed=speed, axes=[name], values=[distance])
 
 
 class JogPad:
@@ -71,16 +68,18 @@ class JogPad:
         machine: Machine,
         nodes: OperatorClient,
         may_move: Callable[[], bool],
-        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+        unit: ShownUnit,
+        command: Command,
     ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
+        self._unit = unit
         self._told = ''  # the end of travel that was told last
         self._nodes, self._may_move, self._command = nodes, may_move, command
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
         with ui.element('div').classes('jog') as self._pad:
-            steps = ui.toggle([HOLD, *STEPS], value=HOLD, on_change=self._choose)
-            steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
+            self._steps = ui.toggle([HOLD], value=HOLD, on_change=self._choose)
+            self._steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
             crossed = [name for name in CROSS if name in self._names]
             with ui.element('div').classes('cross'):
                 for name in crossed:
@@ -92,25 +91,31 @@ class JogPad:
                     ui.label(name).classes('name')
                     self._key(name, 1)
             with ui.element('div').classes('slide'):
-                ui.label('speed, mm/min or °/min')
-                self._speed = ui.toggle(list(SPEEDS), value=SPEED)
+                unit.label('speed, mm/min or °/min')
+                self._speed = ui.toggle([''], value='')
                 self._speed.props('dense no-caps unelevated color=blue-grey-9')
                 self._speed.props('data-mark="jog speed"')
             self._homes = self._home_keys(tuple(machine.homing.switches))
         self._pad.props(f'data-step={HOLD}').set_visibility(False)
+        self._offer(unit.now)
+        unit.follow(self._offer)
         ui.on('jog', self._beat)
+
+    def _offer(self, unit: LengthUnit) -> None:
+        """Offer the steps and the speeds of a unit."""
+        self._steps.set_options([HOLD, *unit.steps], value=HOLD)
+        self._speed.set_options(list(unit.speeds), value=unit.speeds[SPEED])
 
     def _key(self, name: str, sign: int, text: str = '') -> None:
         """Make one key."""
         text = text or ('+' if sign > 0 else '−')
-        key = ui.button(text, color='blue-grey-8').classes('moves')
-        key.classes(f'{name.lower()}{"plus" if sign > 0 else "minus"}')
-        key.props(f'dense unelevated no-caps data-mark="jog {name}{"+" if sign > 0 else "-"}"')
-        key.on(
+        made = key(text, f'jog {name}{"+" if sign > 0 else "-"}').classes('moves')
+        made.classes(f'{name.lower()}{"plus" if sign > 0 else "minus"}')
+        made.on(
             'pointerdown',
             js_handler=f'(event) => jog.press(event, {json.dumps(name)}, {sign})',
         )
-        key.on('click', lambda: self._move(name, sign))
+        made.on('click', lambda: self._move(name, sign))
 
     def _home_keys(self, switches: tuple[str, ...]) -> dict[str, Any]:
         """Make a key that homes all axes with a switch, and one for each of them."""
@@ -119,19 +124,14 @@ class JogPad:
         keys = {}
         with ui.element('div').classes('homes'):
             for name in ('', *switches):
-                key = ui.button(f'home {name}' if name else 'home all', color='blue-grey-8')
-                key.classes('moves').props(f'dense unelevated no-caps data-mark="home {name}"')
-                key.on('click', lambda name=name: self._home((name,) if name else ()))
-                keys[name] = key
+                axes = (name,) if name else ()
+                act = partial(self._home, axes)
+                keys[name] = key(f'home {name or "all"}', f'home {name}', act).classes('moves')
         return keys
 
     async def _home(self, axes: tuple[str, ...]) -> None:
         """Home axes, all where none is named."""
-
-        async def homed() -> Answer:
-            return await asyncio.wrap_future(self._nodes.home(axes))
-
-        await self._command(homed)
+        await self._command(asked(self._nodes.home, axes))
 
     def show(self, state: Any) -> None:
         """Show by the colour of their keys which axes must still be homed."""
@@ -139,24 +139,27 @@ class JogPad:
             return
         self._shown = list(state.homed)
         known = dict(zip(self._names, state.homed, strict=True))
-        for name, key in self._homes.items():
+        for name, one in self._homes.items():
             done = known[name] if name else all(known.values())
-            key.props(f'color={"blue-grey-8" if done else "warning"}')
+            one.props(f'color={"blue-grey-8" if done else "warning"}')
 
     @property
     def speed(self) -> float:
         """The share of the largest velocities with which no axis passes the chosen speed [-]."""
         return min(map(self._share, self._names))
 
+    def _size(self, name: str, text: str) -> float:
+        """Return an amount of an axis, or along the tool [m, rad]."""
+        return float(text) * (self._unit.now.size if name == TOOL else self._unit.now.of(name))
+
     def _share(self, name: str) -> float:
         """Return the share of an axis' largest velocity, or of that along the tool [-]."""
-        speed = float(self._speed.value) / 60.0
         if name == TOOL:
-            share = speed * MM / float(self._along_tool().limits[0, 0])
+            most = float(self._along_tool().limits[0, 0])
         else:
-            axis = self._axes[self._names.index(name)]
-            share = speed * axis.shown_size / axis.max_velocity
-        return min(max(share, LEAST_SHARE), 1.0)
+            most = self._axes[self._names.index(name)].max_velocity
+        speed = self._size(name, self._speed.value) / MINUTE
+        return min(max(speed / most, LEAST_SHARE), 1.0)
 
     def _along_tool(self) -> Slides:
         """Return the motion along the tool from where the axes stand."""
@@ -173,10 +176,10 @@ class JogPad:
             left, at = float(self._along_tool().travel[int(sign > 0)]), ''
         else:
             i = self._names.index(name)
-            axis = self._axes[i]
-            end = axis.travel[int(sign > 0)]
+            end = self._axes[i].travel[int(sign > 0)]
             left = end - state.commanded_positions[i]
-            at = f': {axis.position_text(end)} {axis.shown_unit}'
+            unit = self._unit.now.name if self._axes[i].linear else '°'
+            at = f': {self._unit.now.shown(name, end)} {unit}'
         return '' if abs(left) > AT_END else f'{name} is at the end of its travel{at}'
 
     def toggle(self) -> None:
@@ -190,15 +193,9 @@ class JogPad:
 
     async def _move(self, name: str, sign: int) -> None:
         """Move by a step."""
-        if self._step == HOLD:
-            return
-        speed = self._share(name)
-        request = step_of(name, sign * float(self._step), speed, self._axes)
-
-        async def moved() -> Answer:
-            return await asyncio.wrap_future(self._nodes.move_axes(request))
-
-        await self._command(moved)
+        if self._step != HOLD:
+            step = step_of(name, sign * self._size(name, self._step), self._share(name))
+            await self._command(asked(self._nodes.move_axes, step))
 
     def _beat(self, event: events.GenericEventArguments) -> None:
         """Pass a beat on, unless it is old or this page does not command; a stop is never old."""
@@ -212,74 +209,3 @@ class JogPad:
             if end and end != self._told:
                 ui.notify(end, type='warning')
             self._told = end
-
-
-TIP, AXIS = 'XYZ', 'IJK'
-
-
-def pose_request(texts: dict[str, str], speed: float) -> MoveAxes.Request:
-    """Return the request that moves the tool to a pose; an empty field stays as it is."""
-    values = {name: float(text.replace(',', '.')) for name, text in texts.items() if text}
-    if not values or not all(map(math.isfinite, values.values())):
-        raise ValueError('write numbers')
-    request = MoveAxes.Request(speed=speed)
-    request.tip = [values.get(name, math.nan) * MM for name in TIP]
-    if set(values) & set(AXIS):
-        request.axis = [values.get(name, 0.0) for name in AXIS]
-    return request
-
-
-class PoseField:
-    """The fields in one page."""
-
-    def __init__(
-        self,
-        nodes: OperatorClient,
-        speed: Callable[[], float],
-        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
-    ):
-        self._nodes, self._speed, self._command = nodes, speed, command
-        self._fields: dict[str, Any] = {}
-        with ui.element('div').classes('pose') as self._box:
-            ui.label('go to a pose: tool tip in the workpiece, mm; tool axis').classes(
-                'small wide'
-            )
-            for name in TIP + AXIS:
-                field = ui.input()
-                field.props(f'dense outlined inputmode=decimal autocomplete=off prefix={name}')
-                self._fields[name] = field.props(f'data-mark="pose {name}"')
-            self._key('here').on('click', self._take_here)
-            go = self._key('go there').classes('moves')
-            act_on_shown(go, 'click', self._fields.values(), self._go)
-        self._box.set_visibility(False)
-
-    @staticmethod
-    def _key(text: str) -> Any:
-        key = ui.button(text, color='blue-grey-8')
-        return key.props(f'dense unelevated no-caps data-mark="{text}"')
-
-    def toggle(self) -> None:
-        """Show the fields, or hide them."""
-        self._box.set_visibility(not self._box.visible)
-
-    def _take_here(self) -> None:
-        """Write where the tool is."""
-        if (state := self._nodes.state) is not None:
-            texts = [f'{value / MM:z.3f}' for value in state.tip]
-            texts += [f'{value:z.5f}' for value in state.axis]
-            for field, text in zip(self._fields.values(), texts, strict=True):
-                field.set_value(text)
-
-    async def _go(self) -> None:
-        """Move to what the fields say."""
-        texts = {name: str(field.value or '').strip() for name, field in self._fields.items()}
-        try:
-            request = pose_request(texts, self._speed())
-        except ValueError:
-            ui.notify('write numbers; a field that is empty stays as it is', type='warning')
-            return
-
-        async def moved() -> Answer:
-            return await asyncio.wrap_future(self._nodes.move_axes(request))
-
-        await self._command(moved)

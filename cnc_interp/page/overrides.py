@@ -7,6 +7,8 @@ from typing import Any
 
 from nicegui import events, ui
 
+from cnc_interp.page.contact import key
+
 #: Largest override, and the step of its keys [%].
 MOST, STEP = 150, 5
 #: Keys of the rapid override [%].
@@ -37,21 +39,16 @@ class OverrideSlider:
             self._text = ui.label('100%').classes('value')
         with ui.element('div').classes('steps'):
             keys = [
-                self._key('slower', '−', lambda: self._slider.value - STEP),
-                self._key('faster', '+', lambda: self._slider.value + STEP),
-                self._key('100%', '100%', lambda: 100),
+                key('−', 'slower', lambda: self._move(self._slider.value - STEP)),
+                key('+', 'faster', lambda: self._move(self._slider.value + STEP)),
+                key('100%', act=lambda: self._move(100)),
             ]
         self.elements = (self._slider, *keys)
 
-    def _key(self, name: str, text: str, wanted: Callable[[], float]) -> Any:
-        """Make a key that moves the slider."""
-
-        def press() -> None:
-            self._slider.set_value(min(max(wanted(), 0), MOST))
-            self._slider.update()
-
-        key = ui.button(text, on_click=press, color='blue-grey-8')
-        return key.props(f'dense unelevated no-caps data-mark="{name}"')
+    def _move(self, percent: float) -> None:
+        """Move the slider."""
+        self._slider.set_value(min(max(percent, 0), MOST))
+        self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
         """
@@ -104,8 +101,7 @@ class RapidKeys:
             if self._may_set():
                 self._wish(percent / 100)
 
-        key = ui.button(f'{percent}%', on_click=press, color='blue-grey-9')
-        return key.props(f'dense unelevated no-caps data-mark="rapid {percent}%"')
+        return key(f'{percent}%', f'rapid {percent}%', press, 'blue-grey-9')
 
     def show(self) -> None:
         """Light the key of the value that counts; another value stands beside."""
@@ -115,10 +111,10 @@ class RapidKeys:
         self._shown = value
         lit = round(100 * value, 6)
         self._text.set_text('rapids' if lit in self.keys else f'rapids {lit:g}%')
-        for percent, key in self.keys.items():
+        for percent, one in self.keys.items():
             on = percent == lit
             colour, pressed = ('primary', 'true') if on else ('blue-grey-9', 'false')
-            key.props(f'color={colour} aria-pressed={pressed}')
+            one.props(f'color={colour} aria-pressed={pressed}')
 
 
 class Switch:

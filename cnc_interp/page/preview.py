@@ -153,24 +153,9 @@ class Planner:
         setup: str = '',
     ) -> Preview:
         """
-        Plan a program.
+        Plan a program that ``keep`` has written, with the text of a setup file.
 
-        Parameters
-        ----------
-        program : Path
-            Its file, as ``keep`` has written it.
-        settings : Settings
-            The choices of the run.
-        see_progress : callable
-            Told how far it is, as `cnc-interp plan` says it.
-        setup : str
-            Text of a setup file; empty where the settings name one, or none is wanted.
-
-        Raises
-        ------
-        InterpError
-            With what `cnc-interp plan` says, one reason in a line; without the program's folder.
-
+        Raises InterpError with what `cnc-interp plan` says, one reason in a line.
         """
         if setup:
             file = Path(self._folder.name) / 'offsets and tools.yaml'
@@ -198,7 +183,7 @@ class Planner:
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-            preexec_fn=be_last,
+            preexec_fn=lambda: os.nice(NICENESS),  # the nodes come first
         )  # fmt: skip
         self._process = process
         assert process.stdout is not None
@@ -234,8 +219,3 @@ class Planner:
         """End everything."""
         self.stop()
         self._folder.cleanup()
-
-
-def be_last() -> None:
-    """Give the nodes priority over this process."""
-    os.nice(NICENESS)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 from nicegui import events, ui
 
 from cnc_interp.client.mdi import LineHistory, modes_text
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.page.contact import act_on_shown
+from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.desk import Job
 from cnc_interp.page.readings import NOTHING
 
@@ -25,24 +27,11 @@ class Listing:
         find.props('dense outlined autocomplete=off spellcheck=false data-mark="find"')
         find.on('keydown.enter', js_handler='(event) => listing.find(event.target.value)')
         ui.html('<ol></ol>', sanitize=False).classes('lines').props('tabindex=0 data-mark="lines"')
-        key = ui.button('to the line').props('dense no-caps unelevated color=blue-grey-8')
-        key.props('data-mark="to the line"').classes('to-line')
-        key.on('click', js_handler='() => listing.follow()')
+        follow = key('to the line').classes('to-line')
+        follow.on('click', js_handler='() => listing.follow()')
 
     def show(self, job: Job | None, line: int, start: int) -> None:
-        """
-        Show a program.
-
-        Parameters
-        ----------
-        job : Job, optional
-            The program.
-        line : int
-            The line that is executed; 0 if none is.
-        start : int
-            The line at which the run starts; 0 for the top.
-
-        """
+        """Show a program, the line that is executed and the one at which the run starts, or 0."""
         number = job.number if job is not None else 0
         marked = line, job.fault_lines if job is not None else (), start
         if number != self._number:
@@ -59,17 +48,13 @@ class Listing:
 class StartField:
     """Line, pass, and two keys. A line of the program's text is chosen by pressing it, too."""
 
-    def __init__(
-        self,
-        choose: Callable[[int, int], Answer],
-        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
-    ):
+    def __init__(self, choose: Callable[[int, int], Answer], command: Command):
         self._choose, self._command = choose, command
         with ui.element('div').classes('start-field'):
             self._line = self._field('line', 'start line')
             self._pass = self._field('pass', 'start pass')
             self._pass.tooltip('which execution of the line, where loops or calls repeat it')
-            here, top = self.keys = self._key('start here'), self._key('from the top')
+            here, top = self.keys = key('start here'), key('from the top')
             act_on_shown(here, 'click', (self._line, self._pass), self._take)
             top.on('click', lambda: self._give(0, 0))
         ui.on('pick_line', self._pick)
@@ -78,11 +63,6 @@ class StartField:
     def _field(text: str, mark: str) -> Any:
         field = ui.input(placeholder=text)
         return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
-
-    @staticmethod
-    def _key(text: str) -> Any:
-        key = ui.button(text)
-        return key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text}"')
 
     def clear(self) -> None:
         """Forget the line: another program is loaded."""
@@ -119,8 +99,8 @@ class MdiField:
     def __init__(
         self,
         history: LineHistory,
-        give: Callable[[str], Awaitable[Answer]],
-        command: Callable[[Callable[[], Awaitable[Answer]]], Awaitable[None]],
+        give: Callable[[str], Future[Answer]],
+        command: Command,
     ):
         self._history, self._give, self._command = history, give, command
         self._age, self._busy = -1, False
@@ -154,7 +134,7 @@ class MdiField:
             self._history.add(line)
             self._age = -1
             self._tell(f'{line}: moving', failed=False)
-            answer = await self._give(line)
+            answer = await asyncio.wrap_future(self._give(line))
             if answer.ok and str(self.field.value).strip() == line:
                 self.field.set_value('')
             self._tell(answer.message if not answer.ok else f'{line}: done', not answer.ok)

@@ -8,10 +8,11 @@ from html import escape
 from nicegui import ui
 
 from cnc_interp.client.alarms import Alarm, AlarmList
+from cnc_interp.client.length_unit import MILLIMETRES, LengthUnit
 from cnc_interp.client.operator_client import MachineState
-from cnc_interp.client.setup_client import shown
-from cnc_interp.core.units import INCH, MM, MM_PER_MIN, MS, UM
+from cnc_interp.core.units import MS, UM
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.page.contact import key
 from cnc_interp.page.desk import TIP_CODE, Desk
 from cnc_interp.page.preview import Preview
 from cnc_interp.wire.run_messages import state_of
@@ -21,37 +22,21 @@ NOTHING = '–'
 NOT_SHOWN = ('G52', 'TRANS', 'ROT', 'G68', 'G68.2', 'CYCLE800')
 
 
-#: Read-outs of lengths, and of feeds, beside those of linear axes.
-LENGTHS = ('tip x', 'tip y', 'tip z', 'to go')
-FEEDS = ('feed', 'programmed')
-
-
-def in_inches(words: dict[str, str], machine: Machine | None) -> dict[str, str]:
-    """Return read-outs in inches and inches per minute, of those in mm."""
-    found, linear = dict(words), []
-    if machine is not None:
-        linear = [a.name for a, yes in zip(machine.axes, machine.is_linear, strict=True) if yes]
-    lengths = {*LENGTHS, *(f'{what} {name}' for what in ('work', 'axis') for name in linear)}
-    for name, digits in (*((name, 4) for name in lengths), *((name, 1) for name in FEEDS)):
-        if words.get(name, NOTHING) != NOTHING:
-            found[name] = f'{float(words[name]) * MM / INCH:z.{digits}f}'
-    return found
-
-
-def readings(desk: Desk) -> dict[str, str]:
+def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
     """Return the text of every read-out by its name; what is unknown is a dash."""
     state, machine = desk.nodes.state, desk.machine
     silent = desk.nodes.silent
     words = {'state': 'no machine', 'why': f'waiting for {silent}' if silent else ''}
     if state is None or machine is None:
         return words
-    words |= axis_words(state, machine) | work_words(desk, state) | feed_words(desk, state)
+    words |= axis_words(state, machine, unit) | work_words(desk, state, unit)
+    words |= feed_words(desk, state, unit)
     job = desk.job
     if job is not None and not desk.shows_run(state):
         words |= words_before_start(job.plan, desk.nodes.override)
     else:
         words |= progress_words(
-            state, desk.plan_of(state), desk.nodes.override, desk.start_position()
+            state, desk.plan_of(state), desk.nodes.override, desk.start_position(), unit
         )
     words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else state.message
@@ -66,22 +51,22 @@ def readings(desk: Desk) -> dict[str, str]:
     return words
 
 
-def axis_words(state: MachineState, machine: Machine) -> dict[str, str]:
+def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[str, str]:
     """Return machine axes, tool tip and tool axis."""
     words = {
-        f'axis {axis.name}': axis.position_text(value)
-        for axis, value in zip(machine.axes, state.positions, strict=False)
+        f'axis {name}': unit.shown(name, value)
+        for name, value in zip(machine.axis_names, state.positions, strict=False)
     }
     for name, tip, axis in zip('xyz', state.tip, state.axis, strict=True):
-        words[f'tip {name}'] = f'{tip / MM:z.3f}'
+        words[f'tip {name}'] = unit.length(tip)
         words[f'tool {name}'] = f'{axis:+z.5f}'
     return words
 
 
-def work_words(desk: Desk, state: MachineState) -> dict[str, str]:
+def work_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, str]:
     """Return the program's coordinates, and the offset and tool with which they read so."""
     reads, setup = desk.program_coordinates(state), desk.setup.setup
-    words = {f'work {letter}': shown(letter, value) for letter, value in reads.items()}
+    words = {f'work {letter}': unit.shown(letter, value) for letter, value in reads.items()}
     codes = desk.codes()
     parts = [desk.offset(), *(['G92'] if setup.g92_on and setup.g92 else [])]
     parts += [f'without {code}' for code in codes if code in NOT_SHOWN]
@@ -90,20 +75,20 @@ def work_words(desk: Desk, state: MachineState) -> dict[str, str]:
     return words
 
 
-def feed_words(desk: Desk, state: MachineState) -> dict[str, str]:
+def feed_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, str]:
     """Return actual and programmed feed and the override."""
     programmed, _ = desk.feeds(state)
-    asked = f'{programmed / MM_PER_MIN:.0f}' if math.isfinite(programmed) else NOTHING
     return {
-        'feed': f'{state.feedrate / MM_PER_MIN:.0f}',
-        'programmed': asked,
+        'feed': unit.feed(state.feedrate),
+        'programmed': unit.feed(programmed) if math.isfinite(programmed) else NOTHING,
         'override': f'{desk.nodes.override:.0%}',
     }
 
 
 def progress_words(
-    state: MachineState, plan: Preview | None, override: float, start: float = 0.0
-) -> dict[str, str]:
+    state: MachineState, plan: Preview | None, override: float, start: float = 0.0,
+    unit: LengthUnit = MILLIMETRES,
+) -> dict[str, str]:  # fmt: skip
     """
     Return line, progress and times; the time left assumes the override to stay.
 
@@ -116,7 +101,7 @@ def progress_words(
         place = plan.at(start if s <= 0.0 else s)
         words['progress'] = f'{progress(state, plan):.1%}'
         words['left'] = time_at(plan.cycle_time - place.time, override)
-        words['to go'] = f'{(-s if s < 0.0 else max(0.0, place.block_end - s)) / MM:.3f}'
+        words['to go'] = unit.length(-s if s < 0.0 else max(0.0, place.block_end - s))
     words['elapsed'] = clock(state.samples * state.interpolation_period)
     return words
 
@@ -181,18 +166,13 @@ class Messages:
             ui.label('messages, the newest first').classes('title')
             self._history = ui.html('', sanitize=False).classes('history')
             with ui.element('div').classes('ends'):
-                self._key('save', self._save)
-                self._key('close', self._dialog.close)
+                key('save', 'save messages', self._save)
+                key('close', 'close messages', self._dialog.close)
         with ui.element('div').classes('title messages'):
-            ui.html('<h2>messages</h2>', sanitize=False).classes('grow')
-            self._key('history', self._open)
-            self._key('clear', alarms.clear)
+            ui.label('messages').classes('heading grow')
+            key('history', 'history messages', self._open)
+            key('clear', 'clear messages', alarms.clear)
         self._list = ui.html('', sanitize=False).classes('alarms')
-
-    @staticmethod
-    def _key(text: str, act: object) -> None:
-        key = ui.button(text, on_click=act)
-        key.props(f'dense no-caps unelevated color=blue-grey-8 data-mark="{text} messages"')
 
     def _open(self) -> None:
         """Show everything that is kept."""

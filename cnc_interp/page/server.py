@@ -73,15 +73,7 @@ class Served:
 
     @staticmethod
     def prepare(host: str, port: int, token: str, program: Path | None) -> Served:
-        """
-        Take an address and read the program; before any node is started.
-
-        Raises
-        ------
-        InterpError
-            When the address cannot be used or the program cannot be read.
-
-        """
+        """Take an address and read the program, or refuse them, before any node is started."""
         text = read(program) if program is not None else None
         return Served(host, free_port(host, port), token, program.name if program else '', text)
 

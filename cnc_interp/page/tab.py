@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from nicegui import events, ui
 
+from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import SWITCHES, Answer
 from cnc_interp.client.setup_client import work_zero
-from cnc_interp.core.units import INCH, MM, MM_PER_MIN
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
-from cnc_interp.page.contact import AGAIN, LATE, Contact, pressing
+from cnc_interp.page.contact import AGAIN, LATE, Act, Contact, asked, key, pressing
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
-from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, TouchOffField, keyboard_list
-from cnc_interp.page.hand_motion import JogPad, PoseField
+from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
+from cnc_interp.page.hand_motion import JogPad
+from cnc_interp.page.number_fields import PoseField, TouchOffField
 from cnc_interp.page.overrides import OverrideSlider, RapidKeys, Switch
 from cnc_interp.page.program_column import Listing, MdiField, StartField
-from cnc_interp.page.readings import NOTHING, Messages, in_inches, progress, readings
+from cnc_interp.page.readings import NOTHING, Messages, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
+from cnc_interp.page.shown_unit import ShownUnit
+from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.settings.choices import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
@@ -40,7 +45,7 @@ class Page:
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         self._zeros: list[Any] = []
-        self._units: list[tuple[Any, str]] = []  # labels that name a unit, and their text in mm
+        self._unit = ShownUnit()
         self._count = 0
         self._waits = False
         access.enter(tab, trusted)
@@ -56,12 +61,11 @@ class Page:
             with ui.element('div').classes('keys'):
                 self._build_keys()
             with ui.element('div').classes('charts'):
-                self._charts = Charts(desk.machine.axis_names if desk.machine else ())
+                self._charts = Charts(desk.machine.axis_names if desk.machine else (), self._unit)
         self._settings = SettingsDialog(self._use)
-        self._setup = SetupDialog(desk.setup, self._command_in_sight)
+        self._setup = SetupDialog(desk.setup, self._unit, self._command_in_sight)
         self._keyboard = keyboard_list()
-        self._inch = False
-        ui.on('inch', lambda event: self._use_inches(bool(event.args)))
+        ui.on('inch', lambda event: self._unit.use(INCHES if event.args else MILLIMETRES))
         ui.on('pick_point', self._pick_point)
         ui.run_javascript('preferences.apply()')
         ui.timer(PACE, self._show)
@@ -84,8 +88,8 @@ class Page:
             marked(keyboard.props('dense outline no-caps'), 'keyboard').tooltip('keyboard')
             for mark, act in (('inch', '() => preferences.toggle("inch")'),
                               ('light', '() => preferences.toggle("light")')):  # fmt: skip
-                key = ui.button(mark).props('dense outline no-caps').on('click', js_handler=act)
-                marked(key, mark)
+                made = ui.button(mark).props('dense outline no-caps')
+                marked(made.on('click', js_handler=act), mark)
             self._label('rights', '')
             self._take = ui.button('take over', on_click=self._take_over)
             marked(self._take.props('dense outline no-caps'), 'take over')
@@ -94,27 +98,28 @@ class Page:
         axes = self._desk.machine.axes if self._desk.machine else ()
         with ui.element('div').classes('two'):
             self._label('setup', 'work')
-            ui.html('<h2>machine</h2>', sanitize=False)
+            ui.label('machine').classes('heading')
         for axis in axes:
             with ui.element('div').classes('place'):
                 ui.label(axis.name).classes('name')
                 self._label(f'work {axis.name}').tooltip('in the program, mm or °')
                 self._label(f'axis {axis.name}', 'at').tooltip('of the machine, mm or °')
-                self._zero_keys(axis.name)
+                if axis.name not in EXTRA_LETTERS:  # which have no work offset
+                    self._zero_keys(axis.name)
         for title, mark, letters in (
             ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
         ):  # fmt: skip
-            self._unit(ui.label(title).classes('heading'), title)
+            self._unit.label(title).classes('heading')
             with ui.element('div').classes('three'):
                 for letter, name in zip(letters, 'xyz', strict=True):
                     with ui.element('div'):
                         ui.label(letter).classes('name')
                         self._label(f'{mark} {name}')
-        ui.html('<h2>feed</h2>', sanitize=False)
+        ui.label('feed').classes('heading')
         self._pair('actual', 'feed', 'mm/min', 'pair feed')
         self._pair('programmed', 'programmed', 'mm/min')
         self._pair('override', 'override', '')
-        ui.html('<h2>run</h2>', sanitize=False)
+        ui.label('run').classes('heading')
         self._pair('distance to go', 'to go', 'mm')
         with ui.element('div').classes('two'):
             for title, name in (
@@ -134,58 +139,30 @@ class Page:
         desk = self._desk
         for text, mark, act, hint in (
             ('0', f'zero {letter}', lambda: desk.zero(letter), 'reads 0 here from now on'),
-            ('→0', f'go to zero {letter}', lambda: desk.give_line(f'G90 G0 {letter}0'),
+            ('→0', f'go to zero {letter}', asked(desk.nodes.give_line, f'G90 G0 {letter}0'),
              'moves there at once, as a rapid'),
         ):  # fmt: skip
-            key = ui.button(text, on_click=lambda _, act=act: self._command_in_sight(act))
-            key.props('dense flat no-caps').tooltip(f'{mark}: {hint}')
-            self._zeros.append(marked(key.classes('moves' if 'go' in mark else ''), mark))
-
-    def _unit(self, label: Any, text: str) -> None:
-        """Remember a label whose text names a unit."""
-        self._units.append((label, text))
+            made = ui.button(text, on_click=lambda _, act=act: self._command_in_sight(act))
+            made.props('dense flat no-caps').tooltip(f'{mark}: {hint}')
+            self._zeros.append(marked(made.classes('moves' if 'go' in mark else ''), mark))
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
             ui.label(title).classes('name')
             self._label(name)
-            self._unit(ui.label(unit).classes('unit' if unit else ''), unit)
+            self._unit.label(unit).classes('unit' if unit else '')
 
     def _build_view(self) -> None:
         description = self._desk.description
         self._view = MachineView(description) if description else None
-        with ui.element('div').classes('over'):
+        with ui.element('div').classes('over') as self._over:
             looks = ui.toggle(['part', 'machine'], value='part', on_change=self._look)
             marked(looks.props('dense no-caps unelevated color=blue-grey-9'), 'look')
             for name in VIEWS:
-                key = ui.button(name, on_click=lambda _, name=name: self._look_from(name))
-                marked(key.props('dense no-caps unelevated color=blue-grey-9'), f'from {name}')
-            jog = ui.button('jog').props('dense no-caps unelevated color=blue-grey-9')
-            marked(jog, 'jog')
-            pose = ui.button('pose').props('dense no-caps unelevated color=blue-grey-9')
-            marked(pose, 'pose')
-            touch = ui.button('touch off').props('dense no-caps unelevated color=blue-grey-9')
-            marked(touch, 'show touch off')
-            offsets = ui.button('offsets', on_click=lambda: self._setup.open())
-            marked(offsets.props('dense no-caps unelevated color=blue-grey-9'), 'offsets')
+                key(name, f'from {name}', partial(self._look_from, name), 'blue-grey-9')
         self._pad: JogPad | None = None
         if self._desk.machine is not None:
-            self._pad = pad = JogPad(
-                self._desk.machine,
-                self._desk.nodes,
-                lambda: self._in_charge,
-                self._command_in_sight,
-            )
-            jog.on_click(pad.toggle)
-            field = PoseField(self._desk.nodes, lambda: pad.speed, self._command_in_sight)
-            pose.on_click(field.toggle)
-            reads = TouchOffField(
-                self._desk.setup,
-                self._desk.machine.axis_names,
-                lambda: self._length,
-                self._command_in_sight,
-            )
-            touch.on_click(reads.toggle)
+            self._build_hand_motion(self._desk.machine)
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -193,6 +170,20 @@ class Page:
             )
             self._label('scale', '')
         self._label('start', 'told')
+
+    def _build_hand_motion(self, machine: Machine) -> None:
+        """Make what moves axes and sets offsets, hidden, and the keys that show it."""
+        nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
+        pad = JogPad(machine, nodes, lambda: self._in_charge, self._unit, command)
+        pose = PoseField(nodes, lambda: pad.speed, self._unit, command)
+        axes = [name for name in machine.axis_names if name not in EXTRA_LETTERS]
+        touch = TouchOffField(setup, axes, self._unit, command)
+        with self._over:
+            key('jog', 'jog', pad.toggle, 'blue-grey-9')
+            key('pose', 'pose', partial(pose.toggle, touch), 'blue-grey-9')
+            key('touch off', 'show touch off', partial(touch.toggle, pose), 'blue-grey-9')
+            key('offsets', 'offsets', lambda: self._setup.open(), 'blue-grey-9')
+        self._pad = pad
 
     def _build_program(self) -> None:
         desk = self._desk
@@ -205,13 +196,10 @@ class Page:
             upload.disable()  # until the page is in charge: then nothing is taken from others
             self._upload = upload
             check = self._answer(self._desk.check)
-            self._loader = ui.button('load', on_click=lambda: self._pick(waits=False))
-            self._follower = ui.button('queue next', on_click=lambda: self._pick(waits=True))
-            self._checker = ui.button('check', on_click=lambda: self._command(check))
-            self._setter = ui.button('settings', on_click=self._open_settings)
-            for button in (self._loader, self._follower, self._checker, self._setter):
-                button.props('dense no-caps unelevated color=blue-grey-8')
-                marked(button, button.text)
+            self._loader = key('load', act=lambda: self._pick(waits=False))
+            self._follower = key('queue next', act=lambda: self._pick(waits=True))
+            self._checker = key('check', act=lambda: self._command(check))
+            self._setter = key('settings', act=lambda: self._settings.open(desk.settings))
             self._follower.tooltip('choose a program that starts when the running one has ended')
         self._label('status', 'status small')
         with ui.element('div').classes('title') as self._next:
@@ -223,7 +211,7 @@ class Page:
             self._bar = ui.element('div')
         self._listing = Listing()
         self._start = StartField(desk.choose_start, self._command)
-        self._mdi = MdiField(desk.lines, desk.give_line, self._command_in_sight)
+        self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 
     def _build_keys(self) -> None:
@@ -283,12 +271,12 @@ class Page:
     def _in_charge(self) -> bool:
         return self._trusted and self._access.is_in_charge(self._tab)
 
-    async def _command(self, act: Callable[[], Awaitable[Answer]]) -> None:
+    async def _command(self, act: Act) -> None:
         """Do what was asked for, or say why not."""
         if self._allowed():
             await self._do(act)
 
-    async def _command_in_sight(self, act: Callable[[], Awaitable[Answer]]) -> None:
+    async def _command_in_sight(self, act: Act) -> None:
         """Do what must not come late."""
         if self._in_sight():
             await self._command(act)
@@ -307,7 +295,7 @@ class Page:
             await self._do(self._trigger(name))
 
     @staticmethod
-    async def _do(act: Callable[[], Awaitable[Answer]]) -> None:
+    async def _do(act: Act) -> None:
         answer = await act()
         if not answer.ok:
             ui.notify(answer.message, type='negative')
@@ -318,11 +306,11 @@ class Page:
             ui.notify('view only: press "take over" first', type='warning')
         return self._in_charge
 
-    def _trigger(self, name: str) -> Callable[[], Awaitable[Answer]]:
+    def _trigger(self, name: str) -> Act:
         return lambda: self._desk.trigger(name)
 
     @staticmethod
-    def _answer(act: Callable[[], Answer]) -> Callable[[], Awaitable[Answer]]:
+    def _answer(act: Callable[[], Answer]) -> Act:
         async def done() -> Answer:
             return act()
 
@@ -342,10 +330,6 @@ class Page:
             await self._command(self._answer(lambda: self._desk.load(name, text)))
         self._upload.reset()
 
-    def _open_settings(self) -> None:
-        """Show the settings of the next run."""
-        self._settings.open(self._desk.settings)
-
     async def _use(self, settings: Settings) -> None:
         """Take the settings of the dialog over."""
         await self._command(self._answer(lambda: self._desk.choose(settings)))
@@ -358,17 +342,6 @@ class Page:
                 'to take over, open the page with the address that was printed at start',
                 type='warning',
             )
-
-    @property
-    def _length(self) -> float:
-        """The unit of lengths on this page [m]."""
-        return INCH if self._inch else MM
-
-    def _use_inches(self, on: bool) -> None:
-        """Show lengths and feeds in inches, or in mm."""
-        self._inch = on
-        for label, text in self._units:
-            label.set_text(text.replace('mm', 'in') if on else text)
 
     def _pick_point(self, event: events.GenericEventArguments) -> None:
         """Take the line that leads to the point of the path that was pressed in the view."""
@@ -398,9 +371,7 @@ class Page:
             return
         desk = self._desk
         state, job = desk.nodes.state, desk.job
-        words = readings(desk)
-        if self._inch:
-            words = in_inches(words, desk.machine)
+        words = readings(desk, self._unit.now)
         words['program'] = job.name if job else 'no program'
         if self._changed('failed', job is not None and job.failed):
             failed = ' failed' if self._shown['failed'] else ''
@@ -433,9 +404,9 @@ class Page:
                 self._view.show_path(desk.tube_number, job.plan)
                 if desk.shown_plan(state) is not None:
                     self._view.show_done(desk.drawn_until(state.path_position))
-                top = job.plan.usual_feed / (MM_PER_MIN * self._length / MM)
-                unit = 'in/min' if self._inch else 'mm/min'
-                if self._changed('scale', f'0 to {top:.0f} {unit}, planned feed'):
+                unit = self._unit.now
+                top = unit.per_minute(job.plan.usual_feed)
+                if self._changed('scale', f'0 to {top:.0f} {unit.name}/min, planned feed'):
                     self._labels['scale'].set_text(self._shown['scale'])
         self._count += 1
         if self._count % CHART_EVERY == 0:
@@ -446,7 +417,7 @@ class Page:
         way, desk = self._desk.way_ahead(), self._desk
         if self._view is not None:
             self._view.show_way(way)
-        if self._changed('job', desk.job.number if desk.job else 0):
+        if self._changed('laid', desk.laid):
             self._start.clear()
         if in_program(desk.nodes.state):
             return way.text if way is not None else ''

@@ -21,6 +21,7 @@ from nodes_under_test import hear_ctrl_c
 
 from cnc_interp import page
 from cnc_interp.client.alarms import Alarm, AlarmList
+from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import SWITCHES
 from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.commands.cli import main
@@ -30,7 +31,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page import server
 from cnc_interp.page.access import ADDRESSES, LATELY, TRIES, Access, TooManyTriesError
 from cnc_interp.page.desk import Job
-from cnc_interp.page.dialogs import KEYBOARD, MEANINGS
+from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
 from cnc_interp.page.overrides import RAPIDS
 from cnc_interp.page.preview import DRAWN, Preview, thinned
@@ -149,11 +150,13 @@ def test_read_outs_are_in_the_words_of_the_shop():
         positions=[0.0123456, -0.5, 0.0, 0.25, -12.3456 * DEG], tip=[0.001, 0.002, -0.003],
         axis=[0.0, 0.6, 0.8], line_number=12, samples=75500, interpolation_period=0.001,
     )  # fmt: skip
-    words = axis_words(state, Machine.load('xyzac'))
+    words = axis_words(state, Machine.load('xyzac'), MILLIMETRES)
     assert [words[f'axis {x}'] for x in 'XYZ'] == ['12.346', '-500.000', '0.000']
     assert words['axis C'] == '-12.3456'
     assert [words[f'tip {x}'] for x in 'xyz'] == ['1.000', '2.000', '-3.000']
     assert words['tool z'] == '+0.80000'
+    words = axis_words(state, Machine.load('xyzac'), INCHES)
+    assert (words['axis X'], words['tip y'], words['axis C']) == ('0.4860', '0.0787', '-12.3456')
     words = progress_words(state, None, 1.0)
     assert (words['line'], words['elapsed'], words['left']) == ('12', '1:15.5', '–')
     assert clock(3 * 3600 + 62.04) == '3:01:02.0'
@@ -313,12 +316,11 @@ def test_cleared_messages_stay_in_the_history():
 
 
 def test_keys_of_the_pad_become_beats_and_steps():
-    axes = Machine.load('xyzac').axes
-    names = tuple(axis.name for axis in axes)
+    names = Machine.load('xyzac').axis_names
     assert beat_of('A', -0.2, names) == Jog(axes=['A'], shares=[-0.2])
     assert beat_of('tool', 0.2, names) == Jog(tool=0.2)
     assert beat_of('', 0.2, names) == beat_of('Q', 0.2, names) == Jog()
-    turn, along = step_of('C', -10.0, 0.5, axes), step_of('tool', 0.1, 1.0, axes)
+    turn, along = step_of('C', -10.0 * DEG, 0.5), step_of('tool', 0.1 * MM, 1.0)
     assert (turn.axes, list(turn.values), turn.relative) == (['C'], [-10.0 * DEG], True)
     assert (along.tool, along.relative, along.speed) == (0.1 * MM, True, 1.0)
     assert {name for name, _ in ARROWS.values()} <= set(names)
@@ -328,9 +330,8 @@ def test_what_is_listed_of_the_keyboard_is_on_the_page():
     texts = Path(page.__file__).parent.glob('*.py')
     marks = ''.join(t.read_text(encoding='utf-8') for t in texts if t.stem != 'dialogs')
     made = {f'rapid {percent}%' for percent in RAPIDS} | {s.replace('_', ' ') for s in SWITCHES}
-    assert all(f"'{mark}'" in marks or mark in made for _, _, mark in KEYBOARD)
-    assert {mark for _, _, mark in KEYBOARD} >= MEANINGS.keys()
-    assert not {' ', 'Enter'} & {name for name, _, _ in KEYBOARD}
+    assert all(f"'{mark}'" in marks or mark in made for mark in MARKS.values())
+    assert len(MARKS) == len(KEYBOARD) and not {' ', 'Enter'} & MARKS.keys()
 
 
 def test_an_address_in_use_is_one_clear_line(capsys):

@@ -21,8 +21,11 @@ from std_msgs.msg import Float64
 from tiers import few_of
 
 from cnc_interp import page
+from cnc_interp.client.hand_move import pose_request
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
-from cnc_interp.page.hand_motion import STALE, pose_request
+from cnc_interp.page.hand_motion import STALE
+from cnc_interp.page.number_fields import numbers
 from cnc_interp.program import JobSetup
 
 pytestmark = pytest.mark.skipif(
@@ -31,7 +34,7 @@ pytestmark = pytest.mark.skipif(
 
 #: Line 7 is executed three times; line 9 ends the program at X0 Y40 Z10.
 PART = """(part)
-G21 G90 G94 G54
+G21 G90 G94 G54 T1 M6
 TRAORI
 G0 X0 Y0 Z10 A10 C0
 G1 Z0 F1500
@@ -157,6 +160,9 @@ def test_the_task_list(panel, part):
     away = panel.next_state()
     assert np.abs(np.array(away.resume_positions) - rests).max() < 1e-9
     assert away.path_position == held.path_position
+    # The tool that the program took is in the table; the page shows the run all the same.
+    assert JobSetup.of_text(panel.told[-1].text).tool == 1
+    assert (tab.text('line'), tab.text('status')) == (str(held.line_number), 'planned')
     tab.click('jog')
     tab.wait(lambda: legs <= set(tab.run(shown)))
     panel.states.clear()
@@ -182,6 +188,7 @@ def pad(request, panel):
     tab.wait(lambda: tab.text('state') == 'idle')
     tab.click('jog')
     tab.wait(lambda: tab.run('!!jog.pad()'))
+    tab.run(COUNT_BEATS)
     return tab, device
 
 
@@ -204,18 +211,36 @@ def moves(panel, tab, device):
         if not tab.run(REFUSED):
             return x, y
         tab.pointer('release', x, y, device)
-        rests(panel)
+        rests(panel, tab)
 
 
-def rests(panel):
-    """See the axes come to rest and stay there, once no beat that was on its way counts."""
-    time.sleep(STALE)
+#: Counts the beats that the page sends so that an axis moves.
+COUNT_BEATS = """
+window.beats = 0; const emit = window.emitEvent;
+window.emitEvent = (name, ...words) => {
+  window.beats += name === 'jog' && !!words[0].name;
+  emit(name, ...words);
+}; 0
+"""
+
+
+def rests(panel, tab, served=True):
+    """
+    See the axes come to rest and stay there.
+
+    The page sends no beat any more, and where it is served, all that it had sent were heard.
+    """
+    tab.wait(lambda: tab.run('!jog.timer'))
+    beats, heard = tab.run('[window.beats, contact.beat]')
+    if served:
+        tab.wait(lambda: tab.run(f'contact.beat - contact.before / 1000 > {heard}'))
     panel.until(MachineState.IDLE)
     before = np.array(panel.next_state().commanded_positions)
     for _ in range(4):  # a second: at rest states are told rarely
         state = panel.next_state()
         assert state.state == MachineState.IDLE
         assert (np.array(state.commanded_positions) == before).all()
+    assert tab.run('window.beats') == beats
 
 
 @pytest.mark.parametrize('pad', few_of(3, DEVICES), indirect=True)
@@ -224,18 +249,18 @@ def test_an_axis_moves_exactly_while_a_real_pointer_holds_its_key(panel, pad):
     for _ in range(2):
         x, y = moves(panel, tab, device)
         tab.pointer('release', x, y, device)
-        rests(panel)
+        rests(panel, tab)
     # The pointer slides off the key, and comes back: only a new press moves.
     x, y = moves(panel, tab, device)
     tab.pointer('move', x, y - 150, device)
-    rests(panel)
+    rests(panel, tab)
     tab.pointer('move', x, y, device)
-    rests(panel)
+    rests(panel, tab)
     tab.pointer('release', x, y, device)
     if device == 'touch':  # a call comes in
         x, y = moves(panel, tab, device)
         tab.pointer('cancel', x, y, device)
-        rests(panel)
+        rests(panel, tab)
     assert tab.faults == []
 
 
@@ -246,18 +271,18 @@ def test_a_held_key_ends_with_its_window_and_with_the_contact(panel, pad):
     tab.show()
     x, y = moves(panel, tab, device)
     other.show()
-    rests(panel)
+    rests(panel, tab)
     tab.show()
-    rests(panel)
+    rests(panel, tab)
     tab.pointer('release', x, y, device)
     tab.wait(lambda: tab.run(IN_CONTACT))
     x, y = moves(panel, tab, device)
     os.kill(panel.page.process.pid, signal.SIGSTOP)
-    rests(panel)
+    rests(panel, tab, served=False)
     time.sleep(STALE)
     os.kill(panel.page.process.pid, signal.SIGCONT)
     tab.wait(lambda: tab.run(IN_CONTACT))
-    rests(panel)
+    rests(panel, tab)
     tab.pointer('release', x, y, device)
     assert tab.faults == []
 
@@ -396,13 +421,13 @@ def test_a_page_that_looks_only_changes_nothing(panel):
 
 
 def test_the_request_of_a_pose_keeps_what_is_not_named():
-    request = pose_request({'X': '', 'Z': '12,5', 'I': '', 'K': ''}, 0.2)
+    request = pose_request(numbers({'X': '', 'Z': '12,5', 'I': None, 'K': ' '}), 0.2)
     assert np.array_equal(request.tip, [np.nan, np.nan, 0.0125], equal_nan=True)
     assert (list(request.axis), request.speed) == ([], 0.2)
-    assert list(pose_request({'I': '1', 'K': '1'}, 1.0).axis) == [1.0, 0.0, 1.0]
+    assert list(pose_request({'I': 1.0, 'K': 1.0}, 1.0).axis) == [1.0, 0.0, 1.0]
     for texts in ({'X': ''}, {'X': 'nan'}, {'X': 'high'}):
         with pytest.raises(ValueError, match=r'.'):
-            pose_request(texts, 1.0)
+            numbers(texts)
 
 
 @pytest.mark.thorough
@@ -494,11 +519,24 @@ def test_lines_are_found_by_text_and_picked_in_the_view(panel, part):
     assert tab.faults == []
 
 
-def test_a_coordinate_is_set_to_zero_and_gone_to(panel):
+#: Where the triad of the view stands, in the workpiece [m]: the group that holds the label X.
+TRIAD = """(() => {
+  const view = getElement(Number(document.querySelector('.scene').id.slice(1)));
+  const objects = [...view.objects.values()];
+  const label = objects.find(one => one.mesh?.element?.textContent === 'X')?.mesh;
+  return label && label.parent.position.toArray();
+})()"""
+
+
+def test_a_coordinate_is_set_to_zero_and_gone_to(panel, part):
     tab = panel.open_in_charge()
-    tab.wait(lambda: tab.text('state') == 'idle')
+    panel.load(tab, part)
+    stands = np.array(panel.next_state().commanded_positions[:3])
     tab.click_with_mouse('zero Z')
     tab.wait(lambda: tab.text('work Z') == '0.000')
+    # The triad stands there, seen from the zero of the workpiece.
+    height = stands[2] - panel.told[-1].zero[2]
+    tab.wait(lambda: abs((tab.run(TRIAD) or [0, 0, np.inf])[2] - height) < 1e-5)
     before = np.array(panel.next_state().commanded_positions)
     tab.fill('mdi', 'G0 G91 Z-4')
     tab.type_key('Enter', 13)
@@ -507,6 +545,26 @@ def test_a_coordinate_is_set_to_zero_and_gone_to(panel):
         tab, 'go to zero Z', lambda: abs(panel.peers.state.positions[2] - before[2]) < 1e-5
     )
     tab.wait(lambda: tab.text('work Z') == '0.000')
+    assert tab.faults == []
+
+
+@pytest.mark.thorough
+def test_a_key_at_the_end_of_travel_says_so(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('state') == 'idle')
+    end = Machine.load('xyzac').travel[0, 1]
+    tab.fill('mdi', f'G53 G0 X{1e3 * end - 0.5:.3f}')
+    tab.type_key('Enter', 13)
+    tab.wait(lambda: ': done' in tab.text('mdi answer'))
+    tab.click('jog')
+    tab.wait(lambda: tab.run('!!jog.pad()'))
+    x, y = tab.centre('jog X+')
+    tab.pointer('move', x, y)
+    tab.pointer('press', x, y)
+    told = f'X is at the end of its travel: {1e3 * end:.3f} mm'
+    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{told}")'))
+    tab.pointer('release', x, y)
+    assert panel.next_state().commanded_positions[0] == pytest.approx(end, abs=1e-6)
     assert tab.faults == []
 
 
@@ -529,7 +587,31 @@ def test_lengths_in_inches_and_a_light_page_are_remembered(panel):
     tab.fill('here X', '1')
     tab.click('touch off')
     tab.wait(lambda: tab.text('work X') == '1.0000')
+    tab.click('show touch off')
+    # A step of the pad, the table of offsets, a pose, and the charts.
+    x = panel.next_state().commanded_positions[0]
+    tab.click('jog')
+    tab.wait(lambda: tab.run('!!jog.pad()'))
+    tab.run('[...document.querySelectorAll(`[data-mark="jog step"] button`)].at(-1).click()')
+    tab.wait(lambda: tab.run('document.querySelector(".jog").dataset.step') == '0.1')
+    panel.press_key(tab, 'jog X+', lambda: tab.text('work X') == '1.1000')
+    tab.wait(lambda: tab.text('state') == 'idle')
+    moved = panel.next_state()
+    assert moved.commanded_positions[0] == pytest.approx(x + 0.1 * 25.4e-3, abs=1e-9)
+    tab.click('jog')
+    tab.click('offsets')
+    zero = (moved.commanded_positions[0] - 1.1 * 25.4e-3) / 25.4e-3
+    field = 'document.querySelector(`[data-mark="G54 X"]`)'
+    tab.wait(lambda: tab.run(f'{field}?.value') == f'{zero:z.4f}')
+    tab.click('close setup')
+    show_pose(panel, tab)
+    tab.fill('pose X', f'{moved.tip[0] / 25.4e-3 - 0.05:.4f}')
+    goal = moved.tip[0] - 0.05 * 25.4e-3
+    panel.press_key(tab, 'go there', lambda: abs(panel.peers.state.tip[0] - goal) < 2e-6)
+    chart = 'getElement(Number(document.querySelector(".chart").id.slice(1))).chart'
+    assert tab.run(f'{chart}.getOption().title[0].text') == 'feed, in/min'
+    panel.until(MachineState.IDLE)
     for key in ('inch', 'light'):
         tab.click_with_mouse(key)
-    tab.wait(lambda: tab.text('work X') == '25.400')
+    tab.wait(lambda: tab.text('work X') == f'{25.4 * 1.05:.3f}')
     assert tab.faults == []

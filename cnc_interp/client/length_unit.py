@@ -1,0 +1,56 @@
+"""Units in which people read positions and feeds: millimetres, or inches on a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+
+#: Letters of linear axes; what other letters name is an angle.
+LINEAR = 'XYZUVW'
+
+
+@dataclass(frozen=True)
+class LengthUnit:
+    """A unit of lengths. Angles are in degrees beside each."""
+
+    name: str
+    size: float  #: [m]
+    #: Decimals of a position, and of a feed.
+    digits: int
+    feed_digits: int
+    #: Speeds of motion by hand in this unit or degrees per minute, slow to fast.
+    speeds: tuple[str, ...]
+    steps: tuple[str, ...]  #: Its steps in this unit or degrees.
+
+    def of(self, letter: str) -> float:
+        """Return the unit of an axis [m or rad]."""
+        return self.size if letter in LINEAR else DEG
+
+    def shown(self, letter: str, value: float) -> str:
+        """Return a position [m or rad] without its unit."""
+        digits = self.digits if letter in LINEAR else 4
+        return f'{value / self.of(letter):z.{digits}f}'
+
+    def length(self, value: float) -> str:
+        """Return a length [m] without its unit."""
+        return self.shown('X', value)
+
+    def per_minute(self, speed: float) -> float:
+        """Return a speed [m/s] in this unit per minute."""
+        return speed * MINUTE / self.size
+
+    def feed(self, speed: float) -> str:
+        """Return a speed [m/s] per minute, without its unit."""
+        return f'{self.per_minute(speed):.{self.feed_digits}f}'
+
+    def named(self, text: str) -> str:
+        """Return a text that names mm with this unit in its place."""
+        return text.replace('mm', self.name)
+
+
+STEPS = ('0.01', '0.1', '1', '10')
+MILLIMETRES = LengthUnit('mm', MM, 3, 0, ('100', '300', '1000', '3000', '10000'), STEPS)
+INCHES = LengthUnit(
+    'in', INCH, 4, 1, ('4', '12', '40', '120', '400'), ('0.0001', '0.001', '0.01', '0.1')
+)

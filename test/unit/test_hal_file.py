@@ -1,0 +1,100 @@
+"""HAL files of LinuxCNC with cnc_interp in the place of the motion controller."""
+
+import pytest
+
+from cnc_interp.commands.cli import main
+from cnc_interp.core.errors import InterpError
+from cnc_interp.machine.hal_file import hal_file
+
+HAL = """loadrt [KINS]KINEMATICS
+loadrt [EMCMOT]EMCMOT base_period_nsec=[EMCMOT]BASE_PERIOD servo_period_nsec=[EMCMOT]SERVO_PERIOD
+loadrt stepgen step_type=0,0,0
+addf stepgen.capture-position servo-thread
+addf motion-command-handler servo-thread
+addf motion-controller servo-thread
+addf stepgen.update-freq servo-thread
+net x-command joint.0.motor-pos-cmd => stepgen.0.position-cmd  # the motor of X
+net y-command joint.1.motor-pos-cmd => \\
+  stepgen.1.position-cmd
+net z-command joint.2.motor-pos-cmd => stepgen.2.position-cmd
+net x-position stepgen.0.position-fb => joint.0.motor-pos-fb
+net y-position stepgen.1.position-fb => joint.1.motor-pos-fb
+net z-position stepgen.2.position-fb => joint.2.motor-pos-fb
+net x-on joint.0.amp-enable-out => stepgen.0.enable
+net y-on joint.1.amp-enable-out
+net y-on => stepgen.1.enable parport.0.pin-01-out
+net z-on joint.2.amp-enable-out => stepgen.2.enable
+net z-alarm parport.0.pin-11-in => joint.2.amp-fault-in
+net mushroom <= parport.0.pin-10-in
+net mushroom => iocontrol.0.emc-enable-in
+net spindle-cw spindle.0.forward => parport.0.pin-09-out
+setp stepgen.0.position-scale [JOINT_0]SCALE
+"""
+
+
+def signals(text):
+    """Pins of each signal; a pin is in one signal only, as HAL demands."""
+    found = {}
+    for words in (line.partition('#')[0].split() for line in text.splitlines()):
+        if words[:1] == ['net']:
+            found.setdefault(words[1], set()).update(w for w in words[2:] if '=' not in w)
+    pins = [pin for group in found.values() for pin in group]
+    assert len(pins) == len(set(pins))
+    return list(found.values())
+
+
+@pytest.mark.parametrize('joints', ['XYZ', 'YZX'])
+def test_every_motor_hears_the_axis_of_its_joint(joints):
+    made, left_out = hal_file(HAL, 'XYZ', joints)
+    nets = signals(made)
+    for joint, letter in enumerate(joints):
+        i = 'XYZ'.index(letter)
+        motor = {f'streamer.0.pin.{i}', f'sampler.0.pin.{i}', f'stepgen.{joint}.position-cmd'}
+        assert motor in nets
+        assert {f'stepgen.{joint}.position-fb', f'sampler.0.pin.{3 + i}'} in nets
+    alarm = 6 + 'XYZ'.index(joints[2])
+    assert {'parport.0.pin-11-in', f'sampler.0.pin.{alarm}'} in nets
+    powered = {'power-given.out', 'sampler.0.pin.9', 'parport.0.pin-01-out'}
+    assert powered | {f'stepgen.{k}.enable' for k in range(3)} in nets
+    assert {'parport.0.pin-10-in', 'power-given.in1'} in nets
+    assert left_out == ['net spindle-cw spindle.0.forward => parport.0.pin-09-out']
+    assert 'cfg=ffffffb\n' in made and 'cfg=ffffffbbbbb\n' in made
+    calls = [line.split()[1] for line in made.splitlines() if line.startswith('addf ')]
+    assert calls[0] == 'stepgen.capture-position' and calls[-1] == 'stepgen.update-freq'
+    assert calls.index('streamer.0') < calls.index('sampler.0')
+    active = [line for line in made.splitlines() if not line.startswith('#')]
+    assert 'joint.' not in ' '.join(active)
+    assert 'setp stepgen.0.position-scale [JOINT_0]SCALE' in active
+
+
+def test_without_a_contact_the_emergency_stop_is_told_to_be_missing():
+    looped = HAL.replace('net mushroom <= parport.0.pin-10-in\n', '').replace(
+        'net mushroom =>', 'net loop iocontrol.0.user-enable-out =>'
+    )
+    made, left_out = hal_file(looped, 'XYZ', 'XYZ')
+    assert 'setp power-given.in1 1\n' in made and 'emergency stop' in left_out[-1]
+
+
+@pytest.mark.parametrize(
+    ('text', 'joints', 'told'),
+    [
+        (HAL, 'XYYZ', 'two motors'),
+        (HAL, 'XYA', 'axes: X Y Z'),
+        (HAL.replace('joint.2.motor-pos-fb', ''), 'XYZ', 'joint.2.motor-pos-fb'),
+        (HAL.replace('addf motion-controller', 'addf another'), 'XYZ', 'motion-controller'),
+        ('net\naddf\nloadrt\n', 'XYZ', 'no HAL file names'),
+    ],
+)
+def test_an_axis_that_would_not_move_is_refused(text, joints, told):
+    with pytest.raises(InterpError, match=told):
+        hal_file(text, 'XYZ', joints)
+
+
+def test_the_command_reads_all_files_and_tells_what_is_not_connected(tmp_path, capsys):
+    for name, lines in zip('ab', (HAL.splitlines()[:12], HAL.splitlines()[12:]), strict=True):
+        (tmp_path / name).write_text('\n'.join(lines))
+    words = ['hal', 'xyz', str(tmp_path / 'a'), str(tmp_path / 'b')]
+    assert main([*words, '--out', str(tmp_path / 'made.hal')]) == 0
+    assert (tmp_path / 'made.hal').read_text() == hal_file(HAL, 'XYZ', 'XYZ')[0]
+    assert capsys.readouterr().err.startswith('not connected: net spindle-cw')
+    assert main(['hal', 'xyz', str(tmp_path / 'missing')]) == 2

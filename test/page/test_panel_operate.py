@@ -604,7 +604,7 @@ def test_lengths_in_inches_and_a_light_page_are_remembered(panel):
     field = 'document.querySelector(`[data-mark="G54 X"]`)'
     tab.wait(lambda: tab.run(f'{field}?.value') == f'{zero:z.4f}')
     tab.click('close setup')
-    show_pose(panel, tab)
+    tab.click('pose')
     tab.fill('pose X', f'{moved.tip[0] / 25.4e-3 - 0.05:.4f}')
     goal = moved.tip[0] - 0.05 * 25.4e-3
     panel.press_key(tab, 'go there', lambda: abs(panel.peers.state.tip[0] - goal) < 2e-6)

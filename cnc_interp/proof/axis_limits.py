@@ -1,9 +1,4 @@
-"""
-The limits of the axes where they are, and the torques of their drives, for the proof.
-
-A limit that depends on the position is linear between the positions of the machine file. The file
-is read and checked by `Machine`, as for the planner. What is computed here shares no code with it.
-"""
+"""The limits of the axes where they are, and the torques of their drives, for the proof alone."""
 
 from __future__ import annotations
 
@@ -26,11 +21,7 @@ def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
 
 
 def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """
-    Return the largest limit between the samples of each difference.
-
-    The k-th difference over T^k is a mean of the k-th derivative between its k + 1 samples.
-    """
+    """Return the largest limit between the samples of each difference, a mean over its samples."""
     limits = np.tile(machine.limits[order - 1], (len(q) - order, 1))
     for j, of in machine.places.items():
         around = sliding_window_view(q[:, j], order + 1)

@@ -1,4 +1,4 @@
-"""The proof of what a machine executed beside the program: the approach, by hand and back."""
+"""Proofs added to that of a program: motion beside it, and the error at the tool."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import MM
+from cnc_interp.drives.compensation import compensated_model
+from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.path_grid import ROUNDING
+from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import SLACK
+from cnc_interp.proof.stored_columns import spans
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Proof
 
 
 def with_beside(
     proof: Proof, machine: Machine, period: float, stretches: Sequence[FloatArray]
 ) -> Proof:
-    """
-    Add to a proof the limits and the travel of the motion beside the program.
-
-    ``stretches`` (K, n_axes): positions, each from rest to rest [m, rad].
-    """
+    """Add to a proof limits and travel of the motion beside the program: stretches (K, n_axes)."""
     if not stretches:
         return proof
     largest, faults = 0.0, []
@@ -55,3 +56,26 @@ def with_beside(
     )
     told = '\n'.join(text for text in (line, proof.beside) if text)
     return replace(proof, failures=(*proof.failures, *faults), beside=told)
+
+
+def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
+    """Add to a proof the error at the tool by the drives of the machine, if it was limited."""
+    told = plan.summary.get('settings')
+    if not isinstance(told, dict) or told.get('tool_error') is None:
+        return proof
+    name, limit, height = told.get('compensation'), told['tool_error'], plan.flank_height
+    model = compensated_model(name, machine) if name else None
+    motion = ToolMotion(machine, plan.period, plan.position[0], model)
+    velocity, tip, axis = plan.setpoints['velocity'], 0.0, 0.0
+    for error in (
+        *(motion.push(plan.position[a:b], velocity[a:b]) for a, b in spans(len(plan.position))),
+        motion.settle(),
+    ):
+        tip, axis = max(tip, error.tip.max()), max(axis, error.axis.max() * height)
+    line = (
+        f'error at the tool by the drives of {machine.name}'
+        f'{f", compensated by {name}" if name else ""}: tip {tip / MM:.4f} mm, axis '
+        f'{axis / MM:.4f} mm at {height / MM:g} mm, limit {limit / MM:g} mm'
+    )
+    fault = () if max(tip, axis) <= ROUNDING * limit else (f'{line}: exceeded',)
+    return replace(proof, failures=(*proof.failures, *fault), beside=line)

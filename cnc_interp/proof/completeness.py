@@ -1,8 +1,4 @@
-"""
-Completeness of a motion: it passes every programmed vertex, and every axis meets its words.
-
-At an exact stop all axes rest. A rotary axis passes its word on its own branch and whole turn.
-"""
+"""Completeness of a motion: it passes every vertex, every axis meets its words, and stops rest."""
 
 from __future__ import annotations
 
@@ -109,10 +105,9 @@ def _prove_rotary_words(
     """
     Check that rotary axes pass their words, each on its own branch and whole turn.
 
-    The samples ``where`` the vertices are passed are replaced where the rotary axes tell better.
-
     A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
     may miss its word by this angle over the sine of the angle between itself and the tool axis.
+    The samples ``where`` the vertices are passed are replaced where the rotary axes tell better.
     """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
@@ -158,13 +153,7 @@ def _prove_rotary_words(
 def _prove_extra_words(
     ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
 ) -> None:
-    """
-    Demand that extra axes end on their words.
-
-    A word is met between the last sample of its block and the next sample. A rounded vertex may
-    miss it by the contour tolerance, as the tip does. Where the tip rests, only these axes show
-    where the block ends.
-    """
+    """Demand that extra axes end on their words, within the contour tolerance as the tip does."""
     words, machine = plan.blocks['extra_axes'], program.machine
     if words.shape[1] != len(machine.extra_names):
         ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
@@ -207,11 +196,10 @@ class VertexSearch:
         """
         Search each vertex among the samples of its rows; if it is missed, among more samples.
 
-        ``points_of``: points, shape (k, 3), of axis positions, shape (k, n); ``vertices`` (M, 3):
-        a point for each program row; ``tolerance`` (M,): largest distance from it; ``unit`` (M,
-        3): units in which the distance counts; then the tolerance is 1 of them. Returns
-        ``distance`` (M,): distance of each vertex from the motion; ``sample`` (M,): sample before
-        the nearest point.
+        ``points_of``: points, shape (k, 3), of axis positions, shape (k, n); ``vertices`` (M, 3);
+        ``tolerance`` (M,): largest distance; ``unit`` (M, 3): units in which the distance counts;
+        then the tolerance is 1 of them. Returns the distance of each vertex from the motion, and
+        the sample before the nearest point.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))

@@ -1,9 +1,9 @@
 """
 LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
 
-``rs274`` prints what it would tell a machine to do, with four decimals of the unit of the program,
-in coordinates less the offsets that it prints, too. It runs in a process of its own, with bounds
-on time, memory and output. Comments are taken out before: it executes some of them as Python code.
+It prints what it would tell a machine to do, with four decimals of the unit of the program, less
+the offsets. It runs in a process of its own, with bounds on time, memory and output. Comments are
+taken out before: it executes some of them as Python code.
 """
 
 from __future__ import annotations
@@ -269,12 +269,7 @@ class Setup:
 
 
 def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
-    """
-    Return radius and corner radius of the tools of a setup that has nothing else [m].
-
-    A corner radius that is not known is NaN. With offsets, reference points or tool lengths, the
-    result is None.
-    """
+    """Return radius and corner radius (NaN: unknown) of the tools of a setup without more [m]."""
     if not text:
         return {}
     try:

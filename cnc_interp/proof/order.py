@@ -8,10 +8,9 @@ sample by the part of every piece of the program that can be reached [Alt and Go
 Frechet distance between two polygonal curves, 1995].
 
 It is decided for the tool tip, for the point at flank height, and for the rotary and extra axes
-where the program says how these move. At a vertex the tolerance of the vertex counts. Between
-vertices ``ROOM`` times the tolerance is enough, because the distance there is judged elsewhere.
-The row numbers of the samples are not used; they are compared with the rows that are possible.
-This module shares no code with the planner.
+where the program says how these move. Between vertices ``ROOM`` times the tolerance is enough,
+because the distance there is judged elsewhere. Row numbers are compared with the rows that are
+possible. This module shares no code with the planner.
 """
 
 from __future__ import annotations
@@ -89,10 +88,10 @@ class Pursuit:
         """
         Follow the pieces with further samples of the motion.
 
-        ``points`` (k + 3, D): the next k samples, with two before them and one after them; beyond
-        the ends of the motion its end samples are repeated; ``first``, ``count``: number of the
-        first of the k samples, and of all samples. Returns ``first``, ``last`` (k,): first and
-        last piece that the motion can have reached at each sample; -1 where none.
+        ``points`` (k + 3, D): the next k samples, with two before them and one after them,
+        repeated beyond the ends; ``first``, ``count``: number of the first of the k samples, and
+        of all samples. Returns first and last piece that the motion can have reached at each
+        sample, (k,); -1 where none.
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
         bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)
@@ -282,11 +281,7 @@ class _Shapes:
 def _near(
     p: FloatArray, a: FloatArray, d: FloatArray, room: FloatArray, radius: float
 ) -> tuple[float, float]:
-    """
-    Return the part of the line a + x d that is near p, 1 and 0 where there is none.
-
-    Near is within ``radius`` when the coordinates are counted in ``room``.
-    """
+    """Return the part of a + x d within ``radius`` of p, counted in ``room``; 1, 0 for none."""
     length_sq, along = 0.0, 0.0
     for c in range(len(p)):
         step = d[c] / room[c]
@@ -317,8 +312,8 @@ def _follow(
     Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
     The first of the points is the one before. ``low`` is changed, and ``reached`` is filled.
-    ``passed`` is the earliest part of the present chord of the motion at which the end of
-    the piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
+    ``passed`` is the earliest part of the present chord of the motion at which the end of the
+    piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
     """
     samples, count = len(points) - 1, len(start)
     chord = np.zeros(points.shape[1])

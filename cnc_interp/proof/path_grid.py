@@ -1,8 +1,8 @@
 """
 The proof of `path.npz`: every column follows from the setpoints, from the program or from q(s).
 
-Setpoint i lies on the path at ``s[i]``: on the septic polynomial that takes value and three
-derivatives of both ends of its cell. This module shares no code with the planner.
+Setpoint i lies on the path at ``s[i]``, on the septic polynomial of its cell. This module shares
+no code with the planner.
 """
 
 from __future__ import annotations

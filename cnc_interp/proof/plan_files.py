@@ -120,10 +120,9 @@ class PlanFiles:
 
 def read_plan(directory: Path) -> PlanFiles:
     """
-    Read and check the files of a plan directory.
+    Read and check the files of a directory that ``cnc-interp plan`` has written.
 
-    ``directory``: directory written by ``cnc-interp plan``. Returns the plan, with all optional
-    columns present. Columns of setpoints and path that ``plan`` wrote stay in their files. Raises
+    All optional columns are present; those of setpoints and path stay in their files. Raises
     InterpError if a file or column is missing, cannot be read, has a wrong shape or contains NaN.
     """
     if not directory.is_dir():
@@ -271,11 +270,7 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
 
 
 def _stored(file: Path) -> dict[str, Stored]:
-    """
-    Return the columns that stay in files: plain values as we compute with.
-
-    Those of compressed members are unpacked to temporary files.
-    """
+    """Return the columns of plain values: they stay in files; compressed ones are unpacked."""
     found = {}
     content = file.open('rb', buffering=0)
     with ZipFile(file) as archive:

@@ -1,8 +1,7 @@
 """
 The program read once more: ends, arcs and feeds of its text compared with `blocks.npz`.
 
-G-code is read by LinuxCNC's interpreter, where it is installed, and by the reader of plain words.
-One of them is enough.
+LinuxCNC's interpreter, where it is installed, or the reader of plain words is enough.
 """
 
 from __future__ import annotations

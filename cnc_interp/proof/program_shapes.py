@@ -57,12 +57,7 @@ class Program:
 
 
 def measure(program: Program, position: FloatArray, block: IntArray) -> Deviation:
-    """
-    Measure positions against a program.
-
-    ``position`` (K, n): axis positions [m, rad]; ``block`` (K,): program row that each of them
-    executes.
-    """
+    """Measure positions (K, n) [m, rad] against a program; ``block`` (K,) is the executed row."""
     tip, axis = program.transform.forward(position)
     result = measure_widely(program, tip, axis, block, position)
     blocks = program.plan.blocks
@@ -106,11 +101,7 @@ def measure_widely(
 
 
 def vertex_tolerances(plan: PlanFiles) -> tuple[FloatArray, FloatArray]:
-    """
-    Return the tolerances at the program vertices: the smaller one of both adjacent blocks.
-
-    Returns ``contour``, ``orientation`` (M,): tolerances [m].
-    """
+    """Return contour and orientation tolerance (M,) of the vertices: the smaller of both rows."""
     both = []
     for name in ('contour_tolerance', 'orientation_tolerance'):
         own = np.array(plan.blocks[name], dtype=float)

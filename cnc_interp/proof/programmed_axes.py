@@ -3,9 +3,9 @@ Rows of the program whose rotary axes run linearly, and the distance of axis pos
 
 In such a row all machine axes move linearly (AXES_LINEAR), or the tool tip and the rotary axes do
 (ROTARY_LINEAR). A position is compared with one point of a row: the axes themselves, the tool tip
-and the point at flank height. Each of these differences is an upper bound of the distance from the
-programmed path, because the point is on it. The point is searched for which the largest use of a
-tolerance is least. This module shares no code with the planner.
+and the point at flank height. Each difference is an upper bound of the distance from the path,
+because the point is on it. The point is searched for which the largest use of a tolerance is
+least. This module shares no code with the planner.
 """
 
 from __future__ import annotations
@@ -208,11 +208,7 @@ class _Search:
 
 
 def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
-    """
-    Return X Y Z at which the tip is where it should be, from the forward kinematics alone.
-
-    With the rotary axes at rest the tip is a rotation of X Y Z plus a constant.
-    """
+    """Return X Y Z at which the tip is where it should be, from the forward kinematics alone."""
     at = coordinates.copy()
     at[:, :3] = 0.0
     zero = machine.forward(at)[0]

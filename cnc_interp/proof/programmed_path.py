@@ -3,9 +3,9 @@ The programmed path of the proof, and the distance of a pose from it.
 
 In a program row the tool tip moves along a straight line. The tool axis turns on the great circle
 between both orientations, in proportion to the distance [B2013, Eq. 4]. The point at flank height
-h therefore moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)`` with 0 <= x <= 1. The contour
-error is the distance of the tip from the lines. The orientation error is the distance of
-``tip + h axis`` from T. This module shares no code with the planner.
+h therefore moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)`` with 0 <= x <= 1. The contour error
+is the distance of the tip from the lines. The orientation error is the distance of ``tip + h
+axis`` from T. This module shares no code with the planner.
 """
 
 from __future__ import annotations
@@ -68,13 +68,12 @@ class ProgrammedPath:
         linear: BoolArray | None = None,
     ) -> ProgrammedPath:
         """
-        Build the path from the vertices of the program.
+        Build the path from the vertices of the program, one line and one great circle per row.
 
         ``tip``, ``axis`` (M, 3): tool tip [m] and unit tool axis [-] at the end of each row; row 0
-        is the start pose; ``rotary`` (M, 2): programmed rotary positions [rad], NaN where a row
-        has no rotary words; ``height``: flank height [m]; ``linear`` (M,): rows whose rotary axes
-        run linearly. They are no lines of the tip and great circles, so no pose is near to them
-        (``programmed_axes.py``). Returns one line and one great circle per row.
+        is the start pose; ``rotary`` (M, 2): programmed rotary positions [rad], NaN without words;
+        ``height``: flank height [m]; ``linear`` (M,): rows whose rotary axes run linearly; no pose
+        is near to them (``programmed_axes.py``).
         """
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
@@ -109,9 +108,9 @@ class ProgrammedPath:
         """
         Return the deviation of poses from the program rows near those being executed.
 
-        ``tip``, ``axis`` (K, 3): tool tips [m] and unit tool axes [-]; ``block`` (K,): program row
-        that each pose executes; ``reach`` (K,): search all rows within this distance of the
-        executed row, measured at flank height [m].
+        ``tip``, ``axis`` (K, 3): tool tips [m] and unit tool axes [-]; ``block`` (K,): row that
+        each pose executes; ``reach`` (K,): search all rows within this distance at flank height
+        [m].
         """
         low = np.maximum(block - WINDOW, 0)
         high = np.minimum(block + WINDOW, len(self.start) - 1)
@@ -133,9 +132,8 @@ def peaks(points: FloatArray) -> FloatArray:
     """
     Bound by how much more than an eighth of its second difference a motion bulges over a chord.
 
-    That eighth takes the acceleration from both samples. Where it has a peak between them, as in
-    the middle of a corner, it is larger there by at most half of what it changes in a period
-    nearby: half a third difference.
+    That eighth takes the acceleration from both samples. A peak between them is larger by at most
+    half of what it changes in a period nearby: half a third difference.
     """
     return np.asarray(np.abs(np.diff(points, 3, axis=-2)) / 16.0)
 

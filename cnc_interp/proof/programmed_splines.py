@@ -1,10 +1,9 @@
 """
 Native splines as many short linear rows, so that the proof has one rule for all programs.
 
-SciPy evaluates the curve of the control points. Rows on the curve replace the control points. They
-are so close that tip and point at flank height stay within ``CHORD`` of chord and great circle.
-Samples and grid points on the curve get the number of the row that they have reached. This module
-shares no code with the planner.
+SciPy evaluates the curve of the control points. Rows on it are so close that tip and point at
+flank height stay within ``CHORD`` of chord and great circle. Samples and grid points get the
+number of the row that they have reached. This module shares no code with the planner.
 """
 
 from __future__ import annotations
@@ -34,11 +33,9 @@ REACH = 2e-4
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     """
-    Replace the native splines of a plan by short linear rows.
+    Replace the native splines of a plan by short linear rows, which samples and grid points name.
 
-    ``plan``: any plan. A plan without splines is returned as it is. Returns the plan with new
-    program rows. Samples and grid points name the new rows. Raises InterpError if control points
-    do not form a clamped curve.
+    Raises InterpError if control points do not form a clamped curve.
     """
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
@@ -71,12 +68,7 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
 
 
 def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
-    """
-    Divide the program rows into linear parts and native splines.
-
-    ``on_spline``, ``exact_stop`` (M,): whether a row is a control point, and whether the motion
-    stops after it. Returns first row and last row (exclusive) of each part, in order.
-    """
+    """Divide the program rows (M,) into linear parts and native splines: first, after last."""
     changes = (on_spline[1:] != on_spline[:-1]) | (on_spline & exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
 
@@ -111,12 +103,11 @@ def chords(
     blocks: Columns, first: int, last: int, height: float, chord: float = CHORD
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
     """
-    Replace one native spline by linear rows.
+    Replace one native spline by n linear rows; return their columns and poses.
 
-    ``blocks``: columns of the program rows, as in ``blocks.npz``; ``first``, ``last``: first row
-    of the control points, and last row (exclusive); ``height``: flank height [m]; ``chord``:
-    largest distance of tip and point at flank height from the curve [m]. Returns ``rows``: columns
-    of the n new rows; ``poses`` (n, 6): tips and points at flank height of these rows [m]. Raises
+    ``blocks``: columns of ``blocks.npz``; ``first``, ``last``: rows of the control points, the
+    last exclusive; ``height``: flank height [m]; ``chord``: largest distance of tip and point at
+    flank height from the curve [m]. Poses (n, 6) are tips and points at flank height [m]. Raises
     InterpError if the control points do not form a clamped curve.
     """
     line = int(blocks['line'][first])
@@ -161,9 +152,8 @@ def _rows_reached(curve: FloatArray, both: FloatArray, moved: FloatArray, here: 
     """
     Return the row that each pose on a curve has reached, shape (k,).
 
-    A pose advances along the curve at most by its own movement. The search begins at the row of
-    the pose before it, ``here`` at first. It always includes one more row, because rows may be far
-    apart.
+    A pose advances at most by its own movement, from the row of the pose before it, ``here`` at
+    first. One more row is always included, because rows may be far apart.
     """
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
     found, last = np.empty(len(both), dtype=np.int64), len(curve) - 1

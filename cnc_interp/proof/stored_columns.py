@@ -1,8 +1,4 @@
-"""
-Columns of plan files that may be longer than the memory: read and proven in chunks.
-
-A column is an array, or ``Stored`` in a file. Both have a shape, and give rows for a slice.
-"""
+"""Columns of plan files that may be longer than the memory: read and proven in chunks."""
 
 from __future__ import annotations
 
@@ -22,12 +18,7 @@ CHUNK = 1 << 14
 
 
 class Stored:
-    """
-    A column in a file.
-
-    Rows are read when they are asked for, by a number, by a slice, or by ``[:, slice]``. Rows of
-    a column in a temporary file are written likewise.
-    """
+    """A column in a file, read by a number, a slice or ``[:, slice]``, written by a slice."""
 
     def __init__(self, file: BinaryIO, start: int, dtype: DTypeLike, shape: tuple[int, ...]):
         self._file, self._start = file, start

@@ -124,11 +124,7 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 
 
 class Ledger:
-    """
-    Collects findings and failures during a proof.
-
-    A quantity may be judged in chunks: the largest use of all chunks counts.
-    """
+    """Collects findings and failures; of a quantity in chunks the largest use counts."""
 
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
@@ -287,11 +283,7 @@ class Given:
 
 
 def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tuple[Given, ...]:
-    """
-    List what the proof of a plan takes as given.
-
-    ``name``: bundled machine or YAML file.
-    """
+    """List what the proof of a plan for a machine, by name or file, takes as given."""
     blocks, summary = plan.blocks, plan.summary
     in_bag = not (source / 'blocks.npz').is_file()
     of_blocks = 'the recorded blocks' if in_bag else 'blocks.npz'

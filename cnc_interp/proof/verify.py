@@ -4,16 +4,13 @@ The proof: every emitted setpoint is checked against limits, tolerances, feed an
 It starts from the plan files alone. The only code shared with the planner reads the machine file,
 computes the forward kinematics, and simulates the drives where the error at the tool is limited.
 
-- Limits: first, second and third differences of the positions at the interpolation period. The
-  axes are at rest before the first and after the last sample.
+- Limits: first, second and third differences of the positions, at rest before and after.
 - Tolerances: distance of the tip and of the point at flank height from the programmed lines and
   great circles. At a corner, the smaller tolerance of its two blocks counts.
   Where the rotary axes run linearly, the axes are compared with their lines, too.
-- Order: the motion follows the program from vertex to vertex, none left out, none twice
-  (``order.py``).
-- Completeness: the motion passes every programmed vertex within the tolerance, and every axis with
-  a word passes it on its own branch and turn (``completeness.py``).
-- The error that simulated drives leave at the tool, if the plan limits it (``tool_error.py``).
+- Order: the motion follows the program from vertex to vertex (``order.py``).
+- Completeness: the motion passes every vertex, and every axis its words (``completeness.py``).
+- The error that simulated drives leave at the tool, if the plan limits it (``beside.py``).
 - The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
 
 Native splines are first replaced by chords (``programmed_splines.py``).
@@ -30,6 +27,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
+from cnc_interp.proof.beside import with_tool_error
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
@@ -44,7 +42,6 @@ from cnc_interp.proof.program_shapes import (
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.stored_columns import Stored, held, spans
-from cnc_interp.proof.tool_error import with_tool_error
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
 # Uses of limits agree when they differ by less [-].
@@ -54,24 +51,16 @@ LONGEST_BLOCK = 5e-3
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:
-    """
-    Check the plan files of a directory.
-
-    ``directory``: directory written by ``cnc-interp plan``; ``machine``: machine with the limits
-    and the forward kinematics to use. Returns largest use of every limit, and all failures. Raises
-    InterpError if the files cannot be read.
-    """
+    """Check the plan files of a directory; raises InterpError if they cannot be read."""
     return verify(read_plan(directory), machine)
 
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
     """
-    Check a plan in memory.
+    Check a plan in memory, without the planner's grid if its ``path`` is empty.
 
-    ``plan``: setpoints and program. With an empty ``path``, the grid of the planner is not
-    checked; ``machine``: machine with the limits and the forward kinematics to use. Returns
-    largest use of every limit, and all failures. Raises InterpError if the flank height is 0 on a
-    machine with rotary axes.
+    Returns largest use of every limit, and all failures. Raises InterpError if the flank height is
+    0 on a machine with rotary axes.
     """
     if machine.has_rotary and plan.flank_height <= 0.0:
         raise InterpError(
@@ -304,11 +293,7 @@ def longest_block(plan: PlanFiles) -> float:
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
-    """
-    Judge the tip speed against the feed of the executed block; at a border, of both blocks.
-
-    Where the rotary axes run linearly, the speed along the line counts instead.
-    """
+    """Judge the tip speed, or that along linear axes, against the feed of the executed block."""
     lines, contour = program.lines, program.contour
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)

@@ -66,7 +66,7 @@ def one_core() -> None:
 def in_tiles(sizes: list[int], counts: list[int]) -> None:
     """Print one line for each number of needles and workers."""
     # Each worker imports this file; what only the page needs would cost seconds for each tile.
-    from cnc_interp.cam.tile_page import TilePage
+    from cnc_interp.cam.tile_work import TilePage
 
     sweep = Sweep.of(MILL, *passes(POSES))
     print('   needles  workers  cut s  levels, page s  needles x poses / s   memory  heights')

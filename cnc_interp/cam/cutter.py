@@ -21,11 +21,7 @@ from cnc_interp.core.units import MM
 
 @dataclass(frozen=True)
 class Cutter:
-    """
-    A filleted end mill.
-
-    Raises InterpError if a radius is negative or not finite, or both are zero.
-    """
+    """A filleted end mill; InterpError if a radius is negative or not finite, or both are zero."""
 
     #: R, radius of the circle of corner centres [TL2008]; the diameter is 2 (R + r_c) [m].
     tool_radius: float

@@ -1,9 +1,8 @@
 """
 The bottom of the mill stays outside the surface: the check, and the tilt at which its heel does.
 
-Where the surface is hollow along the feed, the back of the bottom enters it at a small tilt. A
-larger tilt lifts the heel and narrows the strip. The tilt is raised smoothly, over a distance on
-both sides, so that the strip changes gently and neighbouring passes can follow.
+Where the surface is hollow along the feed, a larger tilt lifts the heel and narrows the strip. It
+is raised smoothly, over a distance on both sides, so that neighbouring passes can follow.
 """
 
 from __future__ import annotations
@@ -26,12 +25,7 @@ BEYOND = 0.2 * MM
 
 
 def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
-    """
-    Return how deep the bottom of the mill enters the surface.
-
-    The equations of the paper regard the fillet at the contact point only. Here points on circles
-    of the bottom, out to the corner circle, must stay r_c above the surface.
-    """
+    """Return how deep the bottom of the mill enters the surface, by points on circles of it."""
     cutter, frames = postures.cutter, postures.frames
     depth = np.zeros(len(postures))
     if cutter.is_ball:
@@ -109,11 +103,7 @@ def raised(
 
 
 def smooth_cover(s: FloatArray, values: FloatArray, distance: float, at: FloatArray) -> FloatArray:
-    """
-    Return a smooth function that is nowhere smaller than given values.
-
-    A weighted mean of maxima over windows of the same width: each maximum contains the place.
-    """
+    """Return a smooth function nowhere below the values: a weighted mean of maxima around."""
     step = float(np.median(np.diff(s)))
     middle = np.arange(s[0] - 2.0 * distance, s[-1] + 2.0 * distance + step, step)
     near = np.abs(middle[:, None] - s[None, :]) <= distance

@@ -69,11 +69,7 @@ class GuidingCurve:
     length: float  #: Arc length of the curve, which begins at 0 [m].
 
     def frames(self, s: FloatArray) -> Frames:
-        """
-        Return K and its frame; the curve continues beyond its ends.
-
-        ``s`` (n,): arc lengths of K [m].
-        """
+        """Return K and its frame at arc lengths (n,) [m]; the curve continues beyond its ends."""
         uv = self.parameters(s)
         u, v = uv[..., 0], uv[..., 1]
         surface = self.surface.at(u, v)
@@ -94,8 +90,7 @@ class GuidingPlanes:
     """
     The family of guiding curves of a surface in parallel planes.
 
-    Beyond the border of the surface the curves end where planes no longer cut, or where the
-    offset folds.
+    Beyond the border they end where planes no longer cut, or where the offset folds.
     """
 
     def __init__(
@@ -128,10 +123,9 @@ class GuidingPlanes:
 
     def curve(self, plane: float) -> GuidingCurve:
         """
-        Return the curve in one plane.
+        Return the curve in the plane at a distance from the origin along N [m].
 
-        ``plane``: distance of the plane from the origin along N [m]. Raises SurfaceError if the
-        plane misses the surface or meets it in several curves.
+        Raises SurfaceError if the plane misses the surface or meets it in several curves.
         """
         surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
@@ -241,11 +235,7 @@ class SurfaceCurve:
         return point, unit(run), norm(run)
 
     def frames(self, s: FloatArray) -> Frames:
-        """
-        Return K and its frame; the rates are by arc length of K.
-
-        ``s`` (n,): places on the curve [m].
-        """
+        """Return K and its frame at places (n,) [m]; the rates are by arc length of K."""
         point, feed, speed = self._feed(s)
         ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
         n, n_s = point.normal, point.offset(self.offset).normal_rate(feed)

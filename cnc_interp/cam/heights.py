@@ -53,12 +53,7 @@ class Extreme:
 
 @dataclass(frozen=True)
 class Figures:
-    """
-    Sums over the needles that were cut, gathered part by part.
-
-    They are whole numbers, so they do not depend on the order of the parts: the figures of a
-    surface are the same bits whether it is measured as a whole or in tiles.
-    """
+    """Sums over the needles that were cut, as whole numbers: the order cannot matter."""
 
     #: Number of needles, of those that the mill has reached, and of those deeper than ``GOUGE``.
     needles: int = 0
@@ -264,11 +259,7 @@ class HeightStore:
     def make_levels(
         self, mean: float, seen: Callable[[int, int, int, list[FloatArray]], None]
     ) -> int:
-        """
-        Make the levels of the image pyramid: cells of 2 x 2 cells of the level below.
-
-        A cell keeps lowest, highest and mean height, so a gouge of one needle is never lost.
-        """
+        """Make the image pyramid: 2 x 2 cells of the level below keep lowest, highest and mean."""
         away = 0
         for place in patches(*self.shape, TILE, TILE):
             height = self.tile(*place)

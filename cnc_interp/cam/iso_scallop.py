@@ -1,10 +1,10 @@
 """
 5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
 
-The strips of neighbouring passes share their border. The half width on the left of a pass is the
-plane distance minus the half width on the right of the previous pass. This recursion has the
-multiplier -1, so errors do not decay. It therefore starts with a constant half width instead of a
-constant tilt. It starts afresh, with a small overlap, if a pass cannot be found or strays.
+The strips of neighbouring passes share their border: the half width on the left is the plane
+distance minus that on the right of the pass before. This recursion has the multiplier -1, so
+errors do not decay. It therefore starts with a constant half width instead of a constant tilt, and
+afresh, with a small overlap, if a pass cannot be found or strays.
 """
 
 from __future__ import annotations
@@ -185,11 +185,10 @@ class PassRecursion:
         """
         Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
-        The tilt is raised where the heel would enter the surface. It stays at its smallest value
-        where the surface is too convex, and at its largest where a wider strip does no harm. The
-        plane comes so close that the strip still reaches the scallops of the previous pass, or the
-        border. If it has to come much closer, the mill is turned, too: the heel then lies beside
-        the hollow.
+        The tilt is raised where the heel would enter the surface, and stays at a limit where no
+        other fits. The plane comes so close that the strip still reaches the scallops of the
+        previous pass, or the border. If it has to come much closer, the mill is turned, too: the
+        heel then lies beside the hollow.
         """
         start = self.planes.span[0] if before is None else before.plane
         own = self.options.yaw
@@ -312,12 +311,7 @@ class PassRecursion:
     def finished(
         self, curve: GuidingCurve, angles: Angles, iterations: IntArray, fresh: bool, number: int
     ) -> Pass:
-        """
-        Spread the angles evenly, find the scallop points on the right, and check the pass.
-
-        Only the places that are milled may refuse the pass. Beyond them it ends where the mill
-        leaves no scallop.
-        """
+        """Spread the angles evenly, find the scallop points on the right, check what is milled."""
         s = evenly(curve, self.count(curve))
         postures = angles.postures(curve, self.cutter, s)
         right = scallop_points(self.surface, postures, self.options.scallop_height)

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
-from cnc_interp.cam.machined_face import MachinedFace, cut_back
 from cnc_interp.cam.nbuffer import Heights, cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.neighbours import Neighbours
@@ -28,7 +27,7 @@ from cnc_interp.cam.simulation import (
     planned,
     programmed,
 )
-from cnc_interp.cam.spline_pass import Strips
+from cnc_interp.cam.spline_pass import MachinedFace, Strips, cut_back
 from cnc_interp.cam.step_file import Part
 from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_words, results
 from cnc_interp.cam.surface import SAMPLES, Placed, Surface, SurfaceError

@@ -54,11 +54,7 @@ def runs(true: BoolArray) -> list[slice]:
 
 
 def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
-    """
-    Return the good places from the run with the first milled place to that with the last.
-
-    Over a hole places may be bad. The angles then run smoothly from one side to the other.
-    """
+    """Return the good places from the run with the first milled place to that with the last."""
     found = runs(good)
     ours = [run for run in found if kept[run].any()]
     if not ours:

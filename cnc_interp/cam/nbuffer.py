@@ -1,10 +1,9 @@
 """
 N-buffer: needles along the normals of a surface, cut by the moving mill.
 
-The mill is convex: all points within r_c of a cylinder of radius R that stands on C_L. The
-distance of a point of the needle ``B + h n`` from that cylinder is a convex function of h.
+The distance of a point of the needle ``B + h n`` from the convex mill is a convex function of h.
 Newton's method from below therefore converges monotonically to the height at which the needle
-enters the mill. The result is the signed height of the material: scallop, excess or gouge.
+enters. The result is the signed height of the material: scallop, excess or gouge.
 """
 
 from __future__ import annotations

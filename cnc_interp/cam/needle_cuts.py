@@ -1,10 +1,9 @@
 """
 Compiled loops of the N-buffer: where needles enter the mill, and where on its way first.
 
-What happens to a needle depends on this needle and on the motion alone. Groups of needles are
-skipped only where the test of each needle would skip it, too. So a needle ends at the same
-height, bit for bit, in whatever tile it stands. The functions of one needle are written in the
-part of Python that ``warp_cuts.py`` can translate for graphics cards: scalars, rows of arrays, no
+Groups of needles are skipped only where the test of each needle would skip it, too. So a needle
+ends at the same height, bit for bit, in whatever tile it stands. The functions of one needle are
+written in the part of Python that ``warp_cuts.py`` can translate: scalars, rows of arrays, no
 literal that is overwritten in a loop.
 """
 
@@ -62,8 +61,8 @@ def entry(
     """
     Return the height at which a needle enters the mill, or TOP if it misses the mill [m].
 
-    The distance from the cylinder is convex along the needle. Every Newton step from below
-    therefore ends before the root. A distance that no longer falls means a miss.
+    Every Newton step from below ends before the root, as the distance is convex. A distance that
+    no longer falls means a miss.
     """
     h = begin
     distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
@@ -90,8 +89,8 @@ def entry_at(
     """
     Return the entry height at a share of piece i of the motion [m].
 
-    Rows of ``first`` and ``last``, shape (n, 6), are the poses at the ends of the pieces: C_L [m]
-    and unit axis [-]. ``most`` is the present height of the needle [m].
+    Rows of ``first`` and ``last``, (n, 6): C_L [m] and unit axis [-] at the ends of the pieces;
+    ``most``: present height of the needle [m].
     """
     x = first[i, 0] + share * (last[i, 0] - first[i, 0])
     y = first[i, 1] + share * (last[i, 1] - first[i, 1])
@@ -138,11 +137,7 @@ def cut_finely(
     needle: FloatArray, j: int, most: float, first: FloatArray, middle: FloatArray,
     last: FloatArray, slack: float, i: int, stages: int, widest: float, R: float, skin: float,
 ) -> float:  # fmt: skip
-    """
-    Return the height of a needle after the mill has moved along piece i [m].
-
-    The arguments are those of ``cut``; ``most`` is the height before [m].
-    """
+    """Return the height of a needle, before ``most``, after the mill's way along piece i [m]."""
     half, rise = gap(
         needle, j, most, middle[i, 0], middle[i, 1], middle[i, 2], middle[i, 3], middle[i, 4],
         middle[i, 5], R, skin,
@@ -208,17 +203,14 @@ def cut(
     """
     Cut needles by pieces of motion.
 
-    ``needle`` (k, 6): base [m] and unit normal [-] of each needle; ``order`` (k,): numbers of the
-    needles, group by group; ``starts`` (groups + 1,): place in ``order`` where each group begins;
-    ``ball`` (groups, 4): centre and radius of a ball around the bases of each group [m];
-    ``first``, ``middle``, ``last`` (n, 6): C_L [m] and unit tool axis [-] at the beginning, in the
-    middle and at the end of a piece; ``slack`` (n,): largest motion of the mill between the middle
-    and an end of a piece [m]; ``rough`` (n,): pieces of the first cut of a batch, which removes
-    most material; ``batch`` (n,): batch of each piece, in increasing order; ``stages``: number of
-    times that the search interval of the lowest height is halved; ``widest``: half the first
-    search interval, as a share of the piece [-]; ``R``, ``skin``: radius of the cylinder, and
-    distance of the mill's surface from it [m]; ``height`` (k,): heights of the needles, which are
-    lowered in place [m].
+    ``needle`` (k, 6): base [m] and unit normal [-]; ``order`` (k,): numbers of the needles, group
+    by group; ``starts`` (groups + 1,): where each group begins; ``ball`` (groups, 4): centre and
+    radius of a ball around its bases [m]; ``first``, ``middle``, ``last`` (n, 6): C_L [m] and unit
+    axis [-] along a piece; ``slack`` (n,): largest motion of the mill between middle and end [m];
+    ``rough`` (n,): pieces of the first cut of a batch; ``batch`` (n,): increasing; ``stages``:
+    halvings of the search interval, at first ``widest`` to each side, as a share of the piece [-];
+    ``R``, ``skin``: radius of the cylinder, and distance of the mill's surface from it [m];
+    ``height`` (k,): lowered in place [m].
     """
     for g in range(len(starts) - 1):
         begin, end = starts[g], starts[g + 1]

@@ -1,9 +1,4 @@
-"""
-The N-buffer in tiles: each tile of needles is cut by a worker that knows nothing else.
-
-A worker is told the needles of its tile and the pieces of motion that can reach them. It returns
-heights and figures. So memory depends on the size of a tile, and workers may be anywhere.
-"""
+"""The N-buffer in tiles: a worker gets needles and the motion near them, and returns heights."""
 
 from __future__ import annotations
 

@@ -72,11 +72,7 @@ class Needles:
         return Needles(self.base[rows, columns], self.normal[rows, columns])
 
     def group_size(self) -> tuple[int, int]:
-        """
-        Return rows and columns of a group.
-
-        The rows of sections are far apart and their columns close; a group is still nearly square.
-        """
+        """Return rows and columns of a group, which is nearly square on the surface."""
         steps = [
             float(np.median(norm(np.diff(self.base, axis=k)))) if n > 1 else 1.0
             for k, n in enumerate(self.shape)
@@ -172,9 +168,8 @@ class Sweep:
     """
     Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
 
-    They are short, so that a parabola through three heights locates the lowest height. All numbers
-    that the cut depends on are those of the whole motion; a part of the needles is cut by the
-    pieces that can reach it.
+    They are short, so that a parabola through three heights locates the lowest height. A part of
+    the needles is cut by the pieces that can reach it.
     """
 
     cutter: Cutter  #: The mill.
@@ -211,20 +206,12 @@ class Sweep:
 
     @property
     def skin(self) -> float:
-        """
-        Distance of the mill's surface from its cylinder [m].
-
-        The distance from the cylinder of a flat mill never becomes negative, so it gets a skin.
-        """
+        """Distance of the mill's surface from its cylinder [m]; a flat mill gets one, too."""
         return max(self.cutter.corner_radius, 1e-9)
 
     @property
     def search(self) -> tuple[int, float]:
-        """
-        Stages of the search for the lowest height, and half its first interval [-].
-
-        A sharp edge makes the height along the motion a V instead of a parabola.
-        """
+        """Stages of the search for the lowest height, and half its first interval [-]."""
         return (2, 0.25) if self.cutter.corner_radius > 0.05 * MM else (14, 1.0)
 
     def near(self, centre: FloatArray, radius: float) -> Sweep:

@@ -1,8 +1,4 @@
-"""
-The other faces of a part, as points that the mill must not enter.
-
-A face of a STEP file is a part of a body. Passes end where the mill would enter another face.
-"""
+"""The other faces of a part, as points: passes end where the mill would enter them."""
 
 from __future__ import annotations
 
@@ -68,11 +64,10 @@ class Neighbours:
 @njit(cache=True, nogil=True)
 def deepest(points: FloatArray, pose: FloatArray, R: float, r: float) -> FloatArray:
     """
-    Return how deep mills enter the deepest of points.
+    Return how deep mills enter the deepest of points (n, 3), shape (m,); negative outside [m].
 
-    ``points`` (n, 3): points [m]; ``pose`` (m, 6): centres C_L [m] and unit axes [-]; ``R``,
-    ``r``: radius of the circle of corner centres and corner radius [m]. Returns (m,): depths;
-    negative outside [m].
+    ``pose`` (m, 6): C_L [m] and unit axes [-]; ``R``, ``r``: radii of corner circle and corner
+    [m].
     """
     depth = np.full(len(pose), -np.inf)
     for i in range(len(pose)):

@@ -56,11 +56,7 @@ def resting(cutter: Cutter, frames: Frames, tilt: FloatArray, yaw: FloatArray) -
 
 
 def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """
-    Return the residuals of Eq. 3.13 and 3.14, and which roots would be valid.
-
-    Eq. 3.14 is multiplied by 1 mm, so that both residuals are lengths.
-    """
+    """Return the residuals of Eq. 3.13 and, times 1 mm, 3.14, and which roots would be valid."""
     cutter, u = postures.cutter, postures.axis
     v = scallops.position - postures.centre
     along = dot(v, u)

@@ -83,11 +83,7 @@ class Pass:
 
     @property
     def reach(self) -> FloatArray:
-        """
-        Distance of the scallop points from the guiding plane.
-
-        Returns (n,): half widths at the places ``s`` [m].
-        """
+        """Half widths at the places ``s``: distances of scallop points from the plane, (n,) [m]."""
         return plane_distance(self.postures, self.right, self.curve.plane_normal)
 
     @property
@@ -98,10 +94,10 @@ class Pass:
 
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
     """
-    Return the distance of scallop points from the guiding plane.
+    Return the distance of scallop points, lifted to the guiding surface, from the guiding plane.
 
-    The points are first lifted to the guiding surface. On a slope the contact point does not lie
-    in the guiding plane, and only on the guiding surface the left and right half widths agree.
+    On a slope the contact point does not lie in the guiding plane, and only on the guiding surface
+    the left and right half widths agree.
     """
     lifted = scallops.position + postures.cutter.corner_radius * scallops.normal
     return np.abs(dot(lifted - postures.frames.position, normal))

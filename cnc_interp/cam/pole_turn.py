@@ -2,11 +2,10 @@
 Passes beside the pole, and the turn of the workpiece that keeps them away from it.
 
 Where the tool axis o passes the pole u at the angle d, the outer rotary axis has to turn at the
-rate ``|(o x o') . u| / sin(d)^2``. That is slow only if o' points at the pole. Between two poses o
-turns on a great circle, so ``o x o'`` is constant, and the rate is largest where d is smallest. A
-pass is near the pole if the outer axis would have to turn twice as fast as it can at the
-programmed feed. A pass within the orientation tolerance is not: the interpolator moves it through
-the pole. The turned workpiece is one on which the outer axis can follow everywhere.
+rate ``|(o x o') . u| / sin(d)^2``. Between two poses o turns on a great circle, so ``o x o'`` is
+constant, and the rate is largest where d is smallest. A pass is near the pole if the outer axis
+would have to turn twice as fast as it can at the programmed feed. A pass within the orientation
+tolerance is not: the interpolator moves it through the pole.
 """
 
 from __future__ import annotations
@@ -65,13 +64,13 @@ def pole_turn(
     transform = Transform.of(machine)
     outer, limit = machine.axis_names[3 + transform.outer], THROUGH * tolerance
     fastest = float(machine.max_velocity[3 + transform.outer])
-    legs = [_Legs.of(one, feedrate) for one in passes]
-    found = [leg.nearest(transform.pole, limit, fastest) for leg in legs]
+    turns = [_Turns.of(one, feedrate) for one in passes]
+    found = [turn.nearest(transform.pole, limit, fastest) for turn in turns]
     near = [one for one in found if one[1] > NEAR]
     if not near:
         return None
-    together = _Legs(*(np.concatenate(columns) for columns in zip(*(
-        (leg.start, leg.end, leg.rate) for leg in legs), strict=True)))  # fmt: skip
+    together = _Turns(*(np.concatenate(columns) for columns in zip(*(
+        (turn.start, turn.end, turn.rate) for turn in turns), strict=True)))  # fmt: skip
     about, angle = '', 0.0
     for size, name, sign in (
         (size, name, sign) for size in TURNS for name in 'XY' for sign in (1, -1)
@@ -86,30 +85,30 @@ def pole_turn(
 
 
 @dataclass(frozen=True)
-class _Legs:
-    """Tool axes at both ends of short legs, and how fast each is passed [1/s]."""
+class _Turns:
+    """Tool axes at both ends of short turns, and how fast each is passed [1/s]."""
 
     start: FloatArray
     end: FloatArray
     rate: FloatArray
 
     @staticmethod
-    def of(one: SplinePass, feedrate: float) -> _Legs:
+    def of(one: SplinePass, feedrate: float) -> _Turns:
         """Sample a pass."""
         first, last = one.ends
         tip, axis = one.poses(np.linspace(first, last, max(9, int((last - first) / SPACING))))
-        return _Legs(axis[:-1], axis[1:], feedrate / norm(np.diff(tip, axis=0)))
+        return _Turns(axis[:-1], axis[1:], feedrate / norm(np.diff(tip, axis=0)))
 
-    def turned(self, rotation: Rotation) -> _Legs:
-        """Return the legs of the turned workpiece."""
-        return _Legs(rotation.apply(self.start), rotation.apply(self.end), self.rate)
+    def turned(self, rotation: Rotation) -> _Turns:
+        """Return the turns on the turned workpiece."""
+        return _Turns(rotation.apply(self.start), rotation.apply(self.end), self.rate)
 
     def nearest(self, pole: FloatArray, limit: float, fastest: float) -> tuple[float, float]:
         """Return the smallest angle to the pole [rad], and the outer axis' rate over its limit."""
         normal = cross(self.start, self.end)
         theta = np.arctan2(norm(normal), dot(self.start, self.end))
         normal = normal / np.maximum(norm(normal), 1e-15)[:, None]
-        # The foot of the pole on each great circle, if it lies on the leg; both poles count alike.
+        # The foot of the pole on each great circle, if it lies there; both poles count alike.
         side = cross(normal, self.start)
         foot = np.arctan2(side @ pole, self.start @ pole)
         foot = np.where(self.start @ pole < 0.0, foot - np.pi * np.sign(foot), foot)

@@ -49,11 +49,7 @@ class Postures:
 
     @property
     def axis(self) -> FloatArray:
-        """
-        Tool axis.
-
-        Returns (n, 3): unit vectors u [-].
-        """
+        """Tool axis u, (n, 3) [-]."""
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), self.frames.normal) + scaled(np.sin(self.tilt), f_y)
 
@@ -65,11 +61,7 @@ class Postures:
 
     @property
     def centre(self) -> FloatArray:
-        """
-        Centre of the corner circle.
-
-        Returns (n, 3): C_L [m].
-        """
+        """Centre of the corner circle C_L, (n, 3) [m]."""
         return np.asarray(self.frames.position - self.cutter.tool_radius * self.front)
 
     @property
@@ -79,30 +71,21 @@ class Postures:
 
     @property
     def contact(self) -> FloatArray:
-        """
-        Contact point.
-
-        Returns (n, 3): K - r_c n [m].
-        """
+        """Contact point K - r_c n, (n, 3) [m]."""
         return self.frames.position - self.cutter.corner_radius * self.frames.normal
 
     @property
     def turn(self) -> FloatArray:
         """
-        Rotation vector of the mill per arc length.
+        Rotation vector of the mill per arc length [TL2008, Eq. 3.5-3.6 and appendix].
 
-        Omega = Omega_R1 + yaw' n - tilt' t_y [TL2008, Eq. 3.5-3.6 and appendix]; the tilt turns u
-        from n towards f_y.
+        Omega = Omega_R1 + yaw' n - tilt' t_y; the tilt turns u from n towards f_y.
         """
         own = scaled(self.yaw_rate, self.frames.normal) - scaled(self.tilt_rate, self.turned[1])
         return np.asarray(self.frames.turn + own)
 
     def velocity(self, points: FloatArray) -> FloatArray:
-        """
-        Return V_P of points of the mill per arc length of K [TL2008, Eq. 3.4].
-
-        ``points`` (n, ..., 3): points of the mill, any number for each posture [m].
-        """
+        """Return V_P of points (n, ..., 3) of the mill per arc length of K [TL2008, Eq. 3.4]."""
         extra = points.ndim - 2
         shape = (len(self), *[1] * extra, 3)
         away = points - self.frames.position.reshape(shape)

@@ -1,8 +1,4 @@
-"""
-What every tile of needles needs, imported once by the process from which its worker is forked.
-
-Importing this module is its purpose: the compiled kernel is in memory afterwards.
-"""
+"""What every tile of needles needs, imported once by the process from which workers are forked."""
 
 import gc
 

@@ -12,6 +12,7 @@ from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import Strips
+from cnc_interp.cam.tile_work import COLOURS, RANGE
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -34,13 +35,10 @@ def map_figure(heights: Heights, scallop: float) -> Any:
     # Ridges are thinner than a cell, so a cell shows its height farthest from zero.
     shown = np.where(heights.cut, heights.height, np.nan) / UM
     shown = thinned(shown, skip)
-    top = 1.3 * scallop / UM
+    top = RANGE * scallop / UM
     figure = go.Figure(go.Heatmap(
         x=rounded(x[::skip]), y=rounded(y[::skip]), z=rounded(shown.T), zmin=-top, zmax=top,
-        colorscale=[
-            [0.0, '#7b1d12'], [0.35, '#d9583f'], [0.5, '#f7f7f7'], [0.75, '#4f93c9'],
-            [0.885, '#123a63'], [0.89, '#e0b21e'], [1.0, '#e08a1e'],
-        ],
+        colorscale=COLOURS,
         colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
         hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
     ))  # fmt: skip

@@ -44,11 +44,7 @@ class Scallops:
     refined: IntArray
 
     def half_width(self, postures: Postures) -> FloatArray:
-        """
-        Return the distance of P from K across the feed.
-
-        Returns (n,): half widths of the strip [m].
-        """
+        """Return the distance of P from K across the feed, (n,) [m]."""
         away = self.position - postures.frames.position
         return np.abs(dot(away, postures.frames.across))
 

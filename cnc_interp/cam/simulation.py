@@ -46,12 +46,7 @@ class Motion:
 
 
 def thinned(motion: Motion) -> Motion:
-    """
-    Drop poses that the straight line between their neighbours replaces.
-
-    Setpoints have a constant period and are dense where the tool is slow. The error allowed here
-    is far below a scallop height.
-    """
+    """Drop poses that the straight line between their neighbours replaces, far below a scallop."""
     tip, axis = motion.tip, motion.axis
     for _ in range(THINNINGS):
         if len(tip) < 5:

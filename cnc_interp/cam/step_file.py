@@ -2,7 +2,7 @@
 Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
 
 Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
-control points. Other surfaces are converted exactly to rational B-splines. The package
+control points. Others are converted exactly to rational B-splines. The package
 ``cadquery-ocp-novtk`` (module ``OCP``) is optional.
 """
 
@@ -16,9 +16,17 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.shapes import BSplineSurface, Cylinder, Plane, RationalSurface, Torus
+from cnc_interp.cam.shapes import (
+    BSplineSurface,
+    Cylinder,
+    Plane,
+    RationalSurface,
+    Torus,
+    Trimmed,
+    joined,
+    within,
+)
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
-from cnc_interp.cam.trimmed import Trimmed, joined, within
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM

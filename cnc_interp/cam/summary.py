@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
-from cnc_interp.cam.machined_face import MachinedFace
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.pole_turn import PoleTurn
 from cnc_interp.cam.simulation import Section
+from cnc_interp.cam.spline_pass import MachinedFace
 from cnc_interp.core.units import DEG, MM, UM
 
 

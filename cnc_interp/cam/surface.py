@@ -97,11 +97,7 @@ class Surface(ABC):
         """Return the position and its first and second derivatives."""
 
     def at(self, u: FloatArray, v: FloatArray) -> SurfacePoint:
-        """
-        Return points, tangents, normals and the derivatives of the normals [m].
-
-        ``u``, ``v`` (...): parameters [units of u and v].
-        """
+        """Return points, tangents, normals and derivatives of the normals at parameters (...)."""
         s, s_u, s_v, s_uu, s_uv, s_vv = self.derivatives(u, v)
         m = self.sign * cross(s_u, s_v)
         with np.errstate(invalid='ignore', divide='ignore'):
@@ -141,13 +137,7 @@ class Surface(ABC):
         return u, v, np.where(moved < 1e-9, height, np.nan)
 
     def grid(self, rows: int, columns: int, extension: float = 0.0) -> tuple[FloatArray, ...]:
-        """
-        Return a grid of parameters over the domain.
-
-        ``rows``, ``columns``: number of values of u and of v; ``extension``: distance by which the
-        grid exceeds the border [m]. Returns ``u``, ``v`` (rows, columns): parameters [units of u
-        and v].
-        """
+        """Return parameters over the domain, (rows, columns), and ``extension`` [m] beyond it."""
         (u0, u1), (v0, v1) = self.domain
         grow_u, grow_v = self.growth(extension) if extension else (0.0, 0.0)
         u, v = np.meshgrid(
@@ -173,11 +163,9 @@ class Surface(ABC):
 
     def check(self, offset: float = 0.0) -> None:
         """
-        Refuse a surface that is degenerate or folds, or whose offset does.
+        Refuse a surface that is degenerate or folds, or whose offset [m] does.
 
-        ``offset``: distance of the offset surface, usually the corner radius [m]. Raises
-        SurfaceError if the surface or its offset is not regular. The message names the place, the
-        smallest concave radius and the requested radius.
+        Raises SurfaceError with the place, the smallest concave radius and the requested radius.
         """
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)

@@ -1,8 +1,4 @@
-"""
-Tool path: passes in the order of cutting, with safe links between them.
-
-A pass sweeps the same volume in both directions. Zigzag therefore uses the postures of one-way.
-"""
+"""Tool path: passes in the order of cutting, one way or zigzag, with safe links between them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""
-Products of arrays of vectors, shape (..., 3).
-
-They are faster than ``np.cross`` and ``np.linalg.norm`` on short arrays.
-"""
+"""Products of arrays of vectors, (..., 3): faster than ``np.cross`` and ``norm`` on short ones."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """
 The loops of the N-buffer for graphics cards, translated from those for the processor.
 
-The functions of one needle in ``needle_cuts.py`` are the only source. Their text is given to Warp
-with every literal in double precision. One thread cuts one needle by all pieces in order. The
-heights agree with those of numba to rounding: Newton's method ends within 1e-11 m.
+The text of the functions in ``needle_cuts.py`` is given to Warp with every literal in double
+precision. One thread cuts one needle by all pieces in order. Heights agree to rounding: 1e-11 m.
 """
 
 from __future__ import annotations

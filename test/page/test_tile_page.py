@@ -7,7 +7,7 @@ from browser import Browser, found
 from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.needles import NeedleGrid, patches
 from cnc_interp.cam.shapes import Plane
-from cnc_interp.cam.tile_page import TilePage
+from cnc_interp.cam.tile_work import TilePage
 from cnc_interp.core.units import MM, UM
 
 pytest.importorskip('zarr', reason='needs the optional part tiles')

@@ -21,7 +21,7 @@ from cnc_interp.cam.needle_tiles import TileCutter
 from cnc_interp.cam.needles import PATCH, NeedleGrid, Needles, Sweep
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.surface import Placed
-from cnc_interp.cam.tile_page import STEP, ZERO, TilePage
+from cnc_interp.cam.tile_work import STEP, ZERO, TilePage
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core.errors import InterpError

@@ -8,12 +8,11 @@ from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.shapes import Bumps, Plane
+from cnc_interp.cam.shapes import Bumps, Plane, Trimmed
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.cam.trimmed import Trimmed
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 

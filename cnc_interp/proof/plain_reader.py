@@ -251,6 +251,8 @@ class _State:
         if not self.motion:
             raise self.refuse('axis words before G0 or G1')
         self.here, sweep = end, {'2': -1, '3': 1}.get(self.motion, 0)
+        if sweep and words.keys().isdisjoint('IJKR'):
+            raise self.refuse('an arc without I J K and R')
         centre = self.centre(words, start, end, sweep) if sweep else None
         self.add(sweep, centre)
 

@@ -6,6 +6,7 @@ LinuxCNC's interpreter, where it is installed, or the reader of plain words is e
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,6 +40,8 @@ CHORD = 0.11
 PARALLEL = 1e-6
 # Contour and orientation tolerance of settings that are not known [m].
 UNKNOWN = (float('nan'), float('nan'))
+# Cycles that LinuxCNC ends otherwise than other controls.
+_OTHER_HOLES = re.compile(r'(?<![A-Z<_])G[ \t]*0*(?:74|84|89)(?![\d.])', re.IGNORECASE)
 # Longest program that is read [bytes].
 LONGEST = 64 << 20
 
@@ -67,6 +70,14 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             f'{program}: planned with --rotary-sense shortest, which no second reader knows; this '
             'program cannot be compared'
         )
+    for name, usual in (('arc_centres', 'start'), ('units', 'mm')):
+        choice = settings.get(name, 'auto')
+        choice = machine.control.get(name, usual) if choice == 'auto' else choice
+        if choice != usual:
+            raise InterpError(
+                f'{program}: planned with {name} {choice}, which no second reader knows; this '
+                'program cannot be compared'
+            )
     if plan.starts_inside:
         raise InterpError(
             f'{program}: the plan starts inside the program; compare a plan from its top'
@@ -89,7 +100,10 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     tolerances = [float(t) if isinstance(t, int | float) else float('nan') for t in given]
     forced = bool(settings.get('force_tolerances'))
     found, readers = [], []
+    linuxcnc = settings.get('dialect') == 'linuxcnc' or program.suffix.lower() == '.ngc'
     try:
+        if not linuxcnc and _OTHER_HOLES.search(text):
+            raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
         moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']), setup)
         found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerances))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")

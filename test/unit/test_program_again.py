@@ -254,3 +254,22 @@ def test_words_of_a_plain_program():
     assert moves[1].rotary[0] == pytest.approx(0.5 * DEG)
     assert moves[1].feed == pytest.approx(600 * MM_PER_MIN)
     assert moves[2].duration == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize(
+    ('text', 'options', 'wanted'),
+    [
+        ('G0 X10 Y0\nG3 X0 Y10 I10 J0', ['--arc-centres', 'reversed'], 'arc_centres reversed'),
+        ('G0 X1 Y0\nG1 X2', ['--units', 'inch'], 'units inch'),
+        ('G0 X10 Y0\nG3 X0 Y10 I-10 J0\nX-20 Y10', [], 'an arc without I J K and R'),
+        ('G0 X0 Y0 Z9\nG84 X1 Z-2 R3', [], 'the holes of G74, G84 and G89'),
+    ],
+)
+def test_what_no_second_reader_knows_is_not_compared(text, options, wanted, tmp_path, capsys):
+    program = tmp_path / 'part.nc'
+    program.write_text(f'F900\n{text}\nM2\n')
+    plan = ['plan', str(program), '--machine', 'xyz', '--out', str(tmp_path / 'plan')]
+    assert main([*plan, *options]) == 0
+    assert main(['check', str(tmp_path / 'plan'), '--program', str(program)]) == 2
+    said = capsys.readouterr().err
+    assert wanted in said or ('rs274 is not installed' in said and 'G84' in text)

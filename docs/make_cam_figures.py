@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -42,9 +43,12 @@ from cnc_interp.commands.cli import main as command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.papers.classical import classical_paths
-from cnc_interp.papers.marched_scallop import march_to_scallops
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / 'benchmarks'))
+
+from marched_scallop import march_to_scallops  # noqa: E402
+
 EXAMPLES = HERE.parent / 'examples'
 PAGE = HERE / 'how_it_works' / 'cam.md'
 MARKERS = '<!-- times: begin -->', '<!-- times: end -->'

@@ -86,7 +86,6 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
 
 
 def _tiles(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[str]:
-    """Write the main figures."""
     tiles = [(f'{counts[verdict]:,}', str(verdict)) for verdict in Verdict if counts[verdict]]
     total = sum(row['cycle_time_s'] or 0.0 for row in rows)
     shown = f'{total / HOUR:,.2f} h' if total > HOUR else f'{total:,.1f} s'

@@ -78,12 +78,7 @@ def run_batch(
     progress: Callable[[Progress], None],
     processes: int = 1,
 ) -> list[tuple[Job, Outcome]]:
-    """
-    Carry out all jobs.
-
-    ``store``: results of this and earlier starts, each written as soon as it is known;
-    ``processes``: how many processes plan one long program between its exact stops.
-    """
+    """Carry out all jobs; ``store`` keeps each result, ``processes`` plan one program together."""
     keys: dict[int, str] = {}
     found: dict[int, Outcome] = {}
     listed = list(jobs)
@@ -120,7 +115,6 @@ def run_batch(
 
 
 def _outcome(ended: Ended[Outcome]) -> Outcome:
-    """Return the result of a task, also of one that was lost."""
     if isinstance(ended.result, Outcome):
         return ended.result
     row = LOST[ended.result]

@@ -80,7 +80,6 @@ class DaskWorkers:
 
 
 def _end_of(future: Future, number: int) -> Ended[Any]:
-    """Return what a task has become."""
     if future.status == 'error':
         problem = future.exception()
         if isinstance(problem, KilledWorker):
@@ -162,7 +161,6 @@ async def _until_interrupted(part: Any) -> bool:
 
 
 def _worker(address: str, workers: int, host: str | None = None) -> Any:
-    """Return a worker; its tasks limit their memory themselves."""
     return Worker(
         address, nthreads=workers, host=host, memory_limit=0, dashboard=False, death_timeout=60
     )  # fmt: skip

@@ -160,7 +160,6 @@ class Processes:
 
 
 def _end_of(connection: Connection, running: _Running[A]) -> Ended[R]:
-    """Return what a call has become; its process has said something, died, or has no time left."""
     call, process = running.call, running.process
     late, sent = not connection.poll(), []
     if late:
@@ -182,7 +181,6 @@ def _end_of(connection: Connection, running: _Running[A]) -> Ended[R]:
 
 
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
-    """Call the function in a forked process, and send the result."""
     os.setsid()  # who started it receives Ctrl-C and ends it
     # A long program is planned by processes of its own; multiprocessing refuses them to a daemon.
     multiprocessing.current_process()._config['daemon'] = False  # type: ignore[attr-defined]

@@ -1,9 +1,4 @@
-"""
-A sweep: one command of `cnc-interp` with many values of its options, and what becomes of each.
-
-A point is a command line, so each can be run again alone. A grid tries all combinations. A search
-(differential evolution, Storn and Price 1997, of SciPy) tries points between two values.
-"""
+"""A sweep: a command with many values of options, a grid or a search; points are command lines."""
 
 from __future__ import annotations
 
@@ -224,7 +219,6 @@ class Sweep:
         return self._folder / 'points' / f'{point.key}.json'
 
     def _read(self, point: Point) -> Found | None:
-        """Return what an earlier start has found."""
         try:
             return Found(**read_json(self._file(point)))
         except (OSError, UnreadableError, TypeError):
@@ -232,14 +226,12 @@ class Sweep:
 
 
 def _found(ended: Ended[Found]) -> Found:
-    """Return what became of a point whose process may have been lost."""
     if isinstance(ended.result, Loss):
         return Found(fault=' '.join([ended.result.name.lower().replace('_', ' '), ended.why]))
     return ended.result
 
 
 def _checked(words: Sequence[str]) -> tuple[str, ...]:
-    """Return the command; ``cam iso-scallop`` always plans."""
     if not any(tuple(words[: len(swept)]) == swept for swept in SWEPT):
         raise InterpError(
             'a sweep needs a command after --: plan PROGRAM ..., or cam iso-scallop SURFACE ...'

@@ -124,7 +124,6 @@ def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
 
 
 def _over(found: dict[Point, Found], name: str) -> Any:
-    """Draw the time over one option."""
     from plotly import graph_objects as go
 
     points = [point for point in _moving(found) if name in dict(point.values)]
@@ -145,7 +144,6 @@ def _over(found: dict[Point, Found], name: str) -> Any:
 
 
 def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
-    """Write the best points, and the command as it is."""
     rows = []
     for point in [*best, start] if start not in best else best:
         one = found[point]
@@ -166,7 +164,6 @@ def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
 
 
 def _faults(found: dict[Point, Found]) -> str:
-    """List the points without a motion."""
     lines = [f'<li>{escape(values_text(point))}: {escape(one.fault)}</li>'
              for point, one in found.items() if one.fault]  # fmt: skip
     if not lines:

@@ -57,7 +57,6 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
 
 
 def _cost(job: Job, outcome: Outcome) -> list[object]:
-    """Return the row of ``costs.csv``."""
     cost = outcome.cost
     return [job.program, job.model.name, f'{cost.seconds:.3f}', f'{cost.processor:.3f}',
             f'{cost.memory / 1e6:.0f}']  # fmt: skip

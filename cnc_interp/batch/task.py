@@ -151,11 +151,7 @@ class Job:
 
 
 class Jobs:
-    """
-    The programs of a batch on its machines.
-
-    Raises InterpError if there is no program, or a machine or the setup file cannot be read.
-    """
+    """The programs of a batch on its machines; raises InterpError without a program or machine."""
 
     def __init__(
         self,
@@ -213,7 +209,6 @@ def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
 
 
 def _model(name: str) -> Model:
-    """Return a machine as text; it is sound."""
     machine = Machine.load(name)
     text = find_machine_file(name).read_text(encoding='utf-8')
     return Model(name, text, machine.file)

@@ -59,7 +59,6 @@ def carry_out(task: Task, processes: int = 1) -> Outcome:
 
 
 def _usages() -> list[resource.struct_rusage]:
-    """Return what this process and its ended children have used."""
     return [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
 
 
@@ -99,7 +98,6 @@ def _planned(task: Task, processes: int) -> Row:
 
 
 def _use(proof: Proof, kind: str) -> float:
-    """Return the largest use of a limit by any axis [-]."""
     return float(np.nanmax([proof.use_of(kind, axis) for axis in proof.axis_names]))
 
 

@@ -1,9 +1,4 @@
-"""
-The bottom of the mill stays outside the surface: the check, and the tilt at which its heel does.
-
-Where the surface is hollow along the feed, a larger tilt lifts the heel and narrows the strip. It
-is raised smoothly, over a distance on both sides, so that neighbouring passes can follow.
-"""
+"""The bottom of the mill stays outside the surface: the check, and tilts that lift its heel."""
 
 from __future__ import annotations
 

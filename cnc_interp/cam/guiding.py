@@ -47,7 +47,6 @@ class Frames:
     curvature: FloatArray
 
     def __len__(self) -> int:
-        """Return the number of places."""
         return len(self.u)
 
     @property
@@ -87,11 +86,7 @@ class GuidingCurve:
 
 
 class GuidingPlanes:
-    """
-    The family of guiding curves of a surface in parallel planes.
-
-    Beyond the border they end where planes no longer cut, or where the offset folds.
-    """
+    """The guiding curves in parallel planes; beyond the border they end where offsets do."""
 
     def __init__(
         self, surface: Surface, offset: float, plane_normal: FloatArray, extension: float
@@ -122,11 +117,7 @@ class GuidingPlanes:
         self.span = float(level.min()), float(level.max())
 
     def curve(self, plane: float) -> GuidingCurve:
-        """
-        Return the curve in the plane at a distance from the origin along N [m].
-
-        Raises SurfaceError if the plane misses the surface or meets it in several curves.
-        """
+        """Return the curve in the plane at a distance along N [m]; SurfaceError without one."""
         surface = self.surface
         generator = contour_generator(self._u, self._v, self._level)
         lines, lengths = [], []

@@ -95,7 +95,6 @@ class Figures:
         )  # fmt: skip
 
     def __add__(self, other: Figures) -> Figures:
-        """Return the figures of two parts together."""
         lows = [x.lowest for x in (self, other) if x.lowest]
         highs = [x.highest for x in (self, other) if x.highest]
         return Figures(
@@ -196,7 +195,6 @@ class HeightStore:
         self._height = self._group['height']
 
     def _refuse_others(self, place: Path) -> None:
-        """Refuse a folder that holds files which this class has not written."""
         if place.exists():
             try:
                 attributes = dict(self._zarr.open_group(place, mode='r').attrs)
@@ -208,7 +206,6 @@ class HeightStore:
             raise InterpError(f'{self.folder}: it holds other files; choose a new folder')
 
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
-        """Tell whether a store has been made for a grid."""
         try:
             found = self._zarr.open_group(place, mode='r')
             return (
@@ -221,7 +218,6 @@ class HeightStore:
 
     @staticmethod
     def _array(group: Any, name: str, shape: tuple[int, int]) -> Any:
-        """Make an array of heights whose chunks are tiles."""
         return group.create_array(
             name, shape=shape, chunks=(TILE, TILE), dtype='float64', fill_value=np.nan,
             overwrite=True,
@@ -291,7 +287,6 @@ class HeightStore:
         return -(-rows // (1 << level)), -(-columns // (1 << level))
 
     def _below(self, level: int, row: int, column: int, kind: str) -> FloatArray:
-        """Return the cells of the level below from which a tile is made."""
         array = self._height if level == 1 else self._group[f'level/{level - 1}/{kind}']
         return np.asarray(array[2 * row : 2 * (row + TILE), 2 * column : 2 * (column + TILE)])
 

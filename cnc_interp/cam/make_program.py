@@ -118,7 +118,6 @@ def _upwards(faces: list[MachinedFace]) -> FloatArray:
 def _machined(
     number: int, part: Part, cutter: Cutter, options: argparse.Namespace
 ) -> MachinedFace:
-    """Compute the passes of one face."""
     surface = part.surfaces[number]
     normal = across(surface, options.direction * DEG)
     others = part.neighbours.without(number) if part.neighbours else None
@@ -156,7 +155,6 @@ def _drawn(
     faces: list[MachinedFace], motions: list[Motion], cutter: Cutter, summary: dict[str, Any],
     options: argparse.Namespace,
 ) -> list[tuple[str, str, Any]]:  # fmt: skip
-    """Draw passes and simulated surfaces of all faces; put the figures into the summary."""
     figures = []
     for face, figures_of in zip(faces, face_facts(summary), strict=True):
         name = f'Face {face.number}: ' if len(faces) > 1 else ''
@@ -185,7 +183,6 @@ def _part(options: argparse.Namespace) -> Part:
 def _followed(
     surface: Surface, cutter: Cutter, normal: FloatArray, options: argparse.Namespace
 ) -> Strips:
-    """Compute the passes of the chosen strategy."""
     progress = _progress(options)
     show = progress.of('passes')
     if options.strategy == 'planes':
@@ -207,7 +204,6 @@ def _followed(
 
 
 def _model(options: argparse.Namespace) -> Machine | None:
-    """Return the machine whose drives are compensated."""
     return Machine.load(options.compensate) if options.compensate else None
 
 
@@ -265,7 +261,6 @@ def _cut(
     surface: Surface, cutter: Cutter, motion: Motion, normal: FloatArray,
     options: argparse.Namespace,
 ) -> tuple[Heights, Section]:  # fmt: skip
-    """Cut the needles of the map and of the sections."""
     needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
     progress = _progress(options)
     show = progress.of(f'cutting, {motion.name}')
@@ -322,10 +317,8 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
 
 
 def _progress(options: argparse.Namespace) -> ProgressBar:
-    """Return a function that shows progress on a terminal; None elsewhere."""
     return ProgressBar(None if options.json else sys.stderr)
 
 
 def _note(text: str) -> None:
-    """Print a note to standard error."""
     print(f'note: {text}', file=sys.stderr)

@@ -58,12 +58,7 @@ def entry(
     needle: FloatArray, j: int, x: float, y: float, z: float, a: float, b: float, c: float,
     R: float, skin: float, begin: float,
 ) -> float:  # fmt: skip
-    """
-    Return the height at which a needle enters the mill, or TOP if it misses the mill [m].
-
-    Every Newton step from below ends before the root, as the distance is convex. A distance that
-    no longer falls means a miss.
-    """
+    """Return the height at which a needle enters the mill, or TOP [m]; the distance is convex."""
     h = begin
     distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
     if distance < 0.0:

@@ -140,7 +140,6 @@ def _same(task: TileTask) -> TileTask:
 
 
 def _loss(ended: Any) -> str:
-    """Say how a worker was lost."""
     words = str(ended.result.name).lower().replace('_', ' ')
     return f'its worker was lost ({ended.why or words}); start again, what is done is kept'
 

@@ -1,9 +1,4 @@
-"""
-Needles, where the machined surface is measured, and the motion that cuts them, in short pieces.
-
-The surface is evaluated in patches of one size that begin at multiples of it. So a needle has the
-same place, bit for bit, whatever part of the grid is asked for.
-"""
+"""Needles and the motion that cuts them. Patches of one size give the same places, bit for bit."""
 
 from __future__ import annotations
 

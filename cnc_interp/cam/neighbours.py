@@ -63,12 +63,7 @@ class Neighbours:
 
 @njit(cache=True, nogil=True)
 def deepest(points: FloatArray, pose: FloatArray, R: float, r: float) -> FloatArray:
-    """
-    Return how deep mills enter the deepest of points (n, 3), shape (m,); negative outside [m].
-
-    ``pose`` (m, 6): C_L [m] and unit axes [-]; ``R``, ``r``: radii of corner circle and corner
-    [m].
-    """
+    """Return how deep mills (C_L, axis), (m, 6), enter the deepest of points, (m,) [m]."""
     depth = np.full(len(pose), -np.inf)
     for i in range(len(pose)):
         c = pose[i]

@@ -83,7 +83,7 @@ class Pass:
 
     @property
     def reach(self) -> FloatArray:
-        """Half widths at the places ``s``: distances of scallop points from the plane, (n,) [m]."""
+        """Half widths at ``s``: distances of scallop points from the plane, (n,) [m]."""
         return plane_distance(self.postures, self.right, self.curve.plane_normal)
 
     @property

@@ -94,13 +94,11 @@ class _Turns:
 
     @staticmethod
     def of(one: SplinePass, feedrate: float) -> _Turns:
-        """Sample a pass."""
         first, last = one.ends
         tip, axis = one.poses(np.linspace(first, last, max(9, int((last - first) / SPACING))))
         return _Turns(axis[:-1], axis[1:], feedrate / norm(np.diff(tip, axis=0)))
 
     def turned(self, rotation: Rotation) -> _Turns:
-        """Return the turns on the turned workpiece."""
         return _Turns(rotation.apply(self.start), rotation.apply(self.end), self.rate)
 
     def nearest(self, pole: FloatArray, limit: float, fastest: float) -> tuple[float, float]:

@@ -37,7 +37,6 @@ class Postures:
     yaw_rate: FloatArray
 
     def __len__(self) -> int:
-        """Return the number of postures."""
         return len(self.tilt)
 
     @property
@@ -76,11 +75,7 @@ class Postures:
 
     @property
     def turn(self) -> FloatArray:
-        """
-        Rotation vector of the mill per arc length [TL2008, Eq. 3.5-3.6 and appendix].
-
-        Omega = Omega_R1 + yaw' n - tilt' t_y; the tilt turns u from n towards f_y.
-        """
+        """Rotation vector per arc length [TL2008, Eq. 3.5-3.6]: Omega_R1 + yaw' n - tilt' t_y."""
         own = scaled(self.yaw_rate, self.frames.normal) - scaled(self.tilt_rate, self.turned[1])
         return np.asarray(self.frames.turn + own)
 

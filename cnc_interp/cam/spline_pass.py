@@ -92,12 +92,7 @@ class SplinePass:
     def following(
         rows: Callable[[FloatArray], FloatArray], ends: tuple[float, float]
     ) -> SplinePass:
-        """
-        Interpolate poses with enough knots to keep the splines within ``CLOSE``.
-
-        Only intervals with a larger error are halved: knots become dense where second derivatives
-        jump.
-        """
+        """Interpolate poses within ``CLOSE``; only intervals with a larger error are halved."""
         dense = np.linspace(*ends, max(64, int((ends[1] - ends[0]) / SPACING)))
         exact = rows(dense)
         s = np.linspace(*ends, max(5, int((ends[1] - ends[0]) / COARSEST) + 1))
@@ -148,11 +143,7 @@ def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray
 def chord_error(
     tip: FloatArray, top: FloatArray, middle_tip: FloatArray, middle_top: FloatArray
 ) -> FloatArray:
-    """
-    Return the distance of poses from the linear blocks that replace them.
-
-    A block moves tip and axis together. The upper point is compared where the tip is on its chord.
-    """
+    """Return the distance of poses from linear blocks, the upper point at the tip's share."""
     chord, chord_top = tip[:, 1] - tip[:, 0], top[:, 1] - top[:, 0]
     away = middle_tip - tip[:, 0]
     share = dot(away, chord) / np.maximum(dot(chord, chord), 1e-24)

@@ -178,7 +178,6 @@ class StepFace:
         return np.stack([u, v], axis=1)
 
     def _analytic(self) -> Surface:
-        """Make a plane, cylinder, sphere or torus over the rectangle of the boundary."""
         u, v = self._limits()
         position = self.geometry.Position()
         x, y, z = (
@@ -206,7 +205,6 @@ class StepFace:
         return Placed(shape, axes.T, origin, (u, v), self.flip)
 
     def _converted(self) -> Surface:
-        """Convert the rectangle of the boundary exactly to a rational B-spline surface."""
         from OCP.Geom import Geom_RectangularTrimmedSurface
         from OCP.GeomConvert import GeomConvert
 
@@ -340,7 +338,6 @@ def read_step_part(
 def _neighbours(
     path: Path, faces: list[StepFace], note: Callable[[str], None] | None
 ) -> Neighbours | None:
-    """Sample all faces of a part that has several."""
     if len(faces) == 1:
         return None
     spacing, found = SPACING, []
@@ -360,7 +357,6 @@ def _neighbours(
 
 
 def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
-    """Read all faces of a file, each once, without the placements of an assembly."""
     try:
         path.open('rb').close()
     except OSError as error:

@@ -51,7 +51,6 @@ def read_step_safely(
 
 
 def _end(code: int) -> str:
-    """Say how the process ended."""
     if code == -signal.SIGXCPU:
         return 'it takes longer than a file of this length may'
     return f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'

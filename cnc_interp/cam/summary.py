@@ -30,7 +30,6 @@ def face_facts(summary: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _facts_of(face: MachinedFace) -> dict[str, Any]:
-    """Return the figures of the passes of one face."""
     paths = face.paths
     found = {
         'passes': len(paths.passes),
@@ -94,7 +93,6 @@ def describe(summary: dict[str, Any]) -> str:
 
 
 def _passes_in_words(face: dict[str, Any]) -> list[str]:
-    """Return the lines about the passes of one face."""
     several = face['milled_parts'] != face['passes']
     parts = f' in {face["milled_parts"]} parts' if several else ''
     return [
@@ -105,7 +103,6 @@ def _passes_in_words(face: dict[str, Any]) -> list[str]:
 
 
 def _planes_in_words(summary: dict[str, Any]) -> list[str]:
-    """Return the lines that only passes along parallel planes have."""
     tilt, steps, counts = summary['tilt'], summary['plane_distance'], summary['iterations']
     apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
     return [

@@ -162,11 +162,7 @@ class Surface(ABC):
         return np.asarray(along & (v >= v0 - grow_v) & (v <= v1 + grow_v))
 
     def check(self, offset: float = 0.0) -> None:
-        """
-        Refuse a surface that is degenerate or folds, or whose offset [m] does.
-
-        Raises SurfaceError with the place, the smallest concave radius and the requested radius.
-        """
+        """Refuse a surface that is degenerate or folds, or whose offset [m] does: SurfaceError."""
         u, v = self.grid(SAMPLES, SAMPLES)
         point = self.at(u, v)
         area = norm(cross(point.d_u, point.d_v))
@@ -213,7 +209,6 @@ class Surface(ABC):
 
 
 def _place(point: SurfacePoint, where: BoolArray) -> str:
-    """Name the first point where a condition holds."""
     x, y, z = point.position[tuple(np.argwhere(where)[0])] / MM
     return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'
 

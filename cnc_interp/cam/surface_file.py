@@ -110,7 +110,6 @@ def read_part(
 
 
 def _surface(file: _File, kind: str) -> Surface:
-    """Make the surface in its own frame."""
     if kind in ('plane', 'bumps', 'cap'):
         x, y = (file.numbers('size_mm', (2,)) * MM).tolist()
         if kind == 'plane':
@@ -143,7 +142,6 @@ def _surface(file: _File, kind: str) -> Surface:
 
 
 def _placed(file: _File, surface: Surface) -> Surface:
-    """Rotate the surface about x, then y, then z, then shift it, as its placement says."""
     placement = file.contents.get('placement')
     if placement is None:
         return surface

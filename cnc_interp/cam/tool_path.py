@@ -122,7 +122,6 @@ def _clear(
     start: Link, tip: FloatArray, axis: FloatArray, cutter: Cutter, obstacles: Neighbours,
     gap: float,
 ) -> bool:  # fmt: skip
-    """Tell whether the mill keeps a gap on the straight way to a pose."""
     share = np.linspace(0.0, 1.0, 2 + int(float(norm(tip - start.tip)) / gap))[:, None]
     tips = start.tip + share * (tip - start.tip)
     axes = unit(start.axis + share * (axis - start.axis))
@@ -194,6 +193,5 @@ def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iter
 
 
 def _points(path: ToolPath, feedrate: float) -> Iterator[ClMove]:
-    """Yield the poses; the first is the start of the program."""
     for i, (tip, axis) in enumerate(zip(path.tip, path.axis, strict=True)):
         yield ClMove(tip, axis, feedrate, i > 0 and bool(path.rapid[i]), False)

@@ -1,9 +1,4 @@
-"""
-The loops of the N-buffer for graphics cards, translated from those for the processor.
-
-The text of the functions in ``needle_cuts.py`` is given to Warp with every literal in double
-precision. One thread cuts one needle by all pieces in order. Heights agree to rounding: 1e-11 m.
-"""
+"""The loops of ``needle_cuts.py`` given to Warp in double precision; heights agree to 1e-11 m."""
 
 from __future__ import annotations
 

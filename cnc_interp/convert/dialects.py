@@ -98,11 +98,7 @@ def convert(
 
 
 def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
-    """
-    Replace blocks whose rotary axes run linearly by poses within a share of the tolerances.
-
-    ``height``: flank height, at which the orientation tolerance counts [m].
-    """
+    """Replace linear rotary axes by poses, within a share of the tolerances at ``height`` [m]."""
     linear = np.flatnonzero(blocks.by_rotary)
     if not len(linear):
         return blocks
@@ -148,11 +144,7 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
 
 def with_chords(blocks: Blocks, height: float) -> Blocks:
-    """
-    Replace native splines by chords within a share of the contour tolerance.
-
-    ``height`` is the flank height, at which the tool axis counts for the chords [m].
-    """
+    """Replace native splines by chords within a share of the tolerance, at ``height`` [m] too."""
     parts = []
     for first, last in portions(blocks):
         rows = blocks[first:last]
@@ -161,7 +153,6 @@ def with_chords(blocks: Blocks, height: float) -> Blocks:
 
 
 def _chords(rows: Blocks, height: float) -> Blocks:
-    """Return the chords of one curve, given its control points."""
     portion = Portion(rows.tip, rows.top, rows.knot_interval)
     curve, spans = portion.curve, np.flatnonzero(rows.knot_interval)
 
@@ -186,7 +177,6 @@ def _chords(rows: Blocks, height: float) -> Blocks:
 
 
 def _gcode(blocks: Blocks, transform: Transform) -> Converted:
-    """Write blocks with the rotary words of the machine."""
     rotary = _rotary_words(blocks, transform) if transform.machine.has_rotary else None
     notes = []
     other = blocks.orientation_tolerance != blocks.contour_tolerance
@@ -238,7 +228,6 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
 
 
 def _cl(blocks: Blocks, source: str, height: float) -> Converted:
-    """Write blocks as GOTO points; the flank height is in metres."""
     feed = effective_feed(blocks)
     notes = []
     turning = np.isfinite(blocks.rotary[1:]).all(axis=1) & (
@@ -275,7 +264,6 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
 def _siemens(
     program: Program, transform: Transform, settings: Settings, tolerance: float
 ) -> Converted:
-    """Write the smooth path of a program."""
     blocks = program.blocks
     segments = segments_of(blocks, transform, settings)
     path = SplineMoves(segments, transform, settings.flank_height, tolerance)

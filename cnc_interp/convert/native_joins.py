@@ -62,7 +62,6 @@ class Joins:
         ]
 
     def _curve(self, blocks: Blocks, first: int, last: int) -> Blocks:
-        """Join the portions of one curve with each other and with the lines beside the curve."""
         rows = blocks[first:last]
         interval = rows.knot_interval
         # Two intervals of 0 in a row let the curve pass through a control point: a join.
@@ -85,7 +84,6 @@ class Joins:
 
     @staticmethod
     def _portion(rows: Blocks, a: int, b: int) -> Portion:
-        """Return the control points a ... b of a curve."""
         interval = rows.knot_interval[a : b + 1].copy()
         interval[0] = 0.0
         return Portion(rows.tip[a : b + 1], rows.top[a : b + 1], interval)

@@ -1,9 +1,4 @@
-"""
-Smooth segments as native blocks: lines and pairs of cubic B-splines.
-
-Some controls have one parameter for both curves and do not connect them. ``losses`` states what
-such a control changes.
-"""
+"""Smooth segments as lines and pairs of cubic B-splines; ``losses`` tells what controls change."""
 
 from __future__ import annotations
 
@@ -112,7 +107,6 @@ class SplineMoves:
         return np.asarray(segments.top[i, 0])
 
     def _line(self, i: int) -> SiemensMove:
-        """Return the block of a line or a rotation."""
         segments = self.segments
         resting = segments.kind[i] == ROTATION
         words = segments.rotary[i, 1]

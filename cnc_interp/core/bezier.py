@@ -157,11 +157,7 @@ def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
 
 
 def least_length(points: FloatArray) -> FloatArray:
-    """
-    Return a lower bound of the distance of Bezier curves from zero, (..., k, 3) to (...).
-
-    In the direction of the mean of the points, the curve is at least as far as the nearest point.
-    """
+    """Return a lower bound of the distance from zero, (..., k, 3) to (...), by a direction."""
     mean = points[..., 0, :]
     for k in range(1, points.shape[-2]):
         mean = mean + points[..., k, :]

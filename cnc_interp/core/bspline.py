@@ -9,11 +9,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 
 
 def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
-    """
-    Return the Bezier points of spans of cubic B-splines, (n, 4, d), by their blossoms.
-
-    ``knots`` (n, 6): the six around each span, which lies between the third and the fourth.
-    """
+    """Return Bezier points (n, 4, d) of cubic spans, by blossoms; ``knots`` (n, 6) around each."""
     left, right = knots[:, 2], knots[:, 3]
     found = []
     for count in range(4):

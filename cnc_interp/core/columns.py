@@ -56,11 +56,7 @@ def column(*tail: int | str, default: Any = None) -> Any:
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column,))
 class Table:
-    """
-    Base of tables: a frozen dataclass of columns of equal length, read-only.
-
-    A field without ``column`` is a table itself. A column of another shape is a ValueError.
-    """
+    """Base of tables: a frozen dataclass of read-only columns of equal length, or tables."""
 
     declared: ClassVar[Mapping[str, Column]]  #: The columns by name, in order.
     _names: ClassVar[tuple[str, ...]]  # of all fields
@@ -89,7 +85,6 @@ class Table:
             values.flags.writeable = False
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(getattr(self, self._names[0]))
 
     def __getitem__(self, rows: slice | IntArray | BoolArray) -> Self:
@@ -134,7 +129,6 @@ class Table:
 
 
 def _joined(parts: list[Any]) -> Any:
-    """Join arrays, or tables of one kind."""
     if isinstance(parts[0], Table):
         return type(parts[0]).concatenate(parts)
     return np.concatenate(parts)

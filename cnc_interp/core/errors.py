@@ -29,7 +29,6 @@ class RefusedLinesError(ProgramError):
         self.errors, self.text = tuple(errors), text
 
     def __str__(self) -> str:
-        """Return all refusals, one in a line."""
         return self.text
 
 
@@ -50,12 +49,7 @@ class SettingsError(InterpError):
 
 
 class BlockError(InterpError):
-    """
-    The motion of a block is refused before anything moves.
-
-    Planning knows only the line (0: unknown); a caller that knows the file sets ``source``.
-    ``value``: what is refused, SI; NaN if there is none.
-    """
+    """A block is refused before anything moves; a caller that knows the file sets ``source``."""
 
     def __init__(
         self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
@@ -65,7 +59,6 @@ class BlockError(InterpError):
         super().__init__(message)
 
     def __str__(self) -> str:
-        """Return the message after file and line, as far as they are known."""
         if self.source:
             line = f':{self.line_number}' if self.line_number else ''
             return f'{self.source}{line}: {self.message}'

@@ -81,7 +81,6 @@ class ProgressBar:
         self._write(work, shown, ', '.join(text for text in notes if text))
 
     def _write(self, work: str, share: float, note: str) -> None:
-        """Write one line; on a terminal it replaces the line before."""
         assert self._stream is not None
         if self._redraws:
             bar = f'[{"#" * int(BAR * share):<{BAR}}] '

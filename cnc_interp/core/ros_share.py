@@ -8,11 +8,7 @@ from pathlib import Path
 
 
 def share_directory(package: str) -> Path:
-    """
-    Return the folder of the data files of an installed package; raises LookupError without it.
-
-    Without ``AMENT_PREFIX_PATH`` it is searched beside Python: no script need be sourced.
-    """
+    """Return the data folder of a package, beside Python too; raises LookupError without it."""
     beside_python = Path(sys.prefix, 'share', package)  # installed by pip, also without ROS
     if 'AMENT_PREFIX_PATH' not in os.environ and beside_python.is_dir():
         return beside_python

@@ -52,11 +52,7 @@ def _checked(content: Any) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    """
-    Return the content of a small YAML file; raises OSError or UnreadableError.
-
-    References to other values (``*name``) are refused, because they can stand for any length.
-    """
+    """Return a small YAML file, without references (``*x``); raises OSError, UnreadableError."""
     return parse_yaml(small_text(path, LONGEST_YAML))
 
 
@@ -111,11 +107,7 @@ _KINDS = (resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)
 
 
 class BoundedMemory:
-    """
-    Limits the memory of this process, and the files it writes, until ``lift``.
-
-    A hostile file then ends in ``MemoryError`` or ``OSError``. ``room``: what it may take [bytes].
-    """
+    """Limits memory and written files of this process until ``lift``; ``room`` beyond [bytes]."""
 
     def __init__(self, *files: Path, room: int = ROOM):
         room += TIMES * sum(file.stat().st_size for file in files)

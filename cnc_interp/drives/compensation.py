@@ -121,7 +121,6 @@ def find_row(head: IntArray, setpoints: FloatArray, wanted: FloatArray) -> float
 
 @njit(cache=True, nogil=True)
 def _same(first: FloatArray, second: FloatArray) -> bool:
-    """Tell whether all axes are equal."""
     differs = 0
     for j in range(len(first)):
         differs += first[j] != second[j]

@@ -253,12 +253,7 @@ def _move_motor(
 def follow_all(
     words: FloatArray, setpoints: FloatArray, rates: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """
-    Advance all axes over rows of setpoints.
-
-    ``words`` (n_axes, n_words): their state is changed; ``setpoints``, ``rates`` (K, n_axes): at
-    the end of each period [m, rad, per s]. Returns positions and velocities as measured there.
-    """
+    """Advance all axes, whose ``words`` change, over setpoints and rates (K, n_axes) [m, rad]."""
     x, v = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):
         for i in range(len(setpoints)):

@@ -66,7 +66,6 @@ def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
 
 
 def _as_it_is(drive: AxisDrive, load: DriveLoad | None) -> tuple[FloatArray, float]:
-    """Return series and steady error of a drive that gets r and r'."""
     kv = drive.position_gain
     told = np.array([kv, drive.feed_forward, 0.0])
     series = _over(_times(told, _mode(drive)), _loops(drive, load))
@@ -76,7 +75,6 @@ def _as_it_is(drive: AxisDrive, load: DriveLoad | None) -> tuple[FloatArray, flo
 def _compensated(
     drive: AxisDrive, load: DriveLoad | None, model: AxisDrive, its_load: DriveLoad | None
 ) -> tuple[FloatArray, float]:
-    """Return series and steady error of a drive behind the inverse of a model."""
     share = drive.feed_forward / model.feed_forward
     told = share * _over(_loops(model, its_load), _mode(model))
     told[0] += drive.position_gain - share * model.position_gain
@@ -112,12 +110,10 @@ def _delay(time: float) -> FloatArray:
 
 
 def _times(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Multiply two series."""
     return np.convolve(one, other)[:TERMS]
 
 
 def _over(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Divide a series by another one."""
     found = np.empty(TERMS)
     for k in range(TERMS):
         found[k] = (one[k] - found[:k] @ other[k:0:-1]) / other[0]

@@ -218,7 +218,6 @@ class _Fit:
         self._largest = max(each.high for each in LOOPS if each.name == 'delay')
 
     def answer(self, drive: AxisDrive, load: DriveLoad | None) -> FloatArray:
-        """Return the positions of the model [m or rad]."""
         words = np.zeros((1, room_of_delay(self._largest, self._period)))
         axis_words(words[0], replace(drive, resolution=0.0), load, self._period)
         place(words[0], float(self._setpoint[0]))
@@ -228,7 +227,6 @@ class _Fit:
         return position
 
     def solve(self) -> tuple[AxisDrive, DriveLoad | None, dict[str, float]]:
-        """Return model, load and half widths of the intervals."""
         friction = FRICTION if self._load is not None else ()
         every = (*LOOPS, *friction, *MECHANICS)
         loops = (*LOOPS, *friction[:1])
@@ -248,7 +246,6 @@ class _Fit:
         return drive, load, self._widths(every, best, jacobian, residual)
 
     def _model(self, values: Mapping[str, float]) -> tuple[AxisDrive, DriveLoad | None]:
-        """Return drive and load of fitted values."""
         named, load = dict(values), self._load
         coulomb, excess = named.pop('coulomb', 0.0), named.pop('static', 0.0)
         if load is not None:
@@ -403,7 +400,6 @@ def _moves(axis: Axis) -> Iterator[tuple[float, float]]:
         raise MachineError('stands at the end of its travel; move it to the middle', axis.name)
 
     def length(speed: float) -> float:
-        """Return the way of a move with SPEED_HELD at the speed."""
         ramp = max(speed / a + a / j, 2.0 * np.sqrt(speed / j))
         return float(min(speed * (SPEED_HELD + ramp), room))
 

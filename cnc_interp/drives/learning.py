@@ -2,13 +2,9 @@
 What is added to the feed-forward of compensated drives after a run of the same program.
 
 The table was off its late setpoint by e. With the loops of ``drive_model.py`` the velocity
-feed-forward that moves it by e is
-
-    f dg = kv e + (1 + tau B) e' + tau e'',
-
-sent earlier by the dead time. It is added to what that run had, and all of it is smoothed by a low
-pass without phase: where the model is wrong by more than the error that is left, learning would
-make the error larger. That is so near the flexible mode, so the cutoff stays below it.
+feed-forward that moves it by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier by the
+dead time. All of it is smoothed by a low pass without phase, below the flexible mode: where the
+model is wrong by more than the error that is left, learning would make the error larger.
 """
 
 from __future__ import annotations
@@ -194,11 +190,7 @@ def hash_of(name: str) -> str:
 
 
 def learnt_for(path: Path, machine: str, model: str, period: float) -> LearntMotion:
-    """
-    Load what was learnt for a machine, its model (names or files) and a period.
-
-    Raises InterpError if it was learnt for another one, or there is no model.
-    """
+    """Load what was learnt for a machine, model and period; InterpError if for another one."""
     if not model:
         raise InterpError('learnt: is added to compensation; name its model with --compensate')
     motion, again = LearntMotion.load(path), 'record runs with it and learn again'

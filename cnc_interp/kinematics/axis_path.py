@@ -1,9 +1,4 @@
-"""
-AxisPath: the path in machine axes, q(s), with exact derivatives on a grid.
-
-In a cell every axis is the septic polynomial that takes value, q_s, q_ss and q_sss of both ends.
-Planner, interpolator and proof read the same curve; none of them needs splines or kinematics.
-"""
+"""The path in machine axes q(s): in a cell a septic by value, q_s, q_ss and q_sss of both ends."""
 
 from __future__ import annotations
 

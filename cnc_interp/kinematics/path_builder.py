@@ -167,7 +167,6 @@ class AxisPathBuilder:
         return self._join(parts) if parts else None
 
     def _motions(self, segments: PathSegments) -> IntArray:
-        """Return how the rotary axes move on each segment, (n,)."""
         n, kind = len(segments), segments.kind
         motion = np.full(n, RESTING)
         if not self.machine.has_rotary:
@@ -248,7 +247,6 @@ class AxisPathBuilder:
     def _cells(
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
     ) -> Cells:
-        """Cut segments into cells and check the result."""
         guides = np.tile(NO_GUIDE, (len(segments), 1)) if guides is None else guides
         rotary = np.array([0.0, 0.0, self._branch, self.flank_height])
         if self._rotary is not None:
@@ -290,7 +288,6 @@ class AxisPathBuilder:
         )  # fmt: skip
 
     def _join(self, parts: list[Cells]) -> AxisPath:
-        """Join parts into a piece of path that begins at the end of the last one."""
         steps = np.concatenate([part.steps for part in parts])
         # Added one by one: the same bits however the segments arrive.
         s = np.cumsum(np.concatenate([[self._s], steps]))

@@ -134,7 +134,6 @@ def check_travel(
 
 
 def _refuse_travel(machine: Machine, k: int, lowest: float, highest: float, line: int) -> NoReturn:
-    """Raise the error for an axis that would go as far as these positions in a line [m or rad]."""
     axis, (low, high) = machine.axes[k], machine.travel[k]
     value = float(highest if highest - high > low - lowest else lowest)
     unit, word = axis.shown_size, axis.shown_unit

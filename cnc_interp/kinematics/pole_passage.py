@@ -138,7 +138,6 @@ class PolePassages:
         return self._released(path[:at])
 
     def _released(self, path: PathAtPole) -> Released:
-        """Return segments whose passages are decided."""
         deviation = path.segments.deviation.copy()
         deviation[:, 1] += self._height * path.bound
         segments = replace(path.segments, deviation=deviation)
@@ -214,7 +213,6 @@ class PolePassages:
     def _cores(
         self, path: PathAtPole, first: int, last: int, ends: FloatArray, closed: bool
     ) -> list[_Core]:
-        """Return where the segments ``first`` to ``last`` are at the pole."""
         found: list[_Core] = []
         i = first
         while i < last:
@@ -258,7 +256,6 @@ class PolePassages:
     def _longest(
         self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core, after: float
     ) -> _Stretch | None:
-        """Return the longest stretch around a core that keeps the tolerance; None without one."""
         open_s, total = float(ends[min(max(self._open, first), last) - first]), float(ends[-1])
         begins = self._begins and self._open <= first and core.start < SAME_PLACE
         arrives = core.end > total - SAME_PLACE
@@ -290,7 +287,6 @@ class PolePassages:
             before, behind = (before * SHORTER, behind) if shorten else (before, behind * SHORTER)
 
     def _give(self, path: PathAtPole, first: int, stretch: _Stretch) -> None:
-        """Give the outer axis on a stretch."""
         guides = stretch.guides
         rows = guides.rows
         if stretch.begins and self._stopped and stretch.left.jet[0] != self._turn:
@@ -335,7 +331,6 @@ class PolePassages:
         self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, before: float,
         begins: bool,
     ) -> PassageEnd:  # fmt: skip
-        """Return the first end of a stretch."""
         resting = np.array([self._turn, 0.0, 0.0, 0.0])
         if begins:
             return PassageEnd(first, 0.0, 0.0, resting, self._branch, 0.0)

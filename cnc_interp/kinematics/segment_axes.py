@@ -1,8 +1,4 @@
-"""
-The axes and their exact derivatives by path length at one point of a segment.
-
-A break of a corner belongs to two pieces; ``inside``, a parameter in one of them, selects it.
-"""
+"""Axes and derivatives at one point of a segment; ``inside`` selects the piece at a break."""
 
 from __future__ import annotations
 

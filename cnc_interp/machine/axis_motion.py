@@ -88,11 +88,7 @@ class Recording:
 
 
 class ContourErrors:
-    """
-    Distances of the actual tip from the path of the commanded tips.
-
-    A table that brakes may be ahead of its setpoint. So a tip is compared with the next ones, too.
-    """
+    """Distances of actual tips from the commanded path; with the next tips, as brakes may lead."""
 
     def __init__(self, period: float, lag: float, tip: FloatArray):
         late = math.ceil(AHEAD / period)

@@ -20,7 +20,6 @@ class Rows:
     lines: list[int]
 
     def __len__(self) -> int:
-        """Return the number of setpoints."""
         return len(self.samples)
 
     def part(self, first: int, last: int) -> Rows:

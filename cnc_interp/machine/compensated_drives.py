@@ -33,11 +33,7 @@ from cnc_interp.machine_model.transform import Transform
 
 
 class CompensatedDrives:
-    """
-    Drives of the cycle that are sent the inverse of their model.
-
-    ``learnt``: what earlier runs have taught; it counts while its setpoints are played.
-    """
+    """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
 
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None

@@ -106,11 +106,7 @@ class CycleDrives(Drives, Protocol):
 
 @runtime_checkable
 class DelayedDrives(Drives, Protocol):
-    """
-    Drives that Python feeds with what the cycle has played; they execute it after a delay.
-
-    They come to rest on the path when they hear nothing more. Every call returns at once.
-    """
+    """Drives that Python feeds with what the cycle played; unheard, they rest on the path."""
 
     @property
     def alarm(self) -> str:

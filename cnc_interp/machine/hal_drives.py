@@ -1,10 +1,4 @@
-"""
-Drives in LinuxCNC's HAL: real machines, and what LinuxCNC can simulate.
-
-The cycle writes each setpoint into the FIFO of HAL's ``streamer``, a few periods ahead of HAL's
-thread. ``sampler`` brings back what the drives did. HAL counts in millimetres and degrees. Its
-library is that of the installed LinuxCNC (``docs/linuxcnc_machine.md`` has wiring and licence).
-"""
+"""Drives in LinuxCNC's HAL (``docs/linuxcnc_machine.md``): FIFO out, samples of the drives in."""
 
 from __future__ import annotations
 
@@ -213,7 +207,6 @@ class HalDrives:
         return stream
 
     def _check_depth(self, depth: int, stream: HalStream, samples: HalStream) -> None:
-        """Refuse FIFOs that are too short for what waits in them."""
         if stream.capacity < 2 * depth:
             raise DriveFaultError(
                 f'the FIFO of {STREAMER} holds {stream.capacity} rows, it needs {2 * depth} '
@@ -229,7 +222,6 @@ class HalDrives:
         self, machine: Machine, period: float, depth: int, limits: tuple[float, float],
         stream: HalStream, samples: HalStream,
     ) -> None:  # fmt: skip
-        """Fill the memory of the step."""
         block, words, session = self._block, self._block.words, self._session
         linear = machine.is_linear
         block.units[:] = np.where(linear, MM, DEG)

@@ -92,7 +92,6 @@ def block_at(address: int, n: int) -> Block:
 
 @njit(cache=True, nogil=True)
 def _call(words: IntArray, function: int, stream: int, row: int = 0, number: int = 0) -> int:
-    """Call a function of HAL's streams."""
     return call_c(  # type: ignore[no-any-return]
         np.uintp(words[function]), np.uintp(words[stream]), np.uintp(row), np.uintp(number)
     )
@@ -100,7 +99,6 @@ def _call(words: IntArray, function: int, stream: int, row: int = 0, number: int
 
 @njit(cache=True, nogil=True)
 def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, moves: bool) -> bool:
-    """Push a row into the stream and keep it; False where the FIFO is full."""
     words, n = block.words, len(block.units)
     kept = block.kept[words[PUSHED] % KEPT]
     for i in range(n):

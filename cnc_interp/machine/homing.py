@@ -112,7 +112,6 @@ class Homing:
         return tuple(name for group in groups for name in group)
 
     def _next(self) -> None:
-        """Begin with the next group."""
         group = self._groups.pop(0) if self._groups else ()
         self._stages = dict.fromkeys(group, Stage.SEARCHES)
 

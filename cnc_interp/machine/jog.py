@@ -1,9 +1,4 @@
-"""
-Motion by hand: what the operator wants, and the setpoints of it for the playback.
-
-A *beat* asks for velocities for a short time, a *move* for a target. Both become pieces of
-setpoints with their stops, some hundredths of a second ahead of the machine.
-"""
+"""Motion by hand: beats ask for velocities, moves for targets; both become pieces with stops."""
 
 from __future__ import annotations
 
@@ -132,14 +127,12 @@ class Jog:
         return place
 
     def _check(self, values: Mapping[str, float], tool: float) -> None:
-        """Refuse values that mean nothing."""
         if values and tool:
             raise StreamError('move either axes or along the tool')
         if not np.isfinite([*values.values(), tool]).all():
             raise StreamError('a value is not finite; send numbers')
 
     def _of_axes(self, values: Mapping[str, float], nothing: float) -> FloatArray:
-        """Return a value for each axis of the machine."""
         names = self._machine.axis_names
         for name in values:
             if name not in names:
@@ -155,7 +148,6 @@ class Jog:
         return motion.slides if tool is (motion.slides is not self._axes) else None
 
     def _refuse_beyond(self, place: FloatArray) -> None:
-        """Refuse a place outside the travel."""
         for axis, value in zip(self._machine.axes, place, strict=True):
             if not axis.travel[0] - THERE <= value <= axis.travel[1] + THERE:
                 low, high = map(axis.position_text, axis.travel)
@@ -189,7 +181,6 @@ class Jog:
             raise
 
     def _begin(self, wish: Beat | Move) -> None:
-        """Begin a motion from rest, if there is a way to go."""
         stands = self._playback.before_jog[-1]
         motion = JogMotion(wish.slides, self._period, wish.slides.coordinates(stands))
         self._steer(motion)
@@ -202,7 +193,6 @@ class Jog:
         self._fill(motion)
 
     def _steer(self, motion: JogMotion) -> None:
-        """Make a motion follow the wish and the override, where they have changed."""
         wish, override = self._wish, self._override
         if motion is self._motion and self._steered == (wish, override):
             return

@@ -173,12 +173,10 @@ class JogMotion:
         return self._solve(state, still, np.full_like(still, np.nan), EACH_ALONE)
 
     def _follow(self, planned: ruckig.Trajectory, rests: bool) -> None:
-        """Take a motion that begins at the last setpoint."""
         self._planned, self._next = planned, 0  # the next row is that of period _next + 1
         self._last = self._length(planned) if rests else math.inf
 
     def _length(self, planned: ruckig.Trajectory) -> int:
-        """Return the number of setpoints of a motion to rest."""
         return math.ceil(float(planned.duration) / self._period - 1e-9)
 
     def _next_rows(self, count: int) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +198,6 @@ class JogMotion:
         return rows
 
     def _inside(self, rows: FloatArray) -> bool:
-        """Tell whether all states lie within the travel."""
         low, high = self.slides.travel.T
         x = rows[:, 0]
         return bool(((x >= low - THERE) & (x <= high + THERE)).all())

@@ -105,7 +105,6 @@ class Playback:
         self._forget_run(NO_RUN)
 
     def _place(self, position: FloatArray) -> None:
-        """Set the position at which the axes stand; nothing moves."""
         self.axes.place(position)
         self.cycle.place(position)
         row = np.array(position, dtype=float)[None, :]
@@ -128,7 +127,6 @@ class Playback:
         self._place(self._drives.position)
 
     def _power_off(self) -> None:
-        """Switch the power of the drives off."""
         self._powered = False
         self._drives.switch_off()
 
@@ -149,11 +147,7 @@ class Playback:
         self._forget_run(run_id)
 
     def make_room(self, run_id: RunId) -> None:
-        """
-        Refuse a plan that cannot begin now, else drop what waits: the machine rests till then.
-
-        Raises StreamError if the machine moves, or waits for something else.
-        """
+        """Refuse a plan that cannot begin now (StreamError), else drop what waits."""
         self.read()
         mine, state = self.run_id, self.state
         if not state.resting:
@@ -187,7 +181,6 @@ class Playback:
         self.run_id, self.played_of_plan = run_id, 0
 
     def _forget_run(self, run_id: RunId) -> None:
-        """Reset everything that is counted through a run."""
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
         self.last: Reached | None = None
@@ -292,11 +285,7 @@ class Playback:
         return BufferedChunk(self.cycle.push(chunk), self.run_id, first, chunk, rows, tail)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
-        """
-        Return the last three setpoints before a plan that is to join from a number on [m, rad].
-
-        Raises StreamError if the machine has passed there, or lacks setpoints before it.
-        """
+        """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
         self.read()
         mine, buffer, row = self.run_id, self.buffer, self._row + 1
         waits = self.state.resting and number >= self.played_of_plan
@@ -316,11 +305,7 @@ class Playback:
     def join(
         self, run_id: RunId, number: int, chunk: Chunk, lines: list[int], tail_lines: list[int]
     ) -> None:
-        """
-        Join a plan in motion: its first chunk replaces the setpoints from a number on.
-
-        Raises StreamError if the machine has passed there. Then nothing has changed.
-        """
+        """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
         newest, buffer = self.before_join(run_id, number), self.buffer
         kept = [c for c in buffer.chunks if c.after <= number]
         split = next((c for c in buffer.chunks if c.first < number < c.after), None)
@@ -374,11 +359,7 @@ class Playback:
         self._handle(Event.REFUSE, detail=reason)
 
     def reset(self) -> None:
-        """
-        Clear a fault, or give up what is left of a run, at rest only.
-
-        Raises StreamError if the machine moves, or the drives cannot be switched on again.
-        """
+        """Clear a fault, or give up what is left of a run; StreamError unless at rest."""
         self.read()
         cleared = self.state.after(Event.RESET)
         if not self._powered:
@@ -420,7 +401,6 @@ class Playback:
             self.cycle.start(self.buffer.chunks[0].serial)
 
     def _has_enough(self) -> bool:
-        """Tell whether the buffer is full, holds a rest, or gets no further setpoints."""
         buffer = self.buffer
         last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
         return last or buffer.count >= self._full
@@ -453,7 +433,6 @@ class Playback:
             self._play(self._played.part(first, self._row + 1), records)
 
     def _find(self, serial: int) -> None:
-        """Make a chunk the current one."""
         while self._current is None or self._current.serial < serial:
             self._current, self._row = self.buffer.pop(), -1
 
@@ -502,7 +481,6 @@ class Playback:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
     def _measure(self, samples: Setpoints | None, records: Records) -> bool:
-        """Compare setpoints, or the last one held, with what the drives did; tell if they go."""
         x, v, answered = records.position, records.velocity, records.answered
         wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), True
         if samples is not None:
@@ -522,7 +500,6 @@ class Playback:
         return follow
 
     def _play(self, rows: Rows, records: Records) -> None:
-        """Take executed setpoints over and keep the figures of the run."""
         current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
         assert current is not None
         if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):
@@ -550,5 +527,4 @@ class Playback:
 
 
 def _axis_rows(samples: Setpoints) -> AxisRows:
-    """Return what drives need of setpoints."""
     return AxisRows(samples.position, samples.velocity, samples.acceleration)

@@ -113,7 +113,6 @@ class TrajectoryDrives:
         self._forget(self._report.position)
 
     def _first_report(self) -> JointReport:
-        """Wait for the positions of the axes."""
         deadline = time.monotonic() + POWER_UP
         while time.monotonic() < deadline:
             reports = self._controller.take_reports()
@@ -128,7 +127,6 @@ class TrajectoryDrives:
         return f'no positions of {" ".join(self._names)}; is the joint_state_broadcaster active?'
 
     def _forget(self, position: FloatArray) -> None:
-        """Begin anew at rest."""
         self._rows = AxisRows.held(position, self._kept)  # the last ones that were played
         self._played = self._kept  # rows so far; the last of them has number ``_played - 1``
         self._told = AxisRows.held(position, 1)  # rows from number ``_told_from`` on, as sent
@@ -208,11 +206,9 @@ class TrajectoryDrives:
         return first + int(np.argmax(differs)) if differs.any() else None
 
     def _knows(self, stop: AxisRows) -> bool:
-        """Tell whether the controller has everything, down to rest."""
         return self._news(stop) is None
 
     def _refuse_late(self, news: int) -> None:
-        """Refuse to change what the controller is about to execute."""
         late = self._controller.now() - (self._time_of(news) - round(RESERVE * self._delay))
         if late > 0:
             self._on = False
@@ -222,7 +218,6 @@ class TrajectoryDrives:
             )
 
     def _send(self, stop: AxisRows) -> None:
-        """Send what the controller has to execute, from a moment ago down to rest."""
         now, step = self._controller.now(), self._step
         moment = (now - self._delay - self._zero) / self._period - 1e9 * OVERLAP / self._period
         first = min(int(moment // step) * step, self._played - 1)

@@ -71,11 +71,7 @@ def _friction(value: Any, key: str) -> float:
 
 @dataclass(frozen=True)
 class AxisDrive:
-    """
-    The drive of one axis beside its ``DriveLoad``; the values are those of ideal drives.
-
-    ``drives/drive_model.py`` has the equations.
-    """
+    """The drive of one axis (``drives/drive_model.py``); the values are those of ideal drives."""
 
     position_gain: float = 100.0  #: ``kv`` of the position loop [1/s].
     feed_forward: float = 1.0  #: Share ``f`` of the setpoint's velocity that is fed forward [-].

@@ -198,11 +198,7 @@ class Machine:
 
     @staticmethod
     def load(path_or_name: str | Path) -> Machine:
-        """
-        Read a machine from a YAML file, or by the name of a bundled one.
-
-        Raises MachineError, with the key, if the file or a value is missing or makes no sense.
-        """
+        """Read a machine by file or bundled name; raises MachineError with the key."""
         path = find_machine_file(path_or_name)
         try:
             content = read_yaml(path)

@@ -170,11 +170,7 @@ class Transform:
         return np.asarray(forward(self.packed, q)[1])
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return tool tips [m] and tool axes in W, (n, 3), of axis positions (n, n_axes) [m, rad].
-
-        Extra axes may be left out and count as 0 then.
-        """
+        """Return tips [m] and axes in W, (n, 3), of q (n, n_axes); extra axes may be left out."""
         q = np.asarray(q, float)
         own = 5 if self.machine.has_rotary else 3
         if q.shape[1] > own:

@@ -25,7 +25,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.named_files import require_allowed
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.node_main import end_goal, run_node
 from cnc_interp.settings.texts import with_texts
 
 #: Time between feedbacks [s].
@@ -59,10 +59,9 @@ class BatchNode(Node):
         self.create_timer(FEEDBACK, self._work)
 
     def _accept(self, handle: Any) -> None:
-        """Begin with a goal, unless another one is under way."""
         if self._handle is not None:
             busy = 'a batch is under way; wait for its end, or cancel it'
-            _answer(handle, PlanBatch.Result(message=busy))
+            end_goal(handle, PlanBatch.Result(message=busy), succeeded=False)
             return
         self._handle, self._time_left = handle, TimeLeft()
         self._progress = Progress(0, 0, 0, 0.0)
@@ -70,7 +69,6 @@ class BatchNode(Node):
         self._result = self._thread.submit(self._planned, handle.request)
 
     def _work(self) -> None:
-        """Tell how far the batch is, and its end."""
         handle = self._handle
         if handle is None:
             return
@@ -88,7 +86,7 @@ class BatchNode(Node):
             result = self._result.result()
         except (InterpError, OSError) as problem:
             result = PlanBatch.Result(message=str(problem))
-        _answer(handle, result)
+        end_goal(handle, result, result.success)
 
     def _planned(self, goal: PlanBatch.Goal) -> PlanBatch.Result:
         """Carry out a batch; in a thread of its own."""
@@ -129,21 +127,6 @@ class BatchNode(Node):
         """End the processes; what is planned is kept."""
         self._stop.set()
         self._thread.shutdown()
-
-
-def _answer(handle: Any, result: PlanBatch.Result) -> None:
-    """End a goal with its result."""
-
-    def execute(goal: Any) -> PlanBatch.Result:
-        if result.success:
-            goal.succeed()
-        elif goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
-        return result
-
-    handle.execute(execute)
 
 
 main = partial(run_node, BatchNode, urgent=False)

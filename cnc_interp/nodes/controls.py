@@ -67,7 +67,6 @@ class Controls:
         return f'single block: {request.data}'
 
     def _beat(self, message: JogMessage) -> None:
-        """Take a beat, or name on the diagnostics why not."""
         self._wake()
         try:
             shares = _pairs(message.axes, message.shares)
@@ -92,7 +91,6 @@ class Controls:
         return 'moving'
 
     def _values_of_pose(self, tip: list[float], axis: list[float]) -> dict[str, float]:
-        """Return the position of each axis at a tool pose."""
         if len(tip) not in (0, 3) or len(axis) not in (0, 3):
             raise StreamError('a pose has three values of the tip, and three of the tool axis')
         point = np.array(tip or [np.nan] * 3)
@@ -121,7 +119,6 @@ class Controls:
 
 
 def _pairs(axes: list[str], values: Any) -> dict[str, float]:
-    """Return the value of each axis named."""
     if len(axes) != len(values) or len(set(axes)) != len(axes):
         raise StreamError('name each axis once, with one value for each')
     return dict(zip(axes, values, strict=True))
@@ -140,7 +137,6 @@ class Override:
         node.create_subscription(Float64, topic, self._take, OVERRIDE)
 
     def _take(self, message: Float64) -> None:
-        """Accept a value within the range and refuse any other."""
         value, (least, most) = float(message.data), RANGES[self._topic]
         sound = least <= value <= most
         if sound:
@@ -150,11 +146,7 @@ class Override:
 
 
 class Overrides:
-    """
-    Both overrides, as ``Override``: the machine node alone listens and tells all their values.
-
-    A second listener could be found first by ``ros2 topic pub --once``, which ends 0.1 s later.
-    """
+    """Both overrides. Only the machine node listens: a second listener might be found first."""
 
     def __init__(self, node: Any, diagnostics: Diagnostics):
         self.feed = Override(node, diagnostics, 'feed_override')

@@ -152,7 +152,6 @@ class FeedrateNode(LifecycleNode):
             self._work()  # settings also affect motion that is planned already
 
     def _check(self, segment: PathSegment) -> None:
-        """Accept segments while the node is active."""
         if not self._active:
             name = self.get_name()
             text = f'{name} is not active; activate it, then run the program again'
@@ -185,7 +184,6 @@ class FeedrateNode(LifecycleNode):
         return not self._idle
 
     def _received(self) -> Received:
-        """Return which plan the machine receives, and the setpoint that it executes now."""
         outlet, peer = self._outlet, self._outlet.peer
         if peer is None:
             return Received()

@@ -1,9 +1,4 @@
-"""
-A tiny built-in path: it loads every compiled kernel before anything moves.
-
-Each function works once in a process, also for those forked from it. What several nodes need is
-loaded before they are forked; the rest each node loads itself.
-"""
+"""A tiny built-in path loads every compiled kernel, once in a process, before anything moves."""
 
 from __future__ import annotations
 

@@ -86,7 +86,6 @@ class LookaheadNode(Node):
         return receiver.active or not outlet.sender.all_acknowledged
 
     def _smooth(self, run: SmoothingRun) -> None:
-        """Smooth the next batch."""
         try:
             count, segments = run.smooth()
         except InterpError as problem:
@@ -98,7 +97,6 @@ class LookaheadNode(Node):
             self._end()
 
     def _end(self) -> None:
-        """End the path at rest with the last valid block."""
         if self._run is None:
             return
         segments, problem = self._run.end()
@@ -107,7 +105,6 @@ class LookaheadNode(Node):
             self._inlet.refuse(self._run.run_id, Refusal.BAD_PATH, problem)
 
     def _send(self, segments: list[PathSegment]) -> None:
-        """Queue segments and send as much as the window allows."""
         for first in range(0, len(segments), MOST_TOGETHER):
             together = segments[first : first + MOST_TOGETHER]
             self._outlet.sender.put(together, len(together))

@@ -115,7 +115,6 @@ class MachineNode(LifecycleNode):
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
     def _check(self, chunk: SetpointChunk) -> None:
-        """Check that a chunk fits the machine, its state and its position."""
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
         playback.read()
         state = playback.state
@@ -138,12 +137,10 @@ class MachineNode(LifecycleNode):
             playback.join(run_id, number, *_parts(chunk))
 
     def _void(self) -> str:
-        """Return why setpoints of a plan that was left are ignored; the same text for all."""
         plan = self._playback.run_id.plan
         return f'plan {plan} has ended by a stop; its later setpoints are not needed'
 
     def _take(self, chunk: SetpointChunk) -> None:
-        """Put valid setpoints into the buffer."""
         playback = self._playback
         if chunk.first_sample == 0:
             playback.begin_plan(run_id_of(chunk))
@@ -157,7 +154,6 @@ class MachineNode(LifecycleNode):
         self._playback.refuse(self._inlet.receiver.refusal_text)
 
     def _give_up(self, reason: str, kind: Refusal = Refusal.GIVEN_UP) -> None:
-        """Inform the senders that the run is over."""
         receiver = self._inlet.receiver
         if receiver.run_id and not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)

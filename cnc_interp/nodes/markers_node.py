@@ -96,7 +96,6 @@ class MarkersNode(Node):
         self.create_timer(1.0 / values['rate'], self._tell)
 
     def _begin(self, program_id: str) -> None:
-        """Remove all markers when another program begins."""
         if program_id != self._program_id:
             self._program_id, self._sequence, self._cleared = program_id, -1, True
             self._programmed.clear()
@@ -129,7 +128,6 @@ class MarkersNode(Node):
             self._executed.add(tip[0])
 
     def _tell(self) -> None:
-        """Publish the markers that have changed, or all of them for a new subscriber."""
         viewers = self.count_subscribers('markers')
         everything, self._viewers = viewers > self._viewers, viewers
         markers = self._programmed.news(everything) + self._executed.news(everything)

@@ -90,6 +90,26 @@ def answering(act: Callable[[Any, Any], str]) -> Callable[[Any, Any], Any]:
     return serve
 
 
+def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) -> None:
+    """
+    End a goal of an action with its result; ``cancelled``: whether a client may be the cause.
+
+    rclpy polls an awaiting execute callback without pause, at most of a core. So a goal is only
+    handed to ``execute`` when its result is there.
+    """
+
+    def execute(goal: Any) -> Any:
+        if succeeded:
+            goal.succeed()
+        elif cancelled and goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+    handle.execute(execute)
+
+
 def answer_flush(node: Any, _request: Any, response: Any) -> Any:
     """Publish what the node has collected; the end of a recording asks for it."""
     if hasattr(node, 'publish_rest'):

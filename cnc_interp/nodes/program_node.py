@@ -102,7 +102,6 @@ class ProgramNode(Node):
         self._queue.add(run, handle)
 
     def _prepare(self, run: ProgramRun, handle: Any) -> Future[Prepared]:
-        """Let the program of a goal be read, with the setup as it is then."""
         if handle.request.mdi:
             return self._worker.submit(self._mdi.prepare, run, handle.request)
         return self._worker.submit(
@@ -116,7 +115,6 @@ class ProgramNode(Node):
         )
 
     def _work(self) -> bool:
-        """Advance the run by one step."""
         now = time.monotonic()
         if self._run is None and (following := self._queue.next()) is not None:
             (self._run, self._goal), self._state = following, None
@@ -163,7 +161,6 @@ class ProgramNode(Node):
         return True
 
     def _begin(self, run: ProgramRun) -> None:
-        """Send the blocks of a run from the first one on."""
         assert run.preparation.prepared is not None
         self._feed.begin(
             run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
@@ -185,7 +182,6 @@ class ProgramNode(Node):
             self._begin(run)
 
     def _tell_programs(self, run: ProgramRun) -> None:
-        """Report what runs, what waits, and what prevents the run from continuing."""
         waiting = ', '.join(self._queue.names)
         values: dict[str, object] = {WAITING: waiting}
         text = f'running {run.name}'
@@ -217,14 +213,12 @@ class ProgramNode(Node):
             self._buttons[button].call_async(Trigger.Request())
 
     def _tell_progress(self, program: Prepared | None, now: float) -> None:
-        """Publish feedback at intervals."""
         due = now - self._feedback_at > FEEDBACK
         if due and self._state is not None and program is not None:
             self._feedback_at = now
             self._goal.publish_feedback(run_feedback(self._state, program.path_length))
 
     def _finish(self, run: ProgramRun, outcome: Outcome) -> None:
-        """End the run and return its result to the client."""
         result = run.result(outcome)
         # A run that began again may end with what was sent before.
         result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from cnc_interp_msgs.action import RunProgram
 
+from cnc_interp.nodes.node_main import end_goal
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.run.run_phase import Code, Outcome
 
@@ -25,23 +26,8 @@ class Waiting(NamedTuple):
 
 
 def answer(handle: Any, result: RunProgram.Result) -> None:
-    """
-    End a goal with its result.
-
-    rclpy polls an awaiting execute callback without pause, at most of a core. So a goal is only
-    handed to ``execute`` when its result is there.
-    """
-
-    def execute(goal: Any) -> RunProgram.Result:
-        if result.code == Code.SUCCEEDED:
-            goal.succeed()
-        elif result.code == Code.CANCELED and goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
-        return result
-
-    handle.execute(execute)
+    """End a goal with its result."""
+    end_goal(handle, result, result.code == Code.SUCCEEDED, result.code == Code.CANCELED)
 
 
 class ProgramQueue:
@@ -92,7 +78,6 @@ class ProgramQueue:
         self._drop(0, name)
 
     def _drop(self, first: int, name: str) -> None:
-        """End all goals from an index on."""
         while len(self._entries) > first:
             entry = self._entries.pop()
             text = f'not started: {name} before it did not reach its end; send it again'

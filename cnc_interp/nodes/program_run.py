@@ -72,7 +72,6 @@ class ProgramRun:
         self._known_by: set[str] = set()
 
     def _change(self, step: Step, now: float) -> None:
-        """Change to the next phase of the table."""
         self.phase, self._since = TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:
@@ -98,7 +97,6 @@ class ProgramRun:
         return outcome
 
     def _wait(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Start once every node was heard and the machine is free."""
         if self.preparation.cancelled:
             return Outcome(Code.CANCELED, 'cancelled before anything moved')
         missing, machine = peers.missing(now, timeout), peers.machine
@@ -115,7 +113,6 @@ class ProgramRun:
         return None if patient else why_not(missing, machine)
 
     def _watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Tell when the run is over, and how."""
         machine = peers.machine
         mine = machine is not None and machine.run_id.program_id == self.run_id.program_id
         not_begun = self._machine is None and machine is not None and machine.is_free

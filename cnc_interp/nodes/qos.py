@@ -30,55 +30,37 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 DEPTH = 4096
 
 
-def _reliable(depth: int) -> QoSProfile:
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+
+
+def _last(
+    depth: int,
+    reliability: ReliabilityPolicy = RELIABLE,
+    durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
+) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.VOLATILE,
+        reliability=reliability,
+        durability=durability,
     )
 
 
 def listening_to(profile: QoSProfile) -> QoSProfile:
     """Return the profile of a recorder: the offered one with a longer queue."""
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=DEPTH,
-        reliability=profile.reliability,
-        durability=profile.durability,
-    )
+    return _last(DEPTH, profile.reliability, profile.durability)
 
 
-STREAM = _reliable(DEPTH)
-SETPOINTS = _reliable(1024)
-STATUS = _reliable(64)
-STATE = _reliable(64)
-MARKERS = _reliable(16)
-LISTENING = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=DEPTH,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
-JOINTS = _reliable(10)
-TRAJECTORY = _reliable(1)
-FEEDBACK = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=64,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
-DIAGNOSTICS = _reliable(64)
-LOADED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-OVERRIDE = _reliable(10)
-BEATS = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
+STREAM = _last(DEPTH)
+SETPOINTS = _last(1024)
+STATUS = _last(64)
+STATE = _last(64)
+MARKERS = _last(16)
+LISTENING = _last(DEPTH, BEST_EFFORT)
+JOINTS = _last(10)
+TRAJECTORY = _last(1)
+FEEDBACK = _last(64, BEST_EFFORT)
+DIAGNOSTICS = _last(64)
+LOADED = _last(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+OVERRIDE = _last(10)
+BEATS = _last(1, BEST_EFFORT)

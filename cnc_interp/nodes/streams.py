@@ -53,12 +53,7 @@ STATUS_PERIOD = 0.01
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
-    """
-    Return run, first number and count of a message, and whether it is the first of its plan.
-
-    Every plan of a run is a stream of its own. It is numbered from 0, or goes on with the numbers
-    of the plan that it joins.
-    """
+    """Return run, first number, count and whether a message begins a plan: a stream of its own."""
     if isinstance(message, SetpointChunk):
         first, count = message.first_sample, len(message.sequences)
         return run_id_of(message), first, count, first == 0 or message.joins
@@ -98,7 +93,6 @@ class Inlet:
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
     def _receive(self, kind: Any, data: bytes) -> None:
-        """Read a message and accept those that the gate returns."""
         try:
             message = opened(data, kind)
         except StreamError as fault:
@@ -110,7 +104,6 @@ class Inlet:
                 self._enter(early)
 
     def _enter(self, message: Any) -> None:
-        """Accept a message, or report why it is refused."""
         receiver = self.receiver
         run_id, first, count, begins = numbers_of(message)
         try:
@@ -162,7 +155,6 @@ class Inlet:
         self._publish(run_id, refusal_kind=fault.kind, refusal=str(fault))
 
     def _ask_again(self, kind: Refusal, reason: str) -> None:
-        """Ask the sender to repeat the missing messages."""
         self._name(WARN, kind, reason)
         if not self._gap:
             self._gap = True
@@ -236,7 +228,6 @@ class Outlet:
         )
 
     def _acknowledge(self, status: StreamStatus) -> None:
-        """Move the window forward and send."""
         if status.stream != self.stream:
             return
         if status.refusal_kind == Refusal.TOO_LATE:

@@ -49,19 +49,11 @@ class ClassicalPass:
 
     @property
     def reach(self) -> FloatArray:
-        """
-        Half width of the strip.
-
-        Returns (n,): half widths at the places ``s`` [m].
-        """
+        """Half width of the strip at the places ``s``, (n,) [m]."""
         return self.right.half_width(self.postures)
 
     def tool(self, s: FloatArray) -> Postures:
-        """
-        Return the postures at places of the pass.
-
-        ``s`` (m,): places [m].
-        """
+        """Return the postures at places ``s`` of the pass, (m,) [m]."""
         p, zero = self.postures, np.zeros(len(s))
         return Postures(
             p.cutter, self.curve.frames(s), zero + p.tilt[0], zero + p.yaw[0], zero, zero
@@ -115,7 +107,6 @@ class _Run:
         return ClassicalPaths(passes, '')
 
     def first_pass(self, start: float | None) -> ClassicalPass:
-        """Make the first pass in a guiding plane."""
         planes = GuidingPlanes(self.surface, self.cutter.corner_radius, self.normal, self.beyond)
         if start is None:
             curve = planes.curve(planes.span[0])
@@ -173,13 +164,11 @@ class _Run:
         return u, v
 
     def covers_more(self, before: ClassicalPass) -> bool:
-        """Return whether any part of the scallop on the right lies on the surface."""
         frames = before.postures.frames
         u, v, _ = self.surface.project(before.right.position, frames.u, frames.v)
         return bool(self.surface.contains(u, v, 0.0).any())
 
     def share(self, made: ClassicalPass) -> float:
-        """Estimate the share done from the middle of the pass."""
         u, v = self.surface.grid(9, 9)
         level = self.surface.at(u, v).position @ self.normal
         here = float(np.median(made.postures.contact @ self.normal))

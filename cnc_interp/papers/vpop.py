@@ -63,7 +63,6 @@ LANDED = 1e-13
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _from(state: FloatArray, rows: FloatArray) -> FloatArray:
-    """Write a state into the first row."""
     rows[0] = state
     return rows
 
@@ -114,11 +113,7 @@ def _hold(
 def _go_back(
     curve: Curve, rows: FloatArray, k: int, passed: float, trial: FloatArray, faster: FloatArray
 ) -> tuple[int, int]:
-    """
-    Change the steps of rows 0 to k so that the motion passes the position ``passed``.
-
-    Returns the row after the last step and what ended it; the row is negative if nothing passes.
-    """
+    """Change rows 0 to k so that the motion passes; return the row after and what ended it."""
     best, begin = 0.0, k
     back, enough = 0.0, np.inf
     # Farther and farther back, until braking ends before the place; then beside the best one.

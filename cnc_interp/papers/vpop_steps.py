@@ -6,11 +6,8 @@ At each state (v, a) = (s_dot, s_ddot) every axis leaves an interval of j = s_dd
     |q_s j + 3 q_ss v a + q_sss v^3| <= J    [B2013, Eq. 8]
     |q_s a + q_ss v^2| <= A, |q_s v| <= V, v <= F at the end of the step    [Eq. 6, 7]
 
-and the torque of its drive, see ``acceleration_room``.
-
-Each step takes the largest j of all intervals, or the lowest one to brake. Before a speed limit, j
-is lower, so that a is zero when v gets there. A step ends after one period or at the border of a
-path cell, where q_sss may jump.
+and the torque of its drive. Each step takes the largest j, or the lowest one to brake, for one
+period or to the border of a path cell; before a speed limit a is zero when v gets there.
 """
 
 from __future__ import annotations

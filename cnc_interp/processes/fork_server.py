@@ -23,11 +23,7 @@ _sockets: TemporaryFolder | None = None
 
 
 def begin_loading(modules: Sequence[str]) -> ForkServerContext:
-    """
-    Start the fork server, which takes seconds to load; returns at once.
-
-    It outlives Ctrl-C, so that who started it ends its children in order. A process has one.
-    """
+    """Start the fork server, which loads for seconds and outlives Ctrl-C; returns at once."""
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])
     if _sockets is None:

@@ -39,7 +39,6 @@ def load_nodes() -> ForkServerContext:
 
 
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
-    """Run a node in a forked process, until it ends."""
     if not log.parent.is_dir():
         return  # the run was interrupted before the fork server was ready
     os.setsid()  # the run receives Ctrl-C and ends the nodes in order
@@ -53,11 +52,7 @@ def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: 
 
 
 class Children:
-    """
-    The nodes of one run.
-
-    ``parameters``: values by node name on top of the parameter file; ``arguments``: remappings.
-    """
+    """The nodes of one run; ``parameters`` by node name, ``arguments``: remappings."""
 
     def __init__(
         self,
@@ -84,7 +79,6 @@ class Children:
             raise
 
     def _start(self, node: str) -> Started:
-        """Start one node; its output goes to a file."""
         arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
         arguments += ['--params-file', str(self._file)]
         for name, value in self._parameters.get(node, {}).items():

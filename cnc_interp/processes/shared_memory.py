@@ -41,7 +41,6 @@ def remove_dead_segments() -> None:
 
 
 def _remove_segments(locks: list[Path]) -> None:
-    """Remove segments, given by their locks, that no process has open."""
     living = files_in_use()
     for lock in locks:
         segment = lock.with_name(lock.name.removesuffix('_el'))
@@ -52,8 +51,6 @@ def _remove_segments(locks: list[Path]) -> None:
 
 
 def _remove_ports(files: dict[str, list[Path]]) -> None:
-    """Remove the files of ports that no process has open."""
-
     def dead() -> list[str]:
         living = files_in_use()
         return [
@@ -72,7 +69,6 @@ def _remove_ports(files: dict[str, list[Path]]) -> None:
 
 
 def _is_dead(lock: Path) -> bool:
-    """Tell whether no process holds the lock of a segment."""
     with contextlib.suppress(OSError):
         return is_unlocked(lock)
     return False

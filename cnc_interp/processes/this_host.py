@@ -13,12 +13,7 @@ PROFILE = Path(__file__).with_name('this_host.xml')
 
 
 def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
-    """
-    Return the variables that keep a ROS process on this computer.
-
-    The range of discovery alone does not: sockets answer every host that knows the address. So
-    the profile binds them to 127.0.0.1.
-    """
+    """Return variables that bind ROS to 127.0.0.1: the discovery range alone does not."""
     if environment.get(PEERS) or environment.get(RANGE, 'LOCALHOST') != 'LOCALHOST':
         return {}
     found = {RANGE: 'LOCALHOST'}

@@ -127,7 +127,6 @@ def _demand_end(said: str, code: int) -> None:
 
 
 def _prepared(text: str, skip: bool, tool: int = 0) -> str:
-    """Return a program without comments, with a tool at the start, and with an end."""
     text = (_BLANK if skip else _SLASH).sub('', _COMMENT.sub(' ', text.replace('\r', '')))
     if '(' in text or ';' in text or ')' in text:
         raise LinuxCNCError("LinuxCNC's rs274 does not get a comment within a comment")
@@ -166,7 +165,6 @@ class _Printed:
         self.tolerance, self.worded = float('nan'), False
 
     def take(self, name: str, text: str) -> Move | None:
-        """Take a call; return the motion that it is, with all three rotary axes."""
         numbers = [float(word) for word in _NUMBER.findall(text)]
         if name == 'STRAIGHT_TRAVERSE' or name == 'STRAIGHT_FEED':
             return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
@@ -195,7 +193,6 @@ class _Printed:
         return None
 
     def switch(self, word: str) -> None:
-        """Switch the tool-tip control."""
         if word not in (*TCP_ON, *TCP_OFF):
             return
         if self.here[3:].any() and self.tcp is not (word in TCP_ON):

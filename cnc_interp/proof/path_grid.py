@@ -1,9 +1,4 @@
-"""
-The proof of `path.npz`: every column follows from the setpoints, from the program or from q(s).
-
-Setpoint i lies on the path at ``s[i]``, on the septic polynomial of its cell. This module shares
-no code with the planner.
-"""
+"""The proof of `path.npz`: its columns follow from setpoints, program or q(s); own code."""
 
 from __future__ import annotations
 

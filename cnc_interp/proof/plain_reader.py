@@ -126,14 +126,12 @@ class _State:
         self.unknown: set[str] = set()
 
     def refuse(self, word: str) -> ProgramError:
-        """Make the error of a word that is not plain."""
         return ProgramError(
             f'{word}: the second reader knows plain words only; this program cannot be compared',
             self.name, self.line,
         )  # fmt: skip
 
     def block(self, line: str) -> None:
-        """Read a block of G-code."""
         line = re.sub(r'\([^()]*\)|;.*', ' ', line).strip()
         if line in ('', '%') or re.fullmatch(r'O\d+', line):
             return
@@ -193,7 +191,6 @@ class _State:
             self.rest()
 
     def rest(self) -> None:
-        """Demand a rest at the end of the last motion."""
         if self.moves:
             self.moves[-1] = replace(self.moves[-1], stop=True)
 
@@ -211,7 +208,6 @@ class _State:
         self.by_normals, self.cutter = True, (radius - corner, corner)
 
     def codes(self, codes: list[str]) -> None:
-        """Take the G and M codes of a block."""
         for code in codes:
             digits = code[1:]
             if code in ('G0', 'G1', 'G2', 'G3'):
@@ -236,7 +232,6 @@ class _State:
             self.ended = self.ended or code in ('M2', 'M30')
 
     def move(self, words: dict[str, float]) -> None:
-        """Make the motion of a block with axis words."""
         start, end = self.here, self.here.copy()
         for letter, value in words.items():
             if letter in self.names:
@@ -272,7 +267,6 @@ class _State:
         return np.asarray(start[[a, b]] + 0.5 * chord + side * height * across)
 
     def statement(self, text: str) -> None:
-        """Read a statement of CL data."""
         text = text.split('$$')[0].strip()
         word, _, rest = (part.strip() for part in text.partition('/'))
         if not word or word.split()[0] in IDLE_CL:
@@ -303,7 +297,6 @@ class _State:
             raise self.refuse(text[:40])
 
     def add(self, sweep: int, centre: FloatArray | None) -> None:
-        """Append the motion that ends at the present position."""
         rapid = self.motion == '0'
         rotary = sum(letter in 'ABC' for letter in self.names)
         tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)

@@ -119,12 +119,7 @@ class PlanFiles:
 
 
 def read_plan(directory: Path) -> PlanFiles:
-    """
-    Read and check the files of a directory that ``cnc-interp plan`` has written.
-
-    All optional columns are present; those of setpoints and path stay in their files. Raises
-    InterpError if a file or column is missing, cannot be read, has a wrong shape or contains NaN.
-    """
+    """Read and check the plan files of a directory; InterpError names what is wrong."""
     if not directory.is_dir():
         raise InterpError(f'{directory}: no such directory; give one written by cnc-interp plan')
     summary = _read_summary(directory / 'summary.json')
@@ -201,7 +196,6 @@ def with_override(plan: PlanFiles) -> PlanFiles:
 
 
 def _read_summary(file: Path) -> Mapping[str, Any]:
-    """Read ``summary.json`` and check the values that the proof needs."""
     try:
         summary = read_json(file)
     except (OSError, UnreadableError) as fault:
@@ -299,7 +293,6 @@ def _stored(file: Path) -> dict[str, Stored]:
 
 
 def _plain(shape: tuple[int, ...], in_columns: bool, kind: np.dtype[Any]) -> bool:
-    """Return whether an array can be read in rows as it is."""
     plain = kind in (np.float64, np.int64, np.bool_) and (len(shape) < 2 or not in_columns)
     return plain and len(shape) > 0
 
@@ -338,7 +331,6 @@ def _check_lengths(file: Path) -> None:
 
 
 def _reason(fault: Exception) -> str:
-    """Return in a few words why reading failed."""
     if isinstance(fault, FileNotFoundError):
         return 'missing'
     return ' '.join(str(fault).split())[:80] or type(fault).__name__

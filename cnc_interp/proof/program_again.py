@@ -1,8 +1,4 @@
-"""
-The program read once more: ends, arcs and feeds of its text compared with `blocks.npz`.
-
-LinuxCNC's interpreter, where it is installed, or the reader of plain words is enough.
-"""
+"""The text read again, by LinuxCNC or as plain words: ends, arcs, feeds against `blocks.npz`."""
 
 from __future__ import annotations
 
@@ -58,11 +54,7 @@ class Agreement:
 
 
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
-    """
-    Read a program by other readers and compare it with the rows of a plan.
-
-    Raises InterpError if no reader knows all words of the text, or it cannot be read.
-    """
+    """Compare rows with the program read by other readers; InterpError if none knows all words."""
     settings = plan.summary.get('settings')
     settings = settings if isinstance(settings, dict) else {}
     if settings.get('rotary_sense') == 'shortest':
@@ -158,7 +150,6 @@ class _Comparison:
         self.linear: FloatArray | None = None
 
     def follow(self, moves: Iterable[Move]) -> Agreement:
-        """Compare all motions."""
         for move in moves:
             if not self.take(move):
                 break
@@ -167,18 +158,15 @@ class _Comparison:
         return Agreement(self.motions, self.arcs, tuple(self.faults))
 
     def fault(self, move: Move, text: str) -> None:
-        """Record that a line differs."""
         self.faults.append(f'line {move.line} of the program: {text}')
 
     def rows_of(self, move: Move) -> int:
-        """Return the row after those of a motion."""
         lines, last = self.blocks['line'], self.row
         while last < len(lines) and lines[last] == move.line:
             last += 1
         return last
 
     def pose(self, move: Move) -> tuple[FloatArray, FloatArray]:
-        """Return tool tip and tool axis at the end of a motion."""
         if move.tcp or not self.machine.has_rotary:
             axis = move.axis
             if axis is None:
@@ -310,7 +298,6 @@ class _Comparison:
         return float(np.max(np.maximum(radius[1:], radius[:-1]) * (1.0 - np.cos(0.5 * turn))))
 
     def arc(self, move: Move, rows: IntArray, room: float) -> None:
-        """Compare rows with an arc or a helix."""
         if len(move.extra) and not move.tcp:
             return
         points = self.points(move)[rows[0] - 1 : rows[-1] + 1]
@@ -339,7 +326,6 @@ class _Comparison:
         return turn + 2.0 * np.pi * (move.turns - 1)
 
     def speed(self, move: Move, before: Move, rows: IntArray) -> None:
-        """Compare rapids, feeds and durations."""
         if (self.blocks['rapid'][rows] != move.rapid).any():
             self.fault(move, f'is {"a" if move.rapid else "no"} rapid, its rows are not so')
             return
@@ -360,7 +346,6 @@ class _Comparison:
             self.fault(move, 'has no feed')
 
     def end(self) -> None:
-        """Record rows that no motion explains."""
         if self.row < len(self.blocks['line']):
             line = self.blocks['line'][self.row]
             self.faults.append(
@@ -419,7 +404,6 @@ class _FollowPlaces(_Comparison):
             self.row, self.tiny = self.row + 1, self.tiny - 1
 
     def end(self) -> None:
-        """Record rows that no motion explains."""
         if self.before is not None:
             self.pass_tiny(self.before)
         super().end()

@@ -185,7 +185,6 @@ class _Search:
         return x, gaps
 
     def use(self, rows: IntArray, gaps: FloatArray) -> FloatArray:
-        """Return the largest use of a tolerance, as it counts at vertices, shape (m,)."""
         return np.asarray((gaps * self.program.weight[self.k[rows]]).max(axis=1))
 
     def gaps(self, rows: IntArray, x: FloatArray) -> FloatArray:

@@ -32,11 +32,7 @@ REACH = 2e-4
 
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
-    """
-    Replace the native splines of a plan by short linear rows, which samples and grid points name.
-
-    Raises InterpError if control points do not form a clamped curve.
-    """
+    """Replace native splines by short linear rows that samples name; raises InterpError."""
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
         return plan
@@ -149,12 +145,7 @@ def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
 
 
 def _rows_reached(curve: FloatArray, both: FloatArray, moved: FloatArray, here: int) -> IntArray:
-    """
-    Return the row that each pose on a curve has reached, shape (k,).
-
-    A pose advances at most by its own movement, from the row of the pose before it, ``here`` at
-    first. One more row is always included, because rows may be far apart.
-    """
+    """Return the row that each pose on a curve has reached, (k,): no farther than it moved."""
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))]
     found, last = np.empty(len(both), dtype=np.int64), len(curve) - 1
     for i, pose in enumerate(both):

@@ -63,7 +63,6 @@ class Stored:
         return np.asarray(rows, dtype=dtype)
 
     def _rows(self, first: int, count: int, tail: tuple[int, ...]) -> NDArray[Any]:
-        """Read rows, counted along the axis before ``tail``."""
         size = prod(tail)
         self._file.seek(self._start + first * size * self.dtype.itemsize)
         values = np.fromfile(self._file, dtype=self.dtype, count=count * size)

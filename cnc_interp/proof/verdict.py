@@ -221,7 +221,6 @@ class Ledger:
 
 
 def _failure(finding: Finding) -> str:
-    """Return a finding that exceeds its limit as a sentence."""
     value, limit = _with_units(finding)
     others = f'; {finding.exceeded} places in all' if finding.exceeded > 1 else ''
     of = f' of {finding.axis}' if finding.axis else ''
@@ -341,7 +340,6 @@ def digest_of(columns: Columns) -> str:
 
 
 def _name(summary: Mapping[str, Any]) -> str:
-    """Return the name of the program, fit for a terminal."""
     name = str(summary.get('program', 'an unnamed program'))
     return ''.join(letter if letter.isprintable() else '?' for letter in name)
 

@@ -56,12 +56,7 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 
 
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
-    """
-    Check a plan in memory, without the planner's grid if its ``path`` is empty.
-
-    Returns largest use of every limit, and all failures. Raises InterpError if the flank height is
-    0 on a machine with rotary axes.
-    """
+    """Check a plan, without the grid if ``path`` is empty; uses and failures, or InterpError."""
     if machine.has_rotary and plan.flank_height <= 0.0:
         raise InterpError(
             'flank_height is 0, so that the tool axis would not be checked; plan again'
@@ -131,7 +126,6 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 
 def _size(place: tuple[float, int]) -> float:
-    """Return what counts of a value and its sample."""
     return place[0]
 
 
@@ -141,7 +135,6 @@ def _first(numbers: IntArray) -> int:
 
 
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
-    """Check that time is uniform, that blocks are in order and that the first ones are there."""
     time, block = plan.setpoints['time'], plan.block
     worst, late = -1.0, 0
     back: list[int] = []
@@ -181,7 +174,6 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
 
 
 def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
-    """Compare figures of `summary.json` with the setpoints."""
     time, summary = plan.setpoints['time'], plan.summary
     figures = (
         ('cycle_time', float(time[-1] - time[0]), 1.01 * plan.period),
@@ -225,11 +217,7 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: Program) -> None
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: Program) -> PlanFiles:
-    """
-    Demand that the motion follows the program in order, and that its row numbers say so.
-
-    Returns the plan with the nearest row number that is possible by order alone, for each sample.
-    """
+    """Demand the order of the program; return the plan with the nearest possible row numbers."""
     contour, orientation = program.contour + SLACK, program.orientation + SLACK
     machine, path = program.machine, program.path
     order = order_of(plan, machine, path, program.lines, (contour, orientation))
@@ -293,7 +281,6 @@ def longest_block(plan: PlanFiles) -> float:
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
-    """Judge the tip speed, or that along linear axes, against the feed of the executed block."""
     lines, contour = program.lines, program.contour
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
@@ -352,7 +339,6 @@ def _highest(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
 
 
 def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Compare the velocity and acceleration columns with differences of the positions."""
     for a, b in spans(len(plan.position)):
         position = held(plan.position, a, b, 1, 1)
         central = (position[2:] - position[:-2]) / (2.0 * plan.period)
@@ -369,7 +355,6 @@ def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 
 def _prove_path(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
-    """Judge the contour error of the path of the planner."""
     for a, b in spans(len(plan.path['block'])):
         rows, q = plan.path['block'][a:b], plan.path['q'][a:b]
         tip, axis = program.transform.forward(q)

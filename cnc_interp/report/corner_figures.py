@@ -104,12 +104,7 @@ def space_figure(view: CornerView) -> Any:
 
 
 def shift(view: CornerView) -> FloatArray:
-    """
-    Return the displacement of the top curve towards the bottom curve in the figure.
-
-    At true height a small corner would look like two dots. With a displacement along the tool axis
-    both curves keep their shapes and one scale.
-    """
+    """Return the displacement of the top curve: at true height a corner were two dots."""
     size = _size(view)
     middle = view.axis[len(view.axis) // 2]
     away = max(0.0, _height(view) - GAP * size)
@@ -181,7 +176,6 @@ def feed_ceiling(view: CornerView) -> float:
 def _draw(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
 ) -> None:
-    """Add one curve to the profiles, with marks if it has few points."""
     few = len(x) < FEW and shown
     figure.add_trace(
         go.Scatter(

@@ -122,7 +122,6 @@ def _speeds(plan: PlanFiles, start: float, end: float) -> tuple[float, float]:
 
 
 def _grid_rows(plan: PlanFiles, start: float, end: float) -> tuple[int, int]:
-    """Return the first and last row of the planner's grid between two path lengths."""
     s = plan.path['s']
     slack = 1e-9 * float(s[-1])
     first = min(int(np.searchsorted(s, start - slack)), len(s) - 1)

@@ -133,11 +133,7 @@ def feed_ceiling(series: Series) -> float:
 
 
 def axes_figure(series: Series) -> Any:
-    """
-    Draw velocity, acceleration and jerk of every axis in percent of their limits.
-
-    Torques are drawn beside them where axes have a largest one.
-    """
+    """Draw velocity, acceleration, jerk and, where limited, torque of every axis in percent."""
     names, kinds = series.axis_names, list(KINDS) + ['torque'] * bool(series.torque_use)
     figure = make_subplots(
         rows=len(names), cols=len(kinds), shared_xaxes=True, shared_yaxes=True,
@@ -171,7 +167,6 @@ def _draw_use(
     figure: Any, series: Series, place: tuple[int, int], name: str, use: FloatArray,
     limit: FloatArray, unit: str,
 ) -> None:  # fmt: skip
-    """Draw the use of one limit over time, at a row and column of the figure from 0 on."""
     row, col = place[0] + 1, place[1] + 1
     rows = extremes(use, SMALL_BUCKETS)
     figure.add_trace(

@@ -105,14 +105,7 @@ def letters(whole: bytes) -> str:
 
 
 def document(title: str, body: str, style: str = '') -> str:
-    """
-    Return a page that needs no network.
-
-    Its figures and their library are compressed: a third of their size, and a browser of 2023 or
-    later unpacks them.
-
-    Raises InterpError if plotly is missing.
-    """
+    """Return a page that needs no network, its figures compressed; InterpError without plotly."""
     try:
         from plotly.offline import get_plotlyjs
     except ImportError as fault:

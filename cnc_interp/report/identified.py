@@ -70,7 +70,6 @@ def identified_lines(machine: Machine, found: Mapping[int, IdentifiedAxis]) -> l
 
 
 def _residual(machine: Machine, found: IdentifiedAxis) -> str:
-    """Say how far the model is from the measurement."""
     unit, name = _unit(machine, found.axis)
     off = (found.measured - found.modelled) / unit
     follows = (found.setpoint - found.measured) / unit
@@ -108,7 +107,6 @@ def write_identified(
 
 
 def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
-    """Draw following errors, measured and modelled, and the residual, over time."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
@@ -149,11 +147,7 @@ def transfer(drive: AxisDrive, viscous: float, frequency: FloatArray) -> FloatAr
 
 
 def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray, FloatArray]:
-    """
-    Return frequencies and the measured answer, where the spectra of setpoint and feedback cohere.
-
-    Windows in which the axis turns are left out: there friction and backlash rule.
-    """
+    """Return frequencies and coherent answers; windows in which the axis turns are left out."""
     # Differences, so that the drift of positions does not leak over all frequencies.
     given, did = np.diff(found.setpoint), np.diff(found.measured)
     size = round(WINDOW / period)
@@ -175,7 +169,6 @@ def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray
 
 
 def _bode(found: IdentifiedAxis, period: float) -> Any:
-    """Draw the measured and the modelled transfer function."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 

@@ -94,14 +94,12 @@ def _machine_of(plan: PlanFiles) -> Machine:
 
 
 def _examined(plan: PlanFiles, machine: Machine) -> tuple[Proof, Series]:
-    """Prove a plan and compute the values to draw."""
     if plan.position.shape[1] != len(machine.axis_names):
         raise InterpError(f'the plan was not made for machine {machine.name}: give the right one')
     return verify(plan, machine), series_of(plan, machine)
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:
-    """Name two plans by their directories, in full if the last parts agree."""
     short = (first.resolve().name, second.resolve().name)
     return short if short[0] != short[1] else (str(first), str(second))
 
@@ -113,7 +111,6 @@ def _badge(proof: Proof) -> str:
 
 
 def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
-    """Write the tiles with the main figures of the plan."""
     rows = [
         (f'{proof.cycle_time:.3f} s', 'cycle time'),
         (f'{proof.blocks:,}', 'blocks'),

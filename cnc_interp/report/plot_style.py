@@ -18,11 +18,7 @@ HEADROOM = 1.45
 
 
 def base_layout(height: int) -> dict[str, Any]:
-    """
-    Return the layout that all figures share.
-
-    ``height``: height of the figure [px].
-    """
+    """Return the layout that all figures share, of a height [px]."""
     return {
         'height': height,
         'template': 'none',

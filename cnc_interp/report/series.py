@@ -88,11 +88,7 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
 
 
 def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
-    """
-    Differentiate the emitted positions and divide by the limits [-].
-
-    ``table`` (7, n_axes, m): limits over position; see ``core/limit_table.py``.
-    """
+    """Divide derivatives of the positions by the limits of ``table`` (7, n_axes, m) [-]."""
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = limit_shares(held, table, plan.period)
     # Velocity belongs to its later sample, acceleration and jerk to the sample before that.

@@ -34,7 +34,6 @@ def tool_error_section(plan: PlanFiles, machine: Machine) -> str:
 
 
 def _largest(error: ToolError) -> str:
-    """Return the largest and the mean errors in words."""
     tip, axis = error.tip / UM, error.axis / ARCSEC
     return (
         f'tip {tip.max():.1f} &#181;m at most, {tip.mean():.2f} &#181;m in the mean, '

@@ -1,9 +1,4 @@
-"""
-The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink.
-
-Its first half is ``path_chain.py``. The nodes use the same stages in the same order; their sink
-takes chunks with stop tails (``run_planner.py``), because motion may be held at any moment.
-"""
+"""The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink."""
 
 from __future__ import annotations
 
@@ -96,7 +91,6 @@ class Chain:
             self._sink.setpoints(self._interpolator.finish())
 
     def _plan(self, part: PathPart, last: bool = False) -> None:
-        """Plan the motion along a further part of the path."""
         segments, path = part.segments, part.path
         if self._start is not None:
             segments, path = self._start.segments(segments), self._start.path(path, last)
@@ -105,7 +99,6 @@ class Chain:
             self._pass_on(self._watch.timed('feedrate', self._planner.push, path))
 
     def _pass_on(self, pieces: list[PlannedPiece]) -> None:
-        """Pass on what the planner committed, and its setpoints."""
         for piece in pieces:
             self._sink.piece(piece)
             parts = self._interpolator.parts(piece)

@@ -129,7 +129,6 @@ class MotionPlan:
         return feed
 
     def _open_leg(self) -> Leg:
-        """Return the leg that is being planned."""
         if not self._legs or self._legs[-1].wait is not None:
             context = self._context
             self._legs.append(Leg(context.limits, context.period, tool=context.tool))
@@ -263,11 +262,7 @@ class MotionStream:
         return None if rest is None else rest.position[0]
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
-        """
-        Plan with other settings after a setpoint that was handed out; the current plan stays.
-
-        None where no stop is known from there, or rest is near: ask again at a later setpoint.
-        """
+        """Plan anew after a setpoint that was handed out; None without a stop, or near rest."""
         found = self.current.state_at(number)
         if found is None:
             return None
@@ -304,11 +299,7 @@ class MotionStream:
         return before
 
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
-        """
-        Plan anew from rest at a place on the path [m]; setpoints are numbered from 0 again.
-
-        ``way`` leads there, s below 0, where the machine stands beside the path.
-        """
+        """Plan anew from rest at s [m], numbered from 0; ``way`` leads there, s below 0."""
         if way is not None:
             self._course.lead(way, s)
             s = float(way.s[0])

@@ -182,7 +182,6 @@ def _live(
 
 
 def _planned(planner: FeedPlanner, section: Section | None) -> list[PlannedPiece]:
-    """Return the motion that is committed with a section."""
     if section is None:
         planner.refuse()
         return []

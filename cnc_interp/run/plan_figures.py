@@ -29,11 +29,7 @@ if TYPE_CHECKING:
 
 
 class ToleranceUse:
-    """
-    Compares the certified deviations of segments with the tolerances of their blocks.
-
-    A mark (row, both tolerances, whether control points) is kept where one of these changes.
-    """
+    """Compares certified deviations with tolerances, of which marks are kept where they change."""
 
     def __init__(self) -> None:
         self._marks = np.zeros((0, 4))
@@ -120,7 +116,6 @@ class PlanFigures:
         self._count_curves(segments, self._tolerances.segments(segments))
 
     def _count_curves(self, segments: PathSegments, native: BoolArray) -> None:
-        """Count the spans of curves, and the blocks from the first to the last one of each."""
         spans = (segments.kind == SPLINE) & ~native
         before = np.append(self._last_row, segments.block[:-1, 1])
         goes_on = np.append(self._on_curve, (spans & ~segments.stop)[:-1])
@@ -149,7 +144,6 @@ class PlanFigures:
         self._simulate(samples)
 
     def _simulate(self, samples: Setpoints) -> None:
-        """Measure the error that the drives of the machine file leave at the tool."""
         if self._tool is None:
             return
         if self._tool_motion is None:

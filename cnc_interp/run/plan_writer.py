@@ -1,8 +1,4 @@
-"""
-Setpoints and all that led to them -> plan files, while planning goes on; flat memory.
-
-Columns grow in files of their own; at the end they are put together into ``.npz`` archives.
-"""
+"""Setpoints and all that led to them -> plan files while planning goes on, with flat memory."""
 
 from __future__ import annotations
 
@@ -40,11 +36,7 @@ CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
 class PlanWriter:
-    """
-    Writes the plan files of one program (README, "Plan files"), as a context manager.
-
-    Leaving it without ``finish`` removes what was written; ``finish`` replaces the files.
-    """
+    """Writes the plan files of one program, as a context manager; without ``finish`` none."""
 
     def __init__(self, directory: Path, machine: Machine, settings: Settings):
         self._directory, self._height = directory, settings.flank_height
@@ -108,7 +100,6 @@ class PlanWriter:
             self._write_path()
 
     def _write_path(self) -> None:
-        """Write the parts that were gathered."""
         if not self._paths:
             return
         before = [] if self._path is None else [self._path]
@@ -150,7 +141,6 @@ class PlanWriter:
             self._write_setpoints()
 
     def _write_setpoints(self) -> None:
-        """Measure and write the samples that were gathered."""
         if not self._samples:
             return
         samples, self._samples = Setpoints.concatenate(self._samples), []
@@ -184,14 +174,12 @@ class _Archive:
         self._columns: dict[str, _Column] = {}
 
     def append(self, columns: Columns) -> None:
-        """Write further rows."""
         for name, rows in columns.items():
             if name not in self._columns:
                 self._columns[name] = _Column(self._folder / f'{self._name}.{name}', rows, name)
             self._columns[name].append(rows)
 
     def save(self, file: Path) -> None:
-        """Copy the columns into an archive."""
         with ZipFile(file, 'w', allowZip64=True) as archive:
             for name, column in self._columns.items():
                 with archive.open(f'{name}.npy', 'w', force_zip64=True) as out:
@@ -202,7 +190,6 @@ class _Archive:
                         shutil.copyfileobj(lane, out, 1 << 20)
 
     def drop(self) -> None:
-        """Close the files."""
         for column in self._columns.values():
             for lane in column.lanes:
                 lane.close()
@@ -220,7 +207,6 @@ class _Column:
         ]
 
     def append(self, rows: NDArray[Any]) -> None:
-        """Write further rows."""
         for lane, part in zip(self.lanes, rows if self._along else [rows], strict=True):
             lane.write(np.ascontiguousarray(part, dtype=self._dtype).data)
         self._count += rows.shape[self._along]

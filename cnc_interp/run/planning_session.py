@@ -185,7 +185,6 @@ class PlanningSession:
         self._joins_at = self._plans = 0
 
     def _change(self, step: Step) -> None:
-        """Change to the next activity of the table."""
         self.activity = TABLE[self.activity, step]
 
     def begin(self, run_id: RunId, continue_at: float) -> None:
@@ -222,7 +221,6 @@ class PlanningSession:
             self._port.refuse(kind, reason)
 
     def _end(self) -> None:
-        """End the run; the result of a running task is dropped."""
         self._change(Step.END)
         self._segments.clear()
         self.task, self.wants_segments = None, False
@@ -249,13 +247,11 @@ class PlanningSession:
         return self.task
 
     def _given_up(self) -> bool:
-        """Tell whether the machine has left the run: it was reset or restarted."""
         report = self._machine
         left = report is not None and not report.run_id.same_attempt(self.run_id)
         return self._executing and left
 
     def _find_place(self) -> None:
-        """Begin to plan when the machine has reported where it rests."""
         report = self._machine
         if not self._segments or report is None or not report.takes(self.run_id):
             return
@@ -271,7 +267,6 @@ class PlanningSession:
         self._change(Step.PLACE)
 
     def _next_task(self, planner: RunPlanner, now: float) -> Task | None:
-        """Choose the most urgent task."""
         report = self._machine
         if self.activity is Activity.JOINING:
             return self._plan_ahead_task(planner, report)
@@ -282,7 +277,6 @@ class PlanningSession:
         return self._plan_ahead_task(planner, report)
 
     def _resume(self, planner: RunPlanner, report: MachineReport) -> Task:
-        """Plan anew from where the machine rests."""
         self._change(Step.RESUME)
         sender, settings = self._port.sender, self.settings
         self.sent_before += sender.sent

@@ -69,11 +69,7 @@ class RunPlanner:
         self._continue_at = continue_at if continue_at > 0.0 else None
 
     def push(self, segments: PathSegments, pauses: dict[int, Wait]) -> None:
-        """
-        Take further segments, and the blocks after which cycle_start is waited for (M0, M1).
-
-        Raises InterpError if the path cannot be run; the message names line, axis and value.
-        """
+        """Take segments, and blocks after which M0 or M1 waits; InterpError names line, axis."""
         self._note_lines(segments)
         self.stream.pause_after(pauses)
         path = self._builder.push(segments)
@@ -122,11 +118,7 @@ class RunPlanner:
         self.stream.end_leg(Wait.END)
 
     def work(self, plan: MotionPlan, sample: bool, executed: float) -> list[Chunk]:
-        """
-        Sample a slice of the motion if told so and possible, or plan a portion of the path.
-
-        The path before ``executed`` [m] is forgotten. Raises PlanningError without a law.
-        """
+        """Sample a slice or plan a portion, and forget what is ``executed`` [m]; PlanningError."""
         self.stream.release(executed)
         if sample and plan.can_sample:
             return plan.sample()
@@ -166,7 +158,6 @@ class RunPlanner:
         return Revision(number, plan, chunks) if enough else None
 
     def _note_lines(self, segments: PathSegments) -> None:
-        """Store the source line of each block on the path that is kept."""
         lines = self._lines
         if len(lines) > LINES_KEPT + 2 * self._lines_left:
             first = self.stream.first_block

@@ -1,8 +1,4 @@
-"""
-What a run is doing: one frozen dataclass and one table of transitions.
-
-The machine changes it (``machine/playback.py``); all others read it from ``MachineState``.
-"""
+"""What a run is doing: a frozen dataclass, and a table of transitions that the machine follows."""
 
 from __future__ import annotations
 
@@ -238,11 +234,7 @@ class RunState:
         return TEXTS[self.reason].format(self.detail)
 
     def after(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> RunState:
-        """
-        Return the state after an event; the reason counts where it brings the machine to rest.
-
-        Raises StreamError if the event is not possible in this state.
-        """
+        """Return the state after an event; raises StreamError if it is not possible here."""
         following = TRANSITIONS.get((self.state, event))
         if following is None or (event is Event.JOG and self.start_wanted):
             raise StreamError(self._refused(event))
@@ -289,7 +281,6 @@ class RunState:
         )  # fmt: skip
 
     def _refused(self, event: Event) -> str:
-        """Return why an event is not possible now."""
         if self.state is State.INACTIVE:
             return f'{event.value} is not possible: the drives are off; activate machine_node'
         if event is Event.RESUME and self.by_hand:

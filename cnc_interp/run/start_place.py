@@ -74,11 +74,7 @@ class StartPlace:
 
 
 class StartFinder:
-    """
-    Takes blocks and path of the whole program, and passes on what is executed.
-
-    The row before the start stays as the start pose. It is row 0 of what is passed on.
-    """
+    """Takes the whole program, passes on what is executed; row 0 is the row before the start."""
 
     def __init__(self, transform: Transform, flank_height: float, start: StartLine):
         self._transform, self._height, self._start = transform, flank_height, start

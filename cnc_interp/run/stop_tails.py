@@ -59,7 +59,6 @@ class StopSearch:
                 yield number, self._sampled(stop)
 
     def _sampled(self, stop: PlannedPiece) -> Setpoints:
-        """Sample a stop: the setpoints after its first state, the last one at rest."""
         interpolator = Interpolator(self._period, 1)
         return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])
 

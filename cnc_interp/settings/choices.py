@@ -38,11 +38,7 @@ FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)
 
 @dataclass(frozen=True)
 class Settings:
-    """
-    The choices of the user for one run; SI units.
-
-    Raises SettingsError if a value is of the wrong type or outside its range; names the choice.
-    """
+    """The choices of the user for one run [SI]; raises SettingsError, which names the choice."""
 
     contour_tolerance: float = number(
         0.02 * MM, LENGTH, TOLERANCES, READING, 'largest deviation of the tool tip'

@@ -19,7 +19,6 @@ def add_settings(parser: argparse.ArgumentParser, live: bool = False) -> None:
 
 
 def _add(parser: argparse.ArgumentParser, choice: Choice) -> None:
-    """Add the option of a choice; its default stands in the help."""
     name, told = f'--{choice.option}', choice.sentence
     more: dict[str, Any] = {'dest': choice.name, 'default': choice.default}
     if choice.kind is bool and not choice.default:
@@ -39,8 +38,6 @@ def _add(parser: argparse.ArgumentParser, choice: Choice) -> None:
 
 
 def _reader(choice: Choice) -> Callable[[str], Any]:
-    """Return the function that converts a word of the command line to a value."""
-
     def read(text: str) -> Any:
         try:
             return choice.from_shop(text)

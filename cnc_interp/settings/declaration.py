@@ -76,11 +76,7 @@ class Choice:
     for_comparison: bool = False
 
     def check(self, value: Any) -> None:
-        """
-        Refuse a value of the wrong type or outside the range.
-
-        Raises SettingsError if the value cannot be chosen; names the choice.
-        """
+        """Refuse a value of the wrong type or outside the range; SettingsError names it."""
         if value is None and self.optional:
             return
         if self.kind in (float, int):
@@ -153,11 +149,7 @@ class Choice:
         return self.text(value) if isinstance(value, Path) else value
 
     def from_plain(self, value: float | int | bool | str) -> Any:
-        """
-        Take the value of a ROS parameter; 0 or empty is None where that is allowed.
-
-        Raises SettingsError if it is no value of this choice.
-        """
+        """Take the value of a ROS parameter; 0 or empty may be None; raises SettingsError."""
         found: Value = None if self.optional and not value else value
         if self.kind is Path and isinstance(found, str):
             found = Path(found)
@@ -165,7 +157,6 @@ class Choice:
         return found
 
     def _read(self, text: str, unit: float) -> Value:
-        """Read a value whose number counts units [SI]."""
         text = text.strip()
         value: Value = text
         if self.optional and text in ('', self.nothing):
@@ -233,7 +224,6 @@ def file(stage: Stage, sentence: str, **more: Any) -> Any:
 
 
 def _declare(kind: type, default: Value, stage: Stage, sentence: str, **more: Any) -> Any:
-    """Return the dataclass field of a choice."""
     told = {'kind': kind, 'default': default, 'stage': stage, 'sentence': sentence}
     return field(default=default, metadata={DECLARED: told | more})
 
@@ -245,7 +235,6 @@ def choices(settings: Any, *stages: Stage) -> tuple[Choice, ...]:
 
 
 def _choice(declared: Field[Any]) -> Choice:
-    """Return the choice that a dataclass field declares."""
     told: Mapping[str, Any] = declared.metadata[DECLARED]
     option = declared.name.replace('_', '-')
     return Choice(**{'name': declared.name, 'option': option} | dict(told))

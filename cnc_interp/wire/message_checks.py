@@ -49,7 +49,6 @@ def check_block(message: G1Block, extra_count: int = 0) -> None:
 
 
 def _check_settings(name: str, message: G1Block) -> None:
-    """Refuse unknown settings, and settings after the first block of a program."""
     if message.sequence > 0:
         raise StreamError(f'{name}: settings belong to block 0')
     try:
@@ -59,7 +58,6 @@ def _check_settings(name: str, message: G1Block) -> None:
 
 
 def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:
-    """Refuse a tip that is not finite or a tool axis that is not a unit vector."""
     # Lists are several times faster than arrays of two or three values, and blocks come by the
     # thousand in a second.
     if not all(map(math.isfinite, tip.tolist())):
@@ -178,11 +176,7 @@ def _check_parametrization(name: str, spline: BSpline) -> None:
 def check_chunk(
     message: SetpointChunk, machine: Machine, period: float, before: FloatArray
 ) -> None:
-    """
-    Refuse setpoints of a wrong shape, for another machine or period, or beyond its limits.
-
-    ``before`` are the three setpoints before them, shape (3, n_axes).
-    """
+    """Refuse setpoints of a wrong shape, machine, period or limits after ``before`` (3, n)."""
     name = f'setpoints from {message.first_sample}'
     n, axis_count = len(message.sequences), len(machine.axis_names)
     if message.period != period:

@@ -30,11 +30,7 @@ FIELDS = {'extra': 'extra_axes'}
 def block_messages(
     blocks: Blocks, run_id: RunId, first_sequence: int, flank_height: float, end: bool
 ) -> list[G1Block]:
-    """
-    Convert rows of a program to messages.
-
-    ``flank_height``: where the orientation tolerance counts [m]; ``end``: the last row ends it.
-    """
+    """Convert rows to messages; ``end``: the last row ends the program; flank height [m]."""
     columns: dict[str, list[Any]] = {'spline': blocks.on_spline.tolist()}
     for name, declared in Blocks.declared.items():
         values = getattr(blocks, name)

@@ -105,7 +105,6 @@ def setup_table(
 
 
 def _offsets(positions: Mapping[str, Position]) -> list[Offset]:
-    """Return positions as messages, in the order of their names."""
     return [_offset(name, positions[name]) for name in sorted(positions)]
 
 

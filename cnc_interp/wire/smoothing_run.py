@@ -67,7 +67,6 @@ class SmoothingRun:
         return messages, problem
 
     def _complete(self, segments: PathSegments) -> list[PathSegment]:
-        """Convert all segments but the newest to messages."""
         if not len(segments):
             return []
         if self._newest is not None:
@@ -76,7 +75,6 @@ class SmoothingRun:
         return self._messages(segments[:-1], end=False)
 
     def _messages(self, segments: PathSegments, end: bool) -> list[PathSegment]:
-        """Convert consecutive segments to messages."""
         messages = segment_messages(segments, self.run_id, self._sequence, self._flank_height, end)
         self._sequence += len(messages)
         for message in messages:

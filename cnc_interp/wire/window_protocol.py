@@ -148,11 +148,7 @@ class WindowedReceiver:
         return self.consumed + self.window if self.active else self.next_number
 
     def expect(self, run_id: RunId, first: int, begins: bool) -> None:
-        """
-        Check that an item is the next one, or ``begins`` a new program; nothing changes.
-
-        Raises StreamError on a gap, a repeat, a foreign or an old program.
-        """
+        """Check that an item is next or ``begins`` a program; StreamError, nothing changes."""
         if not run_id:
             raise StreamError(
                 f'{self.stream}: {first} has no program id; name the program', Refusal.FOREIGN_RUN
@@ -180,7 +176,6 @@ class WindowedReceiver:
             )
 
     def _expect_new(self, run_id: RunId, first: int, begins: bool) -> None:
-        """Check that another program may begin here."""
         # A plan from rest begins after the one before is closed; one that joins does not wait.
         goes_on = run_id.attempt > self.run_id.attempt or first > 0
         if self.active and not (goes_on and run_id.continues(self.run_id)):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marched_scallop import march_to_scallops
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
@@ -9,7 +10,6 @@ from cnc_interp.cam.passes import Angles
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Torus
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.papers.marched_scallop import march_to_scallops
 
 MILL = Cutter(5 * MM, 1.5 * MM)
 Y = np.array([0.0, 1.0, 0.0])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.core.differences import BEFORE, limit_shares
-from cnc_interp.core.limit_table import limits_along
+from cnc_interp.core.limit_table import BEFORE, limit_shares, limits_along
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limits import AxisLimits, limit_table
 from cnc_interp.kinematics.axis_path import evaluate

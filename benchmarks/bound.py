@@ -23,8 +23,8 @@ from programs import CASES
 from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import BEFORE, limit_shares
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.limit_table import BEFORE, limit_shares
 from cnc_interp.core.units import MS
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limits import limits_at

@@ -30,8 +30,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, waves
 
-from cnc_interp.core.differences import BEFORE, limit_shares
-from cnc_interp.core.limit_table import constant_table
+from cnc_interp.core.limit_table import BEFORE, constant_table, limit_shares
 from cnc_interp.nodes import qos
 
 #: Corners and turns that take a minute.

@@ -34,9 +34,8 @@ from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limits import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.machine_model.branch import positions_of_pose
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.program import Blocks, JobSetup, ProgramStream, open_program
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.notices import Notices

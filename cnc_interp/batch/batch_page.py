@@ -11,8 +11,7 @@ from cnc_interp.batch.table import Results, rows_of
 from cnc_interp.batch.task import Verdict
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
-from cnc_interp.report.html import document, drawing, section
-from cnc_interp.report.plot_style import BLUE, RED, base_layout, with_axes
+from cnc_interp.report.html import BLUE, RED, base_layout, document, drawing, section, with_axes
 
 #: More rows than these are not shown; the table file has them all.
 MOST_ROWS = 5000

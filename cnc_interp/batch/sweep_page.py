@@ -12,8 +12,16 @@ from typing import Any
 from cnc_interp.batch.sweep import Found, Point, front
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import UM
-from cnc_interp.report.html import document, drawing, section
-from cnc_interp.report.plot_style import BLUE, ORANGE, RED, base_layout, with_axes
+from cnc_interp.report.html import (
+    BLUE,
+    ORANGE,
+    RED,
+    base_layout,
+    document,
+    drawing,
+    section,
+    with_axes,
+)
 
 #: Limits that are named, of those at which an axis is for most of the time.
 NAMED = 3

@@ -16,8 +16,17 @@ from cnc_interp.cam.tile_work import COLOURS, RANGE
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.report.html import document, drawing, section
-from cnc_interp.report.plot_style import BLUE, INK, RED, base_layout, rounded, with_axes
+from cnc_interp.report.html import (
+    BLUE,
+    INK,
+    RED,
+    base_layout,
+    document,
+    drawing,
+    rounded,
+    section,
+    with_axes,
+)
 
 #: Largest number of cells of a map in each direction.
 CELLS = 700

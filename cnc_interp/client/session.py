@@ -12,8 +12,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.differences import excesses, tool_error_text
 from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core.limit_table import excesses, tool_error_text
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.machine_model.machine import error_text

@@ -16,9 +16,8 @@ from cnc_interp.convert.native_splines import SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.machine_model.branch import on_pole, start_positions
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, on_pole, start_positions
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.subdivide import piece_counts, ragged

@@ -37,9 +37,8 @@ from cnc_interp.kinematics.segment_axes import (
     beside_of,
     shapes_of,
 )
-from cnc_interp.machine_model.branch import branch_at, start_positions
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, branch_at, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (

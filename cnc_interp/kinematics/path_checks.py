@@ -11,9 +11,8 @@ from cnc_interp.core.bezier import bezier_values, divided
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG
 from cnc_interp.kinematics.sampling import SINGULAR, STANDSTILL
-from cnc_interp.machine_model.branch import branch_at
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, branch_at
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
 #: The travel allows for rounding [m, rad].

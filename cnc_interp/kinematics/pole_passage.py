@@ -25,8 +25,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.kinematics.path_at_pole import SAME_PLACE, Guides, PassageEnd, PathAtPole
 from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, RESTING
-from cnc_interp.machine_model.branch import ON_POLE, branch_at
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import ON_POLE, Transform, branch_at
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 #: Longest way before and after the pole on which the outer axis is given [m].

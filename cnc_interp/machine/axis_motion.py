@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.differences import BEFORE, limit_shares, torque_shares
 from cnc_interp.core.errors import StreamError
+from cnc_interp.core.limit_table import BEFORE, limit_shares, torque_shares
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK

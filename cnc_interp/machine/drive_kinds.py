@@ -49,8 +49,7 @@ class DriveKind:
 def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
     from cnc_interp.drives.compensation import compensated_model
     from cnc_interp.drives.learning import learnt_for
-    from cnc_interp.machine.compensated_drives import CompensatedDrives
-    from cnc_interp.machine.simulated_drives import SimulatedDrives
+    from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives
 
     drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
     model, learnt = values['compensation'], values['learnt']

@@ -2,13 +2,35 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.drives.compensation import Compensation, compensate_all
+from cnc_interp.drives.compensation import (
+    COUNT,
+    FADE,
+    FADING,
+    FIRST,
+    HEAD,
+    KNOWN,
+    LEFT,
+    MEMORY,
+    RATES,
+    ROWS,
+    SETPOINTS,
+    STATE,
+    STEP,
+    Compensation,
+    compensate_all,
+    compensate_once,
+)
 from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of
-from cnc_interp.machine.axis_motion import AxisMotion, Recording
+from cnc_interp.drives.learning import LearntMotion
+from cnc_interp.machine.axis_motion import AxisMotion, ContourErrors, Recording
+from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 
 
 class SimulatedDrives:
@@ -64,3 +86,48 @@ def simulate(
         lag = compensation.lead
     x, v = follow_all(words_of(machine, period, r[0]), sent, rate)
     return AxisMotion(machine, period, lag, r[0]).measure(r, x, v)
+
+
+class CompensatedDrives:
+    """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
+
+    def __init__(
+        self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
+    ):
+        compensation = Compensation(model, period, inner.position)
+        self._shape = compensation.words.shape
+        self.switch_on, self.switch_off = inner.switch_on, inner.switch_off
+        self.close, self.fault = inner.close, inner.fault
+        self.lag, self.step = compensation.lead, int(compensate_once.address)
+        head, told = np.zeros(HEAD, dtype=np.int64), np.zeros(2 * self._shape[0])
+        head[[STEP, MEMORY]] = inner.step, inner.memory.ctypes.data
+        head[[COUNT, KNOWN]] = self._shape[1], compensation.known
+        self._learnt = learnt  # its arrays must stay where they are
+        if learnt is not None:
+            head[ROWS] = len(learnt.setpoint)
+            head[[SETPOINTS, RATES]] = learnt.setpoint.ctypes.data, learnt.rate.ctypes.data
+            head[[FADING, LEFT]] = math.ceil(FADE / period - 1e-9)
+        self.memory = np.concatenate([head.view(float), compensation.words.ravel(), told])
+        self._newest = HEAD + FIRST + STATE * compensation.known
+
+    @property
+    def position(self) -> FloatArray:
+        """The last setpoint, where the axes stand or settle [m, rad]."""
+        held: FloatArray = self.memory[self._newest :: self._shape[1]][: self._shape[0]].copy()
+        return held
+
+
+class Uncompensated:
+    """Drives of a model that get the setpoints as they are; they begin at ``position``."""
+
+    def __init__(self, model: Machine, period: float, position: FloatArray):
+        self._words = words_of(model, period, position)
+        self._transform = Transform.of(model)
+        at_rest = self._transform.forward(position[None, :])[0]
+        self._contour = ContourErrors(period, lag_of(model), at_rest[0])
+
+    def contour_errors(self, positions: FloatArray, velocities: FloatArray) -> FloatArray:
+        """Take setpoints (K, n_axes); return contour errors (K,), a few periods late [m]."""
+        x, _ = follow_all(self._words, positions, velocities)
+        commanded, tips = (self._transform.forward(at)[0] for at in (positions, x))
+        return self._contour.push(commanded, tips)

@@ -18,8 +18,7 @@ from cnc_interp.core.errors import BlockError, StreamError
 from cnc_interp.machine.homing import Homing, SimulatedSwitches
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
-from cnc_interp.machine_model.branch import positions_of_pose
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE

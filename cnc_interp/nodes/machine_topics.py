@@ -11,9 +11,9 @@ import numpy as np
 from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
-from cnc_interp.machine.compensated_drives import Uncompensated
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.simulated_drives import Uncompensated
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics

@@ -15,8 +15,16 @@ from cnc_interp.core.units import UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.report.figures import feed_ceiling
-from cnc_interp.report.html import drawing, section
-from cnc_interp.report.plot_style import BLUE, BUCKETS, ORANGE, base_layout, rounded, with_axes
+from cnc_interp.report.html import (
+    BLUE,
+    BUCKETS,
+    ORANGE,
+    base_layout,
+    drawing,
+    rounded,
+    section,
+    with_axes,
+)
 from cnc_interp.report.series import Series, extremes
 
 

@@ -12,16 +12,18 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.report.corners import CornerView
-from cnc_interp.report.html import CONTROLS, packed, section
-from cnc_interp.report.plot_style import (
+from cnc_interp.report.html import (
     BLUE,
+    CONTROLS,
     GRID,
     HEADROOM,
     INK,
     ORANGE,
     RED,
     base_layout,
+    packed,
     rounded,
+    section,
     with_axes,
     xyz,
 )

@@ -15,7 +15,7 @@ from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
-from cnc_interp.report.segments_file import FILE, lengths
+from cnc_interp.report.curves import FILE, lengths
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses, top_parameters
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segment_curves import corner_breaks, corner_jets

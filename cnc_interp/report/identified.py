@@ -20,14 +20,16 @@ from cnc_interp.machine_model.axis_drives import (
     key_and_unit,
 )
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.report.html import document, drawing, section
-from cnc_interp.report.plot_style import (
+from cnc_interp.report.html import (
     BLUE,
     BUCKETS,
     ORANGE,
     RED,
     base_layout,
+    document,
+    drawing,
     rounded,
+    section,
     with_axes,
 )
 from cnc_interp.report.series import extremes

@@ -14,8 +14,8 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
+from cnc_interp.report.curves import read_segments
 from cnc_interp.report.html import document, drawing, section
-from cnc_interp.report.segments_file import read_segments
 from cnc_interp.report.series import Series, series_of
 from cnc_interp.report.time_lost import time_section
 from cnc_interp.smoothing.segments import PathSegments
@@ -55,8 +55,7 @@ def render(
         from cnc_interp.report.comparison import Run, comparison_section
         from cnc_interp.report.corner_figures import corner_section
         from cnc_interp.report.curves import curves_section
-        from cnc_interp.report.figures import PLOTS
-        from cnc_interp.report.tool_error import tool_error_section
+        from cnc_interp.report.figures import PLOTS, tool_error_section
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
     proof, series = _examined(plan, machine)

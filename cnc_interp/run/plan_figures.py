@@ -11,8 +11,8 @@ import numpy as np
 
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.differences import BEFORE, ROUNDING, limit_shares, torque_shares
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.limit_table import BEFORE, ROUNDING, limit_shares, torque_shares
 from cnc_interp.core.units import UM
 from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool

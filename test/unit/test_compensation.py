@@ -12,9 +12,8 @@ from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.compensation import LATER, Compensation, compensate_all
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
+from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait

@@ -22,9 +22,8 @@ from cnc_interp.drives.learning import (
     start_of,
     with_hold,
 )
-from cnc_interp.machine.compensated_drives import CompensatedDrives
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
+from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.errors import BlockError
-from cnc_interp.machine_model.branch import positions_of_pose
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform import Transform, positions_of_pose
 
 
 @pytest.mark.parametrize(

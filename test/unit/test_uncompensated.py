@@ -4,8 +4,7 @@ import numpy as np
 
 from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine.axis_motion import ContourErrors
-from cnc_interp.machine.compensated_drives import Uncompensated
-from cnc_interp.machine.simulated_drives import simulate
+from cnc_interp.machine.simulated_drives import Uncompensated, simulate
 from cnc_interp.machine_model.machine import Machine
 
 T = 0.001

@@ -11,7 +11,16 @@ from cnc_interp.batch.table import Results, rows_of
 from cnc_interp.batch.task import Verdict
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
-from cnc_interp.report.html import BLUE, RED, base_layout, document, drawing, section, with_axes
+from cnc_interp.report.html import (
+    BLUE,
+    RED,
+    base_layout,
+    document,
+    drawing,
+    section,
+    tiles,
+    with_axes,
+)
 
 #: More rows than these are not shown; the table file has them all.
 MOST_ROWS = 5000
@@ -71,7 +80,7 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         f'<h1>{len(rows):,} plans{badge}</h1>',
         f'<p>{len({row["program"] for row in rows}):,} programs, '
         f'machines {escape(", ".join(dict.fromkeys(row["machine"] for row in rows)))}</p>',
-        f'<div class="tiles">{"".join(_tiles(rows, counts))}</div>',
+        tiles(_figures(rows, counts)),
         _time_section(rows),
         section(
             'Plans',
@@ -84,15 +93,14 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
     write_whole(file, document(f'{len(rows)} plans', page, LOCAL_STYLE))
 
 
-def _tiles(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[str]:
-    tiles = [(f'{counts[verdict]:,}', str(verdict)) for verdict in Verdict if counts[verdict]]
+def _figures(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[tuple[str, str]]:
+    figures = [(f'{counts[verdict]:,}', str(verdict)) for verdict in Verdict if counts[verdict]]
     total = sum(row['cycle_time_s'] or 0.0 for row in rows)
     shown = f'{total / HOUR:,.2f} h' if total > HOUR else f'{total:,.1f} s'
-    tiles.append((shown, 'cycle time of all'))
+    figures.append((shown, 'cycle time of all'))
     if any(row['cost'] is not None for row in rows):
-        tiles.append((f'{sum(row["cost"] or 0.0 for row in rows):,.2f}', 'cost of all'))
-    return [f'<div class="tile"><b>{value}</b><span>{label}</span></div>'
-            for value, label in tiles]  # fmt: skip
+        figures.append((f'{sum(row["cost"] or 0.0 for row in rows):,.2f}', 'cost of all'))
+    return figures
 
 
 def _time_section(rows: list[dict[str, Any]]) -> str:

@@ -20,6 +20,7 @@ from cnc_interp.report.html import (
     document,
     drawing,
     section,
+    table,
     with_axes,
 )
 
@@ -157,18 +158,12 @@ def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
         one = found[point]
         if one.cycle_time is None:
             continue
-        lengths = ''.join(
-            f'<td>{"" if x is None else f"{x / UM:.3f}"}</td>' for x in (one.scallop, one.error)
-        )
-        rows.append(
-            f'<tr><td>{escape(values_text(point))}</td><td>{one.cycle_time:.3f}</td>'
-            f'{lengths}<td>{escape(why(one))}</td>'
-            f'<td><code>cnc-interp {escape(shlex.join(point.command))}</code></td></tr>'
-        )
-    return (
-        '<div class="wide"><table><tr><th>values</th><th>time [s]</th><th>scallop [um]</th>'
-        f'<th>error [um]</th><th>at a limit</th><th>command</th></tr>{"".join(rows)}</table></div>'
-    )
+        lengths = ('' if x is None else f'{x / UM:.3f}' for x in (one.scallop, one.error))
+        command = f'<code>cnc-interp {escape(shlex.join(point.command))}</code>'
+        rows.append((escape(values_text(point)), f'{one.cycle_time:.3f}', *lengths,
+                     escape(why(one)), command))  # fmt: skip
+    heads = 'values', 'time [s]', 'scallop [um]', 'error [um]', 'at a limit', 'command'
+    return table(heads, rows)
 
 
 def _faults(found: dict[Point, Found]) -> str:

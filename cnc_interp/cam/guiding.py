@@ -7,7 +7,7 @@ is f = n x N / |n x N|. The direction t = f x n points to the next pass, too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from contourpy import contour_generator
@@ -161,9 +161,7 @@ class GuidingPlanes:
         ends = curve.surface.at(uv[:2, 0], uv[:2, 1]).offset(self.offset).position
         if float(np.dot(ends[1] - ends[0], curve.frames(s[:1]).feed[0])) < 0.0:
             reverse = make_interp_spline(s[-1] - s[::-1], uv[::-1], k=5)
-            curve = GuidingCurve(
-                self.surface, self.offset, self.plane_normal, plane, reverse, float(s[-1])
-            )
+            return replace(curve, parameters=reverse)
         return curve
 
     def _onto(self, uv: FloatArray, plane: float) -> FloatArray:
@@ -172,11 +170,8 @@ class GuidingPlanes:
             point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
             level = point.position @ self.plane_normal - plane
             slope = point.d_u @ self.plane_normal, point.d_v @ self.plane_normal
-            e, f, g = (
-                dot(point.d_u, point.d_u),
-                dot(point.d_u, point.d_v),
-                dot(point.d_v, point.d_v),
-            )
+            e, g = dot(point.d_u, point.d_u), dot(point.d_v, point.d_v)
+            f = dot(point.d_u, point.d_v)
             a, b = g * slope[0] - f * slope[1], e * slope[1] - f * slope[0]
             step = -level / (a * slope[0] + b * slope[1])
             uv = uv + np.stack([step * a, step * b], axis=1)

@@ -76,17 +76,11 @@ class Figures:
         total = int(np.count_nonzero(~np.isnan(height)))
         if not len(h):
             return Figures(total)
-        ends = [
-            Extreme(sign * float(height[place]), row + int(place[0]), column + int(place[1]))
-            for sign, place in (
-                (1.0, np.unravel_index(
-                    np.argmin(np.where(reached, height, np.inf)), height.shape
-                )),
-                (-1.0, np.unravel_index(
-                    np.argmax(np.where(reached, height, -np.inf)), height.shape
-                )),
-            )
-        ]  # fmt: skip
+        ends = []
+        for sign in (1.0, -1.0):
+            place = int(np.argmin(np.where(reached, sign * height, np.inf)))
+            i, j = divmod(place, height.shape[1])
+            ends.append(Extreme(sign * float(height[i, j]), row + i, column + j))
         number, count = np.unique(np.floor(h / CLASS).astype(int), return_counts=True)
         return Figures(
             total, len(h), int(np.count_nonzero(h < -GOUGE)), exact_sum(h, HEIGHT_BITS),

@@ -127,7 +127,10 @@ class TileCutter:
         for ended in workers.run(cut_tile, tasks()):
             (row, column), key = given[ended.number]
             if not isinstance(ended.result, CutTile):
-                why = ended.result if isinstance(ended.result, str) else _loss(ended)
+                why = ended.result
+                if not isinstance(why, str):
+                    words = ended.why or str(why.name).lower().replace('_', ' ')
+                    why = f'its worker was lost ({words}); start again, what is done is kept'
                 raise InterpError(f'the tile at needle {row}, {column}: {why}')
             store.keep(row, column, key, ended.result.height, ended.result.figures)
             done += 1
@@ -137,11 +140,6 @@ class TileCutter:
 
 def _same(task: TileTask) -> TileTask:
     return task
-
-
-def _loss(ended: Any) -> str:
-    words = str(ended.result.name).lower().replace('_', ' ')
-    return f'its worker was lost ({ended.why or words}); start again, what is done is kept'
 
 
 @cache

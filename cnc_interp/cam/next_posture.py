@@ -132,15 +132,8 @@ def first_guess(
         return tilt_of_curvature(cutter, wanted, (0.002, 1.53))
     across = cutter.effective_radius(fixed_angle)
     radius = 1.0 / np.maximum(wanted, 1e-3)
-    return np.asarray(
-        np.arccos(
-            np.sqrt(
-                np.clip(
-                    (radius - cutter.corner_radius) / (across - cutter.corner_radius), 0.01, 0.99
-                )
-            )
-        )
-    )
+    share = (radius - cutter.corner_radius) / (across - cutter.corner_radius)
+    return np.asarray(np.arccos(np.sqrt(np.clip(share, 0.01, 0.99))))
 
 
 def _newton(

@@ -88,7 +88,8 @@ class Cap(Graph):
         away = np.clip(self.foot - rho, 0.0, self.foot - self.join)
         ring = np.sqrt(self.blend**2 - away**2)
         on_ball, flat = rho <= self.join, rho >= self.foot
-        peak = (self.radius + self.blend) * np.cos(self._angle()) - self.blend
+        angle = np.arcsin(self.join / self.radius)
+        peak = (self.radius + self.blend) * np.cos(angle) - self.blend
         h = np.where(on_ball, ball - peak, np.where(flat, 0.0, self.blend - ring))
         slope = np.where(on_ball, -rho / ball, np.where(flat, 0.0, -away / ring))
         bend = np.where(
@@ -104,10 +105,6 @@ class Cap(Graph):
             (bend - ratio) * c * s,
             bend * s * s + ratio * c * c,
         )
-
-    def _angle(self) -> float:
-        """Return the slope where sphere and torus meet [rad]."""
-        return float(np.arcsin(self.join / self.radius))
 
 
 class Cylinder(Surface):

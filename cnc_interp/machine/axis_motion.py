@@ -76,7 +76,6 @@ class Recording:
     #: (K, 3): Actual tool tip [m] and tool axis [-] in W.
     tip: FloatArray
     axis: FloatArray
-    tip_lag: FloatArray  #: (K,): Distance of the actual tip from the commanded tip [m].
     #: (K,): Distance of the actual tip of a few periods before from the path of the commanded
     #: tips, see ``ContourErrors`` [m].
     contour_error: FloatArray
@@ -163,7 +162,6 @@ class AxisMotion:
             following_error=answered - x,
             tip=tip,
             axis=axis,
-            tip_lag=np.sqrt(np.sum((tip - commanded) ** 2, axis=1)),
             contour_error=self._contour.push(commanded, tip),
             feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period,
             largest_use=use,

@@ -161,7 +161,7 @@ class TrajectoryDrives:
     def switch_off(self) -> None:
         """Send no further trajectory. The controller ends the last one and holds the axes."""
         none = AxisRows.held(self._rows.position[-1], 0)
-        if self._on and not self._knows(none):
+        if self._on and self._news(none) is not None:
             self._send(none)
         self._on, self.alarm = False, ''
 
@@ -204,9 +204,6 @@ class TrajectoryDrives:
         length = max(len(now), len(told))
         differs = np.any(padded(now, length) != padded(told, length), axis=1)
         return first + int(np.argmax(differs)) if differs.any() else None
-
-    def _knows(self, stop: AxisRows) -> bool:
-        return self._news(stop) is None
 
     def _refuse_late(self, news: int) -> None:
         late = self._controller.now() - (self._time_of(news) - round(RESERVE * self._delay))

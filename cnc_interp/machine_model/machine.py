@@ -203,7 +203,8 @@ class Machine:
         try:
             content = read_yaml(path)
         except (OSError, UnreadableError) as problem:
-            raise MachineError(f'{path}: cannot be read as YAML: {one_line(problem)}') from None
+            text = ' '.join(str(problem).split())
+            raise MachineError(f'{path}: cannot be read as YAML: {text}') from None
         if not isinstance(content, dict):
             raise MachineError(f'{path}: not a machine file; see config/machines/xyzac.yaml')
         try:
@@ -212,11 +213,6 @@ class Machine:
             raise MachineError(f'{path}: {problem}', '') from None
         bundled = path.parent == machines_directory()
         return machine if bundled else replace(machine, file=str(path.resolve()))
-
-
-def one_line(problem: Exception) -> str:
-    """Return the text of an exception in one line."""
-    return ' '.join(str(problem).split())
 
 
 def machines_directory() -> Path:

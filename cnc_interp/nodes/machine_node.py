@@ -10,7 +10,6 @@ import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.machine.cycle import MachineClock
 from cnc_interp.machine.drive_kinds import drives_of
@@ -118,7 +117,8 @@ class MachineNode(LifecycleNode):
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
         playback.read()
         state = playback.state
-        if playback.is_void(run_id, first_of(chunk) if begins else None):
+        first = np.array(chunk.positions[: chunk.axis_count])
+        if playback.is_void(run_id, first if begins else None):
             raise StreamError(self._void(), Refusal.PLAN_OVER)
         if begins:
             playback.make_room(run_id)
@@ -205,11 +205,6 @@ class MachineNode(LifecycleNode):
             self._stop_clock()
             self._clock_of_drives = None
             self._playback.close()
-
-
-def first_of(chunk: SetpointChunk) -> FloatArray:
-    """Return the first setpoint of a chunk [m, rad]."""
-    return np.array(chunk.positions[: chunk.axis_count])
 
 
 def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cnc_interp.core.units import UM
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verdict import Proof
-from cnc_interp.report.figures import feed_ceiling
 from cnc_interp.report.html import (
+    AT_PLACE,
     BLUE,
     BUCKETS,
     ORANGE,
+    add_curve,
     base_layout,
     drawing,
+    feed_ceiling,
     rounded,
     section,
+    table,
     with_axes,
 )
 from cnc_interp.report.series import Series, extremes
@@ -44,22 +47,14 @@ Figure = Callable[[Run], float]
 def comparison_table(first: Run, second: Run) -> str:
     """Write cycle times, path and deviations of both runs as a table."""
     proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
-    lines = [_row('proven', proven[0], proven[1], '')]
+    lines = [('proven', *proven, '')]
     for label, unit, pattern, figure in rows_of():
         one, two = figure(first), figure(second)
         change = f'{(two / one - 1.0) * 100.0:+.1f} %' if one > 0.0 and two > 0.0 else ''
         change = '=' if change in ('+0.0 %', '-0.0 %') else change
-        one_text, two_text = (
-            f'{x:{pattern}}{unit}' if np.isfinite(x) else '&#8211;' for x in (one, two)
-        )
-        lines.append(_row(label, one_text, two_text, change))
-    head = ''.join(
-        f'<th>{text}</th>' for text in ('', escape(first.name), escape(second.name), 'change')
-    )
-    return (
-        f'<div class="wide"><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{"".join(lines)}</tbody></table></div>'
-    )
+        texts = (f'{x:{pattern}}{unit}' if np.isfinite(x) else '&#8211;' for x in (one, two))
+        lines.append((label, *texts, change))
+    return table(('', escape(first.name), escape(second.name), 'change'), lines)
 
 
 def rows_of() -> list[tuple[str, str, str, Figure]]:
@@ -73,7 +68,7 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
         ('mean feed', ' mm/min', ',.0f', _mean_feed),
     ]
     for error in ('contour error', 'orientation error'):
-        rows.append((f'largest {error}', ' &#181;m', '.4g', _error(error)))
+        rows.append((f'largest {error}', ' &#181;m', '.4g', partial(_largest, error)))
     return rows
 
 
@@ -81,21 +76,12 @@ def use_table(first: Run, second: Run) -> str:
     """Write the largest use of every axis limit in both runs as a table."""
     kinds = max(first.proof.kinds, second.proof.kinds, key=len)
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
-    head = ''.join(f'<th colspan="2">{kind}</th>' for kind in kinds)
     lines = []
     for axis in names:
-        uses = [use_of(run, kind, axis) for kind in kinds for run in (first, second)]
+        uses = [run.proof.use_of(kind, axis) for kind in kinds for run in (first, second)]
         cells = (f'{x:.1%}' if np.isfinite(x) else '&#8211;' for x in uses)
-        lines.append(f'<tr><th>{escape(axis)}</th>' + ''.join(f'<td>{c}</td>' for c in cells))
-    return (
-        f'<div class="wide"><table class="uses"><thead><tr><th>largest use</th>{head}</tr></thead>'
-        f'<tbody>{"</tr>".join(lines)}</tr></tbody></table></div>'
-    )
-
-
-def use_of(run: Run, kind: str, axis: str) -> float:
-    """Return the largest use of a limit."""
-    return run.proof.use_of(kind, axis)
+        lines.append([escape(axis), *cells])
+    return table(('largest use', *kinds), lines, span=2)
 
 
 def comparison_figure(first: Run, second: Run) -> Any:
@@ -107,14 +93,9 @@ def comparison_figure(first: Run, second: Run) -> Any:
         kept = extremes(series.feed, BUCKETS)
         hover = rounded(np.column_stack([series.time, series.way, series.line])[kept])
         for row, x in ((1, series.way), (2, series.time)):
-            figure.add_trace(
-                go.Scatter(
-                    x=rounded(x[kept]), y=rounded(series.feed[kept]), name=escape(run.name),
-                    line=line, legendgroup=line['color'], showlegend=row == 1, customdata=hover,
-                    hovertemplate='%{y:.0f} mm/min at %{customdata[0]:.3f} s, '
-                    '%{customdata[1]:.2f} mm, line %{customdata[2]:.0f}',
-                ),
-                row=row, col=1,
+            add_curve(
+                figure, row, x[kept], series.feed[kept], escape(run.name), line, row == 1,
+                legendgroup=line['color'], customdata=hover, hovertemplate=AT_PLACE,
             )  # fmt: skip
     for run, line in runs:
         figure.add_vline(
@@ -122,16 +103,11 @@ def comparison_figure(first: Run, second: Run) -> Any:
         )
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', row=2, col=1)
-    ceiling = max(feed_ceiling(run.series) for run, _ in runs)
+    ceiling = max(feed_ceiling(run.series.feed, run.series.programmed_feed) for run, _ in runs)
     fastest = max(float(run.series.feed.max(initial=0.0)) for run, _ in runs)
     figure.update_yaxes(title_text='mm/min', range=[0.0, min(ceiling, 1.08 * fastest) or 1.0])
     figure.update_layout(base_layout(520))
     return with_axes(figure)
-
-
-def _row(label: str, first: str, second: str, change: str) -> str:
-    cells = ''.join(f'<td>{text}</td>' for text in (first, second, change))
-    return f'<tr><th>{escape(label)}</th>{cells}</tr>'
 
 
 def _planning_time(run: Run) -> float:
@@ -139,15 +115,12 @@ def _planning_time(run: Run) -> float:
     return float(found) if isinstance(found, int | float) else np.nan
 
 
+def _largest(error: str, run: Run) -> float:
+    return run.proof.largest(error).value / UM
+
+
 def _mean_feed(run: Run) -> float:
     return float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0
-
-
-def _error(what: str) -> Figure:
-    def found(run: Run) -> float:
-        return float(run.proof.largest(what).value) / UM
-
-    return found
 
 
 def comparison_section(first: Run, second: Run) -> str:

@@ -15,14 +15,14 @@ from cnc_interp.report.corners import CornerView
 from cnc_interp.report.html import (
     BLUE,
     CONTROLS,
-    GRID,
-    HEADROOM,
     INK,
     ORANGE,
     RED,
+    add_curve,
     base_layout,
+    feed_ceiling,
     packed,
-    rounded,
+    scene,
     section,
     with_axes,
     xyz,
@@ -84,20 +84,16 @@ def space_figure(view: CornerView) -> Any:
     middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.52 * float(np.ptp(shown, axis=0).max())
     ranges = np.stack([middle - half, middle + half], axis=1).tolist()
-    plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID, 'nticks': 5}
     figure.update_layout(
         base_layout(HEIGHT),
         hovermode='closest',
         scene={
             'aspectmode': 'cube',
-            **{
-                f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}, 'range': span}
-                for c, span in zip('xyz', ranges, strict=True)
-            },
-            'camera': {
-                'eye': {'x': 1.45, 'y': -1.97, 'z': 0.87},
-                'center': {'x': 0.0, 'y': 0.0, 'z': -0.1},
-            },
+            **scene(
+                ({'nticks': 5, 'range': span} for span in ranges),
+                {'x': 1.45, 'y': -1.97, 'z': 0.87},
+                0.1,
+            ),
         },
         legend={'orientation': 'h', 'y': 0.0, 'x': 0.0, 'yanchor': 'bottom'},
         margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
@@ -115,13 +111,14 @@ def shift(view: CornerView) -> FloatArray:
 
 def profile_figure(view: CornerView) -> Any:
     """Draw parametrization, third derivative of the tool axis and feed along the corner."""
+    asked = f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
     figure = make_subplots(
         rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
         subplot_titles=(
             'u<sub>top</sub> = u<sub>bottom</sub>; connection added to the top curve'
             if view.in_step else 'parametrization u<sub>top</sub> = f(u)',
             'third derivative of the tool axis (Eq. 11)',
-            f'feed against Eq. 10, programmed: {asked_of(view)}',
+            f'feed against Eq. 10, programmed: {asked}',
         ),
     )  # fmt: skip
     shape, unit = (
@@ -131,7 +128,7 @@ def profile_figure(view: CornerView) -> Any:
     )
     _draw(figure, 1, view.u, shape, 'parametrization', {'color': TOP_COLOUR, 'width': 1.8})
     _draw(figure, 2, view.way, view.turn, 'third derivative', {'color': BLUE, 'width': 1.8})
-    ceiling = feed_ceiling(view)
+    ceiling = feed_ceiling(view.feed, view.programmed_feed, 2.0)
     for name, values, line in (
         ('limit of the axes (Eq. 10)', view.feed_limit, {'color': ORANGE, 'width': 1.4}),
         ('programmed', view.programmed_feed, {'color': INK, 'width': 1.2, 'dash': 'dot'}),
@@ -163,29 +160,13 @@ def profile_figure(view: CornerView) -> Any:
     return with_axes(figure)
 
 
-def asked_of(view: CornerView) -> str:
-    """Return the programmed feed of a corner as text."""
-    return f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
-
-
-def feed_ceiling(view: CornerView) -> float:
-    """Choose the upper end of the feed axis of a corner."""
-    asked = view.programmed_feed[np.isfinite(view.programmed_feed)]
-    fastest = float(view.feed.max(initial=0.0))
-    return HEADROOM * max(fastest, min(float(asked.max(initial=0.0)), 2.0 * fastest)) or 1.0
-
-
 def _draw(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
 ) -> None:
-    few = len(x) < FEW and shown
-    figure.add_trace(
-        go.Scatter(
-            x=rounded(x), y=rounded(y), name=name, line=line, showlegend=shown,
-            mode='lines+markers' if few else 'lines', marker={'size': 4},
-            hovertemplate='%{y:.4g}',
-        ),
-        row=row, col=1,
+    mode = 'lines+markers' if len(x) < FEW and shown else 'lines'
+    add_curve(
+        figure, row, x, y, name, line, shown, mode=mode, marker={'size': 4},
+        hovertemplate='%{y:.4g}',
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
@@ -139,7 +140,7 @@ def _view(
     tip, axis = (np.concatenate(x) for x in zip(*(poses(curves, v) for v in u), strict=True))
     top_u = np.array([top_parameters(one.parametrization, v)[0] for v in u])
     top = corner_spline_points(polygon[0], top_u)
-    bend = _connection(one.connection[0], u)
+    bend = bezier_values(one.connection[0].T, u[:, None])
     corner_way, corner_turn = _third_derivatives(one, u, late)
     middle, reach = 0.5 * (start + end), MARGIN * (end - start)
     way, turn = _with_lines(segments, row, (corner_way, corner_turn), reach)
@@ -182,14 +183,6 @@ def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(u), np.concatenate(inside)
 
 
-def _connection(points: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the connection added to the top curve, by de Casteljau's scheme, shape (K, 3) [m]."""
-    rows = np.broadcast_to(points, (len(u), *points.shape))
-    while rows.shape[1] > 1:
-        rows = rows[:, :-1] + u[:, None, None] * np.diff(rows, axis=1)
-    return rows[:, 0]
-
-
 def _third_derivatives(
     one: PathSegments, u: FloatArray, inside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -201,7 +194,7 @@ def _third_derivatives(
         )
         rate = ds_du(np.array(tip))
         speed[k] = rate[0]
-        turn[k] = float(np.linalg.norm([by_path_length(np.array(a), rate)[3] for a in axis]))
+        turn[k] = np.linalg.norm([jet.by_arc_length.py_func(tuple(a), rate)[3] for a in axis])
     step = np.diff(u)
     way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)]
     return way * (float(lengths(one, 0.0)[0]) / way[-1]), turn
@@ -214,12 +207,6 @@ def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
     s0 = float(np.sqrt(squared[0]))
     s1 = float(squared[1]) / (2.0 * s0)
     return s0, s1, (float(squared[2]) - s1 * s1) / (2.0 * s0), 0.0
-
-
-def by_path_length(a: FloatArray, speed: tuple[float, ...]) -> tuple[float, ...]:
-    """Convert Taylor coefficients by u to derivatives by path length."""
-    found: tuple[float, ...] = jet.by_arc_length.py_func(tuple(a), speed)
-    return found
 
 
 def _with_lines(

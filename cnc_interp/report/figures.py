@@ -16,16 +16,18 @@ from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.html import (
+    AT_PLACE,
     BLUE,
     BUCKETS,
-    GRID,
-    HEADROOM,
     INK,
     ORANGE,
     RED,
+    add_curve,
     base_layout,
     drawing,
+    feed_ceiling,
     rounded,
+    scene,
     section,
     with_axes,
     xyz,
@@ -62,7 +64,6 @@ def path_figure(series: Series) -> Any:
         hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min at '
         '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
     ))  # fmt: skip
-    plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
     # The longest side is 1, so that flat and slender paths fill the view equally.
     shown = np.concatenate([tip, series.vertices, _tool_lines(series)])
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
@@ -72,14 +73,11 @@ def path_figure(series: Series) -> Any:
         scene={
             'aspectmode': 'manual',
             'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
-            **{
-                f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}, 'nticks': 3 + int(5 * part)}
-                for c, part in zip('xyz', shape, strict=True)
-            },
-            'camera': {
-                'eye': {'x': 0.85, 'y': -1.05, 'z': 0.75},
-                'center': {'x': 0.0, 'y': 0.0, 'z': -0.06},
-            },
+            **scene(
+                ({'nticks': 3 + int(5 * part)} for part in shape),
+                {'x': 0.85, 'y': -1.05, 'z': 0.75},
+                0.06,
+            ),
         },
         legend={'orientation': 'h', 'y': 1.0, 'x': 0.0},
         margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
@@ -99,43 +97,29 @@ def feed_span(series: Series) -> tuple[float, str]:
 def feed_figure(series: Series) -> Any:
     """Draw feed, programmed feed and Eq. 10, over path length and over time."""
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
-    ceiling = feed_ceiling(series)
+    ceiling = feed_ceiling(series.feed, series.programmed_feed)
     limit = np.minimum(series.feed_limit, ceiling)
     asked = np.minimum(series.programmed_feed, ceiling)
     rows = extremes(np.column_stack([series.feed, limit, asked]), BUCKETS)
     place = {
         'customdata': rounded(np.column_stack([series.time, series.way, series.line])[rows]),
-        'hovertemplate': '%{y:.0f} mm/min at %{customdata[0]:.3f} s, %{customdata[1]:.2f} mm, '
-        'line %{customdata[2]:.0f}',
+        'hovertemplate': AT_PLACE,
     }
     plain = {'hovertemplate': '%{y:.0f} mm/min'}
-    for row, x in ((1, rounded(series.way[rows])), (2, rounded(series.time[rows]))):
-        first = row == 1
+    for row, x in ((1, series.way), (2, series.time)):
         for name, y, line, hover in (
             ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}, plain),
             ('programmed', asked, {'color': INK, 'width': 1.2, 'dash': 'dot'}, plain),
             ('planned', series.feed, {'color': BLUE, 'width': 1.8}, place),
         ):
-            figure.add_trace(
-                go.Scatter(
-                    x=x, y=rounded(y[rows]), name=name, line=line, legendgroup=name,
-                    showlegend=first, **hover,
-                ),
-                row=row, col=1,
-            )  # fmt: skip
+            add_curve(
+                figure, row, x[rows], y[rows], name, line, row == 1, legendgroup=name, **hover
+            )
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
     figure.update_layout(base_layout(560))
     return with_axes(figure)
-
-
-def feed_ceiling(series: Series) -> float:
-    """Choose the upper end of the feed axis."""
-    finite = series.programmed_feed[np.isfinite(series.programmed_feed)]
-    asked = float(finite.max(initial=0.0))
-    fastest = float(series.feed.max(initial=0.0))
-    return HEADROOM * max(fastest, min(asked, 3.0 * fastest)) or 1.0
 
 
 def axes_figure(series: Series) -> Any:
@@ -203,22 +187,18 @@ def error_figure(series: Series) -> Any:
         (2, 'orientation', series.orientation_error, series.orientation_tolerance),
     ):
         rows = extremes(np.column_stack([error, tolerance]), BUCKETS)
-        hover = rounded(np.column_stack([series.time, series.line])[rows])
         place = {
-            'customdata': hover,
+            'customdata': rounded(np.column_stack([series.time, series.line])[rows]),
             'hovertemplate': '%{y:.3f} um at %{customdata[0]:.3f} s, line %{customdata[1]:.0f}',
         }
-        for label, y, line in (
-            ('error', error, {'color': BLUE, 'width': 1.2}),
-            ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'}),
-        ):
-            figure.add_trace(
-                go.Scatter(
-                    x=rounded(series.way[rows]), y=rounded(y[rows]), name=label, line=line,
-                    legendgroup=label, showlegend=row == 1,
-                    **(place if label == 'error' else {'hovertemplate': '%{y:.3f}'}),
-                ),
-                row=row, col=1,
+        for label, y, line, hover in (
+            ('error', error, {'color': BLUE, 'width': 1.2}, place),
+            ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'},
+             {'hovertemplate': '%{y:.3f}'}),
+        ):  # fmt: skip
+            add_curve(
+                figure, row, series.way[rows], y[rows], label, line, row == 1, legendgroup=label,
+                **hover,
             )  # fmt: skip
         top = 1.15 * float(max(error.max(initial=0.0), tolerance.max(initial=0.0)))
         figure.update_yaxes(title_text=f'{name} (&#181;m)', range=[0.0, top], row=row, col=1)
@@ -318,15 +298,10 @@ def _figure(plain: ToolError, compensated: ToolError, period: float) -> Any:
         ('as they are', plain, ORANGE),
         ('compensated', compensated, BLUE),
     ):
+        line = {'color': colour, 'width': 1.2}
         for row, curve in ((1, error.tip / UM), (2, error.axis / ARCSEC)):
             kept = extremes(curve, BUCKETS)
-            figure.add_trace(
-                go.Scattergl(
-                    x=rounded(kept * period), y=rounded(curve[kept]), name=name, mode='lines',
-                    line={'color': colour, 'width': 1.2}, showlegend=row == 1,
-                ),
-                row=row, col=1,
-            )  # fmt: skip
+            add_curve(figure, row, kept * period, curve[kept], name, line, row == 1, mode='lines')
     figure.update_layout(**base_layout(400))
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text='tip [µm]', row=1, col=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import zlib
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
@@ -40,7 +41,7 @@ select { font: inherit; color: inherit; max-width: 100%; padding: 4px 8px; margi
 @media (max-width: 860px) { .pair { grid-template-columns: minmax(0, 1fr); } }
 .wide { overflow-x: auto; margin-bottom: 10px; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; width: 100%; }
-.uses td:nth-child(odd) { font-weight: 600; padding-right: 18px; }
+table:has([colspan]) td:nth-child(odd) { font-weight: 600; padding-right: 18px; }
 th, td { padding: 3px 14px 3px 0; border-bottom: 1px solid #e6eaee; text-align: right; }
 th { font-weight: 600; } tbody th { font-weight: 400; }
 th:first-child { text-align: left; color: #5c6b78; }
@@ -59,6 +60,24 @@ CONTROLS = json.dumps({
 def section(heading: str, text: str, content: str) -> str:
     """Write a section with a heading."""
     return f'<section><h2>{heading}</h2><p>{text}</p>{content}</section>'
+
+
+def table(heads: Iterable[str], rows: Iterable[Sequence[str]], span: int = 1) -> str:
+    """Write a table of HTML texts; headings but the first stand over ``span`` columns."""
+    first, *others = heads
+    wide = f' colspan="{span}"' if span > 1 else ''
+    head = f'<th>{first}</th>' + ''.join(f'<th{wide}>{text}</th>' for text in others)
+    lines = (''.join([f'<th>{row[0]}</th>', *(f'<td>{x}</td>' for x in row[1:])]) for row in rows)
+    body = f'<tbody>{"".join(f"<tr>{line}</tr>" for line in lines)}</tbody>'
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead>{body}</table></div>'
+
+
+def tiles(rows: Iterable[tuple[str, str]]) -> str:
+    """Write figures with their labels, side by side."""
+    cells = (
+        f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in rows
+    )
+    return f'<div class="tiles">{"".join(cells)}</div>'
 
 
 def drawing(figure: Any) -> str:
@@ -136,6 +155,10 @@ FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, s
 BUCKETS = 600
 #: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
 HEADROOM = 1.45
+#: What a feed shows where it is touched: its custom data are time, way and line.
+AT_PLACE = (
+    '%{y:.0f} mm/min at %{customdata[0]:.3f} s, %{customdata[1]:.2f} mm, line %{customdata[2]:.0f}'
+)
 
 
 def base_layout(height: int) -> dict[str, Any]:
@@ -159,6 +182,35 @@ def with_axes(figure: Any) -> Any:
     figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
     figure.update_yaxes(**quiet, title_standoff=8)
     return figure
+
+
+def add_curve(
+    figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = True,
+    **more: Any,
+) -> None:  # fmt: skip
+    """Add a curve to a row of a figure; ``shown``: in the legend."""
+    figure.add_scatter(
+        x=rounded(x), y=rounded(y), name=name, line=line, showlegend=shown, row=row, col=1, **more
+    )
+
+
+def scene(ranges: Iterable[dict[str, Any]], eye: dict[str, float], low: float) -> dict[str, Any]:
+    """Return the axes and the camera of a figure in space, which looks ``low`` of its middle."""
+    plain = {'backgroundcolor': 'white', 'gridcolor': GRID, 'zerolinecolor': GRID}
+    return {
+        **{
+            f'{c}axis': {**plain, 'title': {'text': f'{c} (mm)'}, **own}
+            for c, own in zip('xyz', ranges, strict=True)
+        },
+        'camera': {'eye': eye, 'center': {'x': 0.0, 'y': 0.0, 'z': -low}},
+    }
+
+
+def feed_ceiling(feed: FloatArray, programmed: FloatArray, most: float = 3.0) -> float:
+    """Choose the upper end of a feed axis; ``most``: over the fastest motion, for the program."""
+    asked = float(programmed[np.isfinite(programmed)].max(initial=0.0))
+    fastest = float(feed.max(initial=0.0))
+    return HEADROOM * max(fastest, min(asked, most * fastest)) or 1.0
 
 
 def xyz(points: FloatArray) -> dict[str, Any]:

@@ -25,10 +25,10 @@ from cnc_interp.report.html import (
     BUCKETS,
     ORANGE,
     RED,
+    add_curve,
     base_layout,
     document,
     drawing,
-    rounded,
     section,
     with_axes,
 )
@@ -109,7 +109,6 @@ def write_identified(
 
 
 def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     unit, name = _unit(machine, found.axis)
@@ -123,13 +122,8 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
     for row, title, curve, colour in curves:
         kept = extremes(curve, BUCKETS)
         dash = 'dot' if colour == ORANGE else 'solid'
-        figure.add_trace(
-            go.Scattergl(
-                x=rounded(time[kept]), y=rounded(curve[kept] / unit), name=title,
-                line={'color': colour, 'width': 1.2, 'dash': dash}, mode='lines',
-            ),
-            row=row, col=1,
-        )  # fmt: skip
+        line = {'color': colour, 'width': 1.2, 'dash': dash}
+        add_curve(figure, row, time[kept], curve[kept] / unit, title, line, mode='lines')
     figure.update_layout(**base_layout(420))
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text=f'[{name}]')
@@ -171,7 +165,6 @@ def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray
 
 
 def _bode(found: IdentifiedAxis, period: float) -> Any:
-    import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     frequency, measured = _measured_transfer(found, period)
@@ -181,15 +174,13 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     phases = np.degrees(np.angle(measured)), np.degrees(np.angle(model))
     for row, both in ((1, (np.abs(measured), np.abs(model))), (2, phases)):
-        figure.add_trace(
-            go.Scatter(x=frequency, y=both[0], mode='markers', name='measured',
-                       marker={'color': BLUE, 'size': 5}, showlegend=row == 1),
-            row=row, col=1,
+        figure.add_scatter(
+            x=frequency, y=both[0], mode='markers', name='measured',
+            marker={'color': BLUE, 'size': 5}, showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
-        figure.add_trace(
-            go.Scatter(x=grid, y=both[1], mode='lines', name='modelled, linear part',
-                       line={'color': ORANGE}, showlegend=row == 1),
-            row=row, col=1,
+        figure.add_scatter(
+            x=grid, y=both[1], mode='lines', name='modelled, linear part', line={'color': ORANGE},
+            showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
     figure.update_layout(**base_layout(420))
     figure.update_xaxes(type='log')

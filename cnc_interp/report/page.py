@@ -15,7 +15,7 @@ from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
 from cnc_interp.report.curves import read_segments
-from cnc_interp.report.html import document, drawing, section
+from cnc_interp.report.html import document, drawing, section, tiles
 from cnc_interp.report.series import Series, series_of
 from cnc_interp.report.time_lost import time_section
 from cnc_interp.smoothing.segments import PathSegments
@@ -64,7 +64,7 @@ def render(
         f'<h1>{escape(name)}{_badge(proof)}</h1>',
         f'<p>machine {escape(machine.name)}, {"".join(machine.axis_names)}, '
         f'{proof.samples:,} setpoints every {proof.period * 1e3:g} ms</p>',
-        f'<div class="tiles">{"".join(_tiles(plan, proof, series))}</div>',
+        tiles(_figures(plan, proof, series)),
         _faults(proof),
     ]
     if other is not None:
@@ -109,7 +109,7 @@ def _badge(proof: Proof) -> str:
     return '<span class="badge no">not proven</span>'
 
 
-def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
+def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, str]]:
     rows = [
         (f'{proof.cycle_time:.3f} s', 'cycle time'),
         (f'{proof.blocks:,}', 'blocks'),
@@ -131,7 +131,7 @@ def _tiles(plan: PlanFiles, proof: Proof, series: Series) -> list[str]:
         found = proof.largest(name)
         value, limit = found.value / UM, found.limit / UM
         rows.append((f'{value:.4g} &#181;m', f'largest {name}, allowed {limit:.4g} &#181;m'))
-    return [f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in rows]
+    return rows
 
 
 def _faults(proof: Proof) -> str:

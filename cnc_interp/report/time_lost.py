@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.report.html import section
+from cnc_interp.report.html import section, table
 from cnc_interp.report.series import KINDS, Series
 
 #: A limit is reached from this share on [-].
@@ -76,27 +76,20 @@ def time_section(series: Series) -> str:
     """Write the section: a row for each limit that is reached, and the lines that lose most."""
     found = time_lost(series)
     limits = sorted(found.by_limit.items(), key=lambda item: -item[1][1])
-    rows = [
-        f'<tr><th>{name}</th><td>{held:.3f}</td><td>{lost:.3f}</td></tr>'
-        for name, (held, lost) in limits
-        if held > 0.0
-    ]
+    rows = [(name, f'{held:.3f}', f'{lost:.3f}') for name, (held, lost) in limits if held > 0.0]
     slow = sorted(found.by_line.items(), key=lambda item: -item[1][1])[:LISTED]
     lines = [
-        f'<tr><th>{line}</th><td>{spent:.3f}</td><td>{lost:.3f}</td><td>{feed:,.0f}</td>'
-        f'<td>{name}</td></tr>'
+        (str(line), f'{spent:.3f}', f'{lost:.3f}', f'{feed:,.0f}', name)
         for line, (spent, lost, feed, name) in slow
         if lost > 0.0
     ]
+    both = table(('at the limit', 'time, s', 'lost, s'), rows) + table(
+        ('line', 'time, s', 'lost, s', 'least feed, mm/min', 'mostly at'), lines
+    )
     return section(
         'Where the time goes',
         f'Lost are {found.total:.3f} s: what the motion takes beyond its path at the programmed '
         'feed. Left, the limits that hold it then; what several hold together is shared. Right, '
         'the lines that lose most.',
-        '<div class="pair"><div class="wide"><table><thead><tr><th>at the limit</th>'
-        '<th>time, s</th><th>lost, s</th></tr></thead>'
-        f'<tbody>{"".join(rows)}</tbody></table></div>'
-        '<div class="wide"><table><thead><tr><th>line</th><th>time, s</th><th>lost, s</th>'
-        '<th>least feed, mm/min</th><th>mostly at</th></tr></thead>'
-        f'<tbody>{"".join(lines)}</tbody></table></div></div>',
+        f'<div class="pair">{both}</div>',
     )

@@ -41,12 +41,7 @@ class MachineReport:
     @property
     def is_free(self) -> bool:
         """Tell whether a new program may begin."""
-        return self.state is State.IDLE or self._lacks_plan
-
-    @property
-    def _lacks_plan(self) -> bool:
-        """Tell whether the machine has come to rest because setpoints were late."""
-        return self.state is State.STARVED and self.plan_over
+        return self.state is State.IDLE or (self.state is State.STARVED and self.plan_over)
 
     @property
     def moves(self) -> bool:

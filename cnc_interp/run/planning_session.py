@@ -182,7 +182,8 @@ class PlanningSession:
         self._kept: Kept | None = None  # until the machine has answered
         self._asked_at = self._revised_at = -math.inf
         self._lead = LEAD
-        self._joins_at = self._plans = 0
+        self._plans = 0
+        self.joins_at = 0  # number of the first setpoint of a plan that joins; 0 of any other
 
     def _change(self, step: Step) -> None:
         self.activity = TABLE[self.activity, step]
@@ -192,7 +193,7 @@ class PlanningSession:
         self._change(Step.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
         self.planner, self.task, self._machine, self._executing = None, None, None, False
-        self.sent_before = self._joins_at = self._plans = 0
+        self.sent_before = self.joins_at = self._plans = 0
         self._kept, self._lead = None, LEAD
         self._segments.clear()
         self._port.sender.begin(run_id)
@@ -224,11 +225,6 @@ class PlanningSession:
         self._change(Step.END)
         self._segments.clear()
         self.task, self.wants_segments = None, False
-
-    @property
-    def joins_at(self) -> int:
-        """Number of the first setpoint of a plan that joins; 0 of any other."""
-        return self._joins_at
 
     def step(self, now: float, received: Received) -> Task | None:
         """Return what to do now, at a time of any steady clock [s]; None while a task runs."""
@@ -288,7 +284,7 @@ class PlanningSession:
     def _begin_plan(self, joins_at: int) -> None:
         """Set the identity of the next plan, which is unique within an attempt."""
         self._plans += 1
-        self.run_id, self._joins_at = replace(self.run_id, plan=self._plans), joins_at
+        self.run_id, self.joins_at = replace(self.run_id, plan=self._plans), joins_at
         self.path_end = min(self.path_end, PathEnd.PLANNED)
 
     def _resumed(self, chunks: list[Chunk], _now: float) -> None:
@@ -302,7 +298,7 @@ class PlanningSession:
             return False
         number = self._join_after()
         return (
-            self._port.sender.sent > self._joins_at
+            self._port.sender.sent > self.joins_at
             and not (self.path_end is PathEnd.QUEUED and self._is_last(number))
             and now - self._revised_at > REVISE_AGAIN
             and (self._is_refilled() or now - self._asked_at > REFILLING)
@@ -319,7 +315,7 @@ class PlanningSession:
     def _join_after(self) -> int:
         """Return the number of the setpoint after which a revision joins."""
         ahead = self._received.executed + self._lead / self._period
-        return min(max(math.ceil(ahead), self._joins_at), self._port.sender.sent - 1)
+        return min(max(math.ceil(ahead), self.joins_at), self._port.sender.sent - 1)
 
     def _revise(self, planner: RunPlanner, now: float) -> Task:
         """Plan again from a setpoint a little ahead of the machine; the old plan continues."""
@@ -341,9 +337,9 @@ class PlanningSession:
         self._lead = max(0.5 * self._lead, self._lead_like_last(now))
         self._change(Step.JOIN)
         before = planner.stream.adopt(revision.plan)
-        self._kept = Kept(self.run_id, self._joins_at, before, self.path_end)
+        self._kept = Kept(self.run_id, self.joins_at, before, self.path_end)
         self._begin_plan(revision.number + 1)
-        self._port.join(self.run_id, self._joins_at)
+        self._port.join(self.run_id, self.joins_at)
         self._put(revision.chunks)
 
     def _lead_like_last(self, now: float) -> float:
@@ -361,7 +357,7 @@ class PlanningSession:
         kept, planner = self._kept, self.planner
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
-            self.run_id, self.path_end, self._joins_at = kept.run_id, kept.path_end, kept.joins_at
+            self.run_id, self.path_end, self.joins_at = kept.run_id, kept.path_end, kept.joins_at
             self._port.take_back()
             self.task = None
             self._lead = min(2.0 * self._lead, LONGEST_LEAD)
@@ -383,7 +379,7 @@ class PlanningSession:
             mine = report is not None and report.run_id.same_attempt(self.run_id)
             known = report is not None and mine and not report.away
             executed = report.path_position if report is not None and known else -math.inf
-            return Task(lambda: planner.work(plan, sample, executed), self._planned)
+            return Task(lambda: planner.work(plan, sample, executed), self._put)
         if self.activity is Activity.JOINING:
             return None  # more path is added when it is known which plan remains
         if wants and self._segments:
@@ -399,10 +395,7 @@ class PlanningSession:
             self._end()
         return None
 
-    def _planned(self, chunks: list[Chunk], _now: float) -> None:
-        self._put(chunks)
-
-    def _put(self, chunks: list[Chunk]) -> None:
+    def _put(self, chunks: list[Chunk], _now: float = 0.0) -> None:
         for chunk in chunks:
             self._port.sender.put(chunk, len(chunk.samples))
             if chunk.wait is Wait.END:

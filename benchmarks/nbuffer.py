@@ -23,7 +23,7 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import HeightStore
 from cnc_interp.cam.nbuffer import cut_needles, cut_part
 from cnc_interp.cam.needle_tiles import TileCutter
-from cnc_interp.cam.needles import NeedleGrid, Needles, Sweep
+from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.commands.cam import tile_workers
 from cnc_interp.core.arrays import FloatArray
@@ -68,7 +68,7 @@ def in_tiles(sizes: list[int], counts: list[int]) -> None:
     # Each worker imports this file; what only the page needs would cost seconds for each tile.
     from cnc_interp.cam.tile_work import TilePage
 
-    sweep = Sweep.of(MILL, *passes(POSES))
+    sweep = MotionPieces.of(MILL, *passes(POSES))
     print('   needles  workers  cut s  levels, page s  needles x poses / s   memory  heights')
     for size in sizes:
         grid = NeedleGrid.on(Plane((SIDE, SIDE)), SIDE / (np.sqrt(size) - 1.0))
@@ -97,7 +97,7 @@ def in_tiles(sizes: list[int], counts: list[int]) -> None:
 
 def devices() -> None:
     """Print the speed of both kernels on one core."""
-    sweep = Sweep.of(MILL, *passes(POSES))
+    sweep = MotionPieces.of(MILL, *passes(POSES))
     needles = Needles.on(Plane((SIDE, SIDE)), 0.1 * MM)
     expected = cut_part(needles, sweep)
     for device in ('cpu', 'warp-cpu'):

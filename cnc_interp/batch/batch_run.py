@@ -9,8 +9,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Protocol
 
-from cnc_interp.batch.processes import PRELOADED, Ended, Loss, Processes, total_memory
-from cnc_interp.batch.task import Job, Jobs, Outcome, Row, Task, Verdict
+from cnc_interp.batch.processes import PRELOADED, EndedCall, Loss, Processes, total_memory
+from cnc_interp.batch.task import Job, Jobs, Row, Task, TaskOutcome, Verdict
 from cnc_interp.batch.task_work import carry_out
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
@@ -26,15 +26,15 @@ class Store:
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)
 
-    def find(self, key: str) -> Outcome | None:
+    def find(self, key: str) -> TaskOutcome | None:
         """Return a result that is final; None if there is none."""
         try:
-            found = Outcome.of_json(read_json(self._file(key)))
+            found = TaskOutcome.of_json(read_json(self._file(key)))
         except (OSError, UnreadableError, ValueError, TypeError, KeyError):
             return None
         return None if found.row.verdict in UNCERTAIN else found
 
-    def keep(self, key: str, outcome: Outcome) -> None:
+    def keep(self, key: str, outcome: TaskOutcome) -> None:
         """Write a result."""
         write_whole(self._file(key), outcome.to_text())
 
@@ -54,8 +54,8 @@ class Workers(Protocol):
     """Who carries out the tasks: ``processes.Processes`` or ``dask_workers.DaskWorkers``."""
 
     def run(
-        self, function: Callable[[Task], Outcome], arguments: Iterator[Callable[[], Task]]
-    ) -> Iterator[Ended[Outcome]]:
+        self, function: Callable[[Task], TaskOutcome], arguments: Iterator[Callable[[], Task]]
+    ) -> Iterator[EndedCall[TaskOutcome]]:
         """Call a function with each argument; see ``Processes.run``."""
         ...
 
@@ -77,16 +77,18 @@ def run_batch(
     store: Store,
     progress: Callable[[Progress], None],
     processes: int = 1,
-) -> list[tuple[Job, Outcome]]:
+) -> list[tuple[Job, TaskOutcome]]:
     """Carry out all jobs; ``store`` keeps each result, ``processes`` plan one program together."""
     keys: dict[int, str] = {}
-    found: dict[int, Outcome] = {}
+    found: dict[int, TaskOutcome] = {}
     listed = list(jobs)
     for number, job in enumerate(listed):
         try:
             keys[number] = jobs.task(job).key
         except OSError as problem:
-            found[number] = Outcome(Row(Verdict.REFUSED, f'cannot be read: {problem.strerror}'))
+            found[number] = TaskOutcome(
+                Row(Verdict.REFUSED, f'cannot be read: {problem.strerror}')
+            )
             continue
         if (known := store.find(keys[number])) is not None:
             found[number] = known
@@ -114,13 +116,13 @@ def run_batch(
     return [(job, found[number]) for number, job in enumerate(listed)]
 
 
-def _outcome(ended: Ended[Outcome]) -> Outcome:
-    if isinstance(ended.result, Outcome):
+def _outcome(ended: EndedCall[TaskOutcome]) -> TaskOutcome:
+    if isinstance(ended.result, TaskOutcome):
         return ended.result
     row = LOST[ended.result]
     if ended.why:
         row = Row(row.verdict, f'{row.message} ({ended.why}); please report')
-    return Outcome(row)
+    return TaskOutcome(row)
 
 
 def dask_workers() -> ModuleType:

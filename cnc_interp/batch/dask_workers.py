@@ -17,7 +17,7 @@ from distributed.scheduler import KilledWorker
 from cnc_interp.batch.processes import (
     PRELOADED,
     TILES_PRELOADED,
-    Ended,
+    EndedCall,
     Loss,
     Processes,
     total_memory,
@@ -50,7 +50,7 @@ class DaskWorkers:
 
     def run(
         self, function: Callable[[A], R], arguments: Iterator[Callable[[], A]]
-    ) -> Iterator[Ended[R]]:
+    ) -> Iterator[EndedCall[R]]:
         """Call a function with each task; see ``Processes.run``."""
         numbers: dict[Future, int] = {}
         coming = enumerate(arguments)
@@ -79,19 +79,19 @@ class DaskWorkers:
         return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
 
 
-def _end_of(future: Future, number: int) -> Ended[Any]:
+def _end_of(future: Future, number: int) -> EndedCall[Any]:
     if future.status == 'error':
         problem = future.exception()
         if isinstance(problem, KilledWorker):
-            return Ended(number, Loss.KILLED, MOST_LOST_WORKERS)
+            return EndedCall(number, Loss.KILLED, MOST_LOST_WORKERS)
         raise problem
-    there: Ended[Any] = future.result()
-    return Ended(number, there.result, there.kills, there.why)
+    there: EndedCall[Any] = future.result()
+    return EndedCall(number, there.result, there.kills, there.why)
 
 
 def call_there(
     function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
-) -> Ended[R]:
+) -> EndedCall[R]:
     """Call a function in a new process on a worker; it is told how many processes it may have."""
     if engine() != version:
         raise InterpError(

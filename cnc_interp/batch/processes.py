@@ -45,7 +45,7 @@ class Loss(Enum):
 
 
 @dataclass(frozen=True)
-class Ended(Generic[R]):
+class EndedCall(Generic[R]):
     """A call that has ended."""
 
     number: int  #: Number of the call, from 0.
@@ -107,7 +107,7 @@ class Processes:
 
     def run(
         self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]
-    ) -> Iterator[Ended[R]]:
+    ) -> Iterator[EndedCall[R]]:
         """Call a function with each argument; yield what has ended, in the order of the ends."""
         killed: deque[_Call[A]] = deque()
         coming = (_Call(n, make, self._longest) for n, make in enumerate(arguments))
@@ -125,7 +125,7 @@ class Processes:
                     raise InterpError('stopped; what is done is kept')
                 for connection in self._heard(running):
                     one = running.pop(connection)
-                    ended: Ended[R] = _end_of(connection, one)
+                    ended: EndedCall[R] = _end_of(connection, one)
                     again = one.again() if ended.result is Loss.KILLED else None
                     if again is not None:
                         killed.append(again)
@@ -159,7 +159,7 @@ class Processes:
         return [*heard, *late]  # type: ignore[list-item]
 
 
-def _end_of(connection: Connection, running: _Running[A]) -> Ended[R]:
+def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
     call, process = running.call, running.process
     late, sent = not connection.poll(), []
     if late:
@@ -170,14 +170,14 @@ def _end_of(connection: Connection, running: _Running[A]) -> Ended[R]:
     process.join()
     connection.close()
     if sent:
-        return Ended(call.number, sent[0], call.kills)
+        return EndedCall(call.number, sent[0], call.kills)
     if late:
-        return Ended(call.number, Loss.KILLED if call.kills else Loss.TOO_LONG, call.kills)
+        return EndedCall(call.number, Loss.KILLED if call.kills else Loss.TOO_LONG, call.kills)
     code = process.exitcode or 0
     if -code in FROM_OUTSIDE:
-        return Ended(call.number, Loss.KILLED, call.kills)
+        return EndedCall(call.number, Loss.KILLED, call.kills)
     why = signal.Signals(-code).name if code < 0 else f'exit code {code}'
-    return Ended(call.number, Loss.CRASHED, call.kills, why)
+    return EndedCall(call.number, Loss.CRASHED, call.kills, why)
 
 
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.batch.sweep import Found, Point, front
+from cnc_interp.batch.sweep_points import Found, Point, front
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import UM
 from cnc_interp.report.html import (

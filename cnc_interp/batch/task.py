@@ -99,7 +99,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """A row and its cost."""
 
     row: Row
@@ -110,12 +110,12 @@ class Outcome:
         return json.dumps({'row': asdict(self.row), 'cost': asdict(self.cost)}, indent=1) + '\n'
 
     @staticmethod
-    def of_json(content: Any) -> Outcome:
+    def of_json(content: Any) -> TaskOutcome:
         """Return what ``to_text`` has written."""
         row = dict(content['row'])
         row['verdict'] = Verdict(row['verdict'])
         row['notices'] = tuple(row['notices'])
-        return Outcome(Row(**row), Cost(**content['cost']))
+        return TaskOutcome(Row(**row), Cost(**content['cost']))
 
 
 def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:

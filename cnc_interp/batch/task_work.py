@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.batch.task import Cost, Model, Outcome, Row, Task, Verdict
+from cnc_interp.batch.task import Cost, Model, Row, Task, TaskOutcome, Verdict
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import parse_yaml
 from cnc_interp.machine_model.machine import Machine, from_mapping
@@ -36,7 +36,7 @@ TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
 PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
 
-def carry_out(task: Task, processes: int = 1) -> Outcome:
+def carry_out(task: Task, processes: int = 1) -> TaskOutcome:
     """Plan and prove a program; whatever goes wrong becomes the verdict of the row."""
     began, used = time.perf_counter(), _processor_time()
     try:
@@ -55,7 +55,7 @@ def carry_out(task: Task, processes: int = 1) -> Outcome:
             Verdict.CRASHED, f'{type(problem).__name__} in {place}: {problem}; please report'
         )
     memory = max(usage.ru_maxrss for usage in _usages()) * 1024.0
-    return Outcome(row, Cost(time.perf_counter() - began, _processor_time() - used, memory))
+    return TaskOutcome(row, Cost(time.perf_counter() - began, _processor_time() - used, memory))
 
 
 def _usages() -> list[resource.struct_rusage]:

@@ -28,7 +28,7 @@ STEEP = 0.05
 
 
 @dataclass(frozen=True)
-class Frames:
+class CurveFrames:
     """The guided point K at n places of a curve and its frame, with derivatives by arc length."""
 
     position: FloatArray  #: (n, 3): K on the guiding surface [m].
@@ -67,7 +67,7 @@ class GuidingCurve:
     parameters: BSpline  #: u and v by arc length of K.
     length: float  #: Arc length of the curve, which begins at 0 [m].
 
-    def frames(self, s: FloatArray) -> Frames:
+    def frames(self, s: FloatArray) -> CurveFrames:
         """Return K and its frame at arc lengths (n,) [m]; the curve continues beyond its ends."""
         uv = self.parameters(s)
         u, v = uv[..., 0], uv[..., 1]
@@ -82,7 +82,7 @@ class GuidingCurve:
         f_s = scaled(1.0 / size, g_s - scaled(dot(g_s, f), f))
         t = cross(f, n)
         t_s = cross(f_s, n) + cross(f, n_s)
-        return Frames(guide.position, n, f, t, n_s, f_s, t_s, u, v, surface.curvature(t))
+        return CurveFrames(guide.position, n, f, t, n_s, f_s, t_s, u, v, surface.curvature(t))
 
 
 class GuidingPlanes:
@@ -220,7 +220,7 @@ class SurfaceCurve:
         run = scaled(u_s, guide.d_u) + scaled(v_s, guide.d_v)
         return point, unit(run), norm(run)
 
-    def frames(self, s: FloatArray) -> Frames:
+    def frames(self, s: FloatArray) -> CurveFrames:
         """Return K and its frame at places (n,) [m]; the rates are by arc length of K."""
         point, feed, speed = self._feed(s)
         ahead, behind = self._feed(s + NEAR)[1], self._feed(s - NEAR)[1]
@@ -228,7 +228,7 @@ class SurfaceCurve:
         f_s = scaled(0.5 / (NEAR * speed), ahead - behind)
         t = cross(feed, n)
         u, v = self.parameters(s).T
-        return Frames(
+        return CurveFrames(
             point.offset(self.offset).position, n, feed, t, n_s, f_s,
             cross(f_s, n) + cross(feed, n_s), u, v, point.curvature(t),
         )  # fmt: skip

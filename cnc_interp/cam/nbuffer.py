@@ -17,7 +17,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import Figures, deviations, is_cut
 from cnc_interp.cam.needle_cuts import TOP, cut
-from cnc_interp.cam.needles import Needles, Sweep, patches
+from cnc_interp.cam.needles import MotionPieces, Needles, patches
 from cnc_interp.core.arrays import BoolArray, FloatArray
 
 #: What cuts: numba on the processor, or Warp on the processor or on a graphics card.
@@ -61,7 +61,7 @@ def cut_needles(
     device: Device = 'cpu',
 ) -> Heights:
     """Cut needles by the volume that the mill sweeps along poses."""
-    sweep = Sweep.of(cutter, tip, axis)
+    sweep = MotionPieces.of(cutter, tip, axis)
     rows, columns = needles.shape
     height = np.empty(needles.shape)
     tall, wide = (GROUPS * n for n in needles.group_size())
@@ -75,7 +75,7 @@ def cut_needles(
     return Heights(needles, height, height.size * len(sweep))
 
 
-def cut_part(needles: Needles, sweep: Sweep, device: Device = 'cpu') -> FloatArray:
+def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> FloatArray:
     """Cut needles by pieces of motion."""
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
     R, skin, (stages, widest) = sweep.cutter.tool_radius, sweep.skin, sweep.search

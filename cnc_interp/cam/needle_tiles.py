@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.nbuffer import Device, cut_part
-from cnc_interp.cam.needles import NeedleGrid, Needles, Sweep, patches
+from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles, patches
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
@@ -27,7 +27,7 @@ class TileTask:
     row: int
     column: int
     needles: Needles  #: The needles.
-    sweep: Sweep  #: Pieces of motion that can reach them.
+    sweep: MotionPieces  #: Pieces of motion that can reach them.
     device: Device  #: What cuts.
 
     @property
@@ -91,7 +91,7 @@ def cut_tile(task: TileTask) -> CutTile | str:
 class TileCutter:
     """The tiles of a grid of needles, and who cuts them."""
 
-    def __init__(self, grid: NeedleGrid, sweep: Sweep, device: Device = 'cpu'):
+    def __init__(self, grid: NeedleGrid, sweep: MotionPieces, device: Device = 'cpu'):
         self._grid, self._sweep, self._device = grid, sweep, device
         self._places = list(patches(*grid.shape, TILE, TILE))
 

@@ -159,7 +159,7 @@ BATCH = 2000
 
 
 @dataclass(frozen=True)
-class Sweep:
+class MotionPieces:
     """
     Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
 
@@ -179,7 +179,7 @@ class Sweep:
     batch: IntArray  #: (n,): Batch of each piece, in increasing order.
 
     @staticmethod
-    def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> Sweep:
+    def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> MotionPieces:
         """Divide a motion into pieces."""
         if len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()):
             raise InterpError('a simulation needs two finite poses or more')
@@ -194,7 +194,7 @@ class Sweep:
         stride = max(1, int(COARSE / max(usual, 1e-9)))
         number = np.arange(len(middle))
         rough = number % BATCH % stride == 0
-        return Sweep(cutter, pose[:-1], middle, pose[1:], slack, rough, number // BATCH)
+        return MotionPieces(cutter, pose[:-1], middle, pose[1:], slack, rough, number // BATCH)
 
     def __len__(self) -> int:
         return len(self.middle)
@@ -209,7 +209,7 @@ class Sweep:
         """Stages of the search for the lowest height, and half its first interval [-]."""
         return (2, 0.25) if self.cutter.corner_radius > 0.05 * MM else (14, 1.0)
 
-    def near(self, centre: FloatArray, radius: float) -> Sweep:
+    def near(self, centre: FloatArray, radius: float) -> MotionPieces:
         """Return the pieces that can reach needles; the others change none of them."""
         v = centre - self.middle[:, :3]
         along = dot(v, self.middle[:, 3:])
@@ -218,7 +218,7 @@ class Sweep:
         away = np.hypot(np.minimum(along, 0.0), beyond)
         reach = radius + self.skin + max(TOP, DEPTH) + SHORT + ROUNDING
         kept = away <= reach + self.slack
-        return Sweep(
+        return MotionPieces(
             self.cutter, self.first[kept], self.middle[kept], self.last[kept], self.slack[kept],
             self.rough[kept], self.batch[kept],
         )  # fmt: skip

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.guiding import Frames, GuidingCurve
+from cnc_interp.cam.guiding import CurveFrames, GuidingCurve
 from cnc_interp.cam.passes import tilt_of_curvature
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops
@@ -49,7 +49,7 @@ class Fit:
     iterations: IntArray  #: (n,): Number of Newton steps.
 
 
-def resting(cutter: Cutter, frames: Frames, tilt: FloatArray, yaw: FloatArray) -> Postures:
+def resting(cutter: Cutter, frames: CurveFrames, tilt: FloatArray, yaw: FloatArray) -> Postures:
     """Return postures whose angles do not change along the pass."""
     zero = np.zeros(len(frames))
     return Postures(cutter, frames, zero + tilt, zero + yaw, zero, zero)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.guiding import Frames
+from cnc_interp.cam.guiding import CurveFrames
 from cnc_interp.cam.vectors import cross, scaled
 from cnc_interp.core.arrays import FloatArray
 
@@ -28,7 +28,7 @@ class Postures:
     """Postures at n places of a pass."""
 
     cutter: Cutter  #: The mill.
-    frames: Frames  #: Guided points and their frames.
+    frames: CurveFrames  #: Guided points and their frames.
     #: (n,): Angles [rad].
     tilt: FloatArray
     yaw: FloatArray

@@ -24,7 +24,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
 from cnc_interp.cam.needle_tiles import TileCutter, TileProgress, TileWorkers
-from cnc_interp.cam.needles import NeedleGrid, Sweep
+from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of
 from cnc_interp.cam.surface import SAMPLES, Surface
@@ -79,7 +79,7 @@ def simulate_in_tiles(
         known = f', {progress.known} known before' if progress.known else ''
         bar.show('cutting', progress.share, f'{progress.done} of {progress.total} tiles{known}')
 
-    tiles = TileCutter(grid, Sweep.of(cutter, motion.tip, motion.axis), options.device)
+    tiles = TileCutter(grid, MotionPieces.of(cutter, motion.tip, motion.axis), options.device)
     done = False
     try:
         reached = tiles.run(pool(options.scheduler, workers), store, tell)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam import needle_cuts
-from cnc_interp.cam.needles import Sweep
+from cnc_interp.cam.needles import MotionPieces
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
@@ -63,7 +63,7 @@ def warp(device: str) -> ModuleType:
     return found
 
 
-def cut_by_warp(needle: FloatArray, sweep: Sweep, device: str) -> FloatArray:
+def cut_by_warp(needle: FloatArray, sweep: MotionPieces, device: str) -> FloatArray:
     """Cut needles with Warp; see ``needle_cuts.cut``."""
     wp = warp(device)
     place = 'cpu' if device == 'warp-cpu' else 'cuda'

@@ -35,7 +35,7 @@ def add_convert_command(commands: Any) -> None:
 
 def convert_command(options: argparse.Namespace) -> int:
     """Write a program in another dialect."""
-    from cnc_interp.convert.dialects import convert
+    from cnc_interp.convert.conversion import convert
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import read_program

@@ -31,7 +31,13 @@ from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import Activity, ChunkSender, PlanningSession, Received, Task
+from cnc_interp.run.planning_session import (
+    Activity,
+    ChunkSender,
+    PlanningSession,
+    PlanningTask,
+    Received,
+)
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
@@ -53,7 +59,7 @@ class PlanningThread:
         sys.setswitchinterval(SWITCH)
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
-        self._job: tuple[Task, Future[Any], float] | None = None
+        self._job: tuple[PlanningTask, Future[Any], float] | None = None
         self._loads_rest = False
 
     def load_rest(self) -> None:
@@ -63,11 +69,11 @@ class PlanningThread:
             rest = 'cnc_interp.feedrate.time_bound'
             Thread(target=import_module, args=[rest], daemon=True).start()
 
-    def submit(self, task: Task) -> None:
+    def submit(self, task: PlanningTask) -> None:
         """Submit a task, which is done after those submitted before."""
         self._job = task, self._executor.submit(task.work), time.monotonic()
 
-    def done(self) -> tuple[Task, Callable[[], Any]] | None:
+    def done(self) -> tuple[PlanningTask, Callable[[], Any]] | None:
         """Return the last task and its outcome once; None while it is under way."""
         if self._job is None or not self._job[1].done():
             return None

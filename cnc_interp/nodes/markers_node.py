@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cnc_interp.convert.dialects import with_poses
+from cnc_interp.convert.conversion import with_poses
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -31,7 +31,7 @@ PROGRAMMED = ColorRGBA(r=0.55, g=0.62, b=0.68, a=1.0)
 EXECUTED = ColorRGBA(r=0.30, g=0.76, b=0.54, a=1.0)
 
 
-class Strip:
+class MarkerLine:
     """A line that grows, as markers of at most ``POINTS`` points."""
 
     def __init__(self, name: str, colour: ColorRGBA, width: float, spacing: float):
@@ -82,8 +82,8 @@ class MarkersNode(Node):
         values = parameters.declare(self, parameters.MARKERS)
         self._transform = Transform.of(Machine.load(values['machine']))
         spacing = values['spacing']
-        self._programmed = Strip('programmed', PROGRAMMED, 0.3 * MM, spacing)
-        self._executed = Strip('executed', EXECUTED, 0.6 * MM, spacing)
+        self._programmed = MarkerLine('programmed', PROGRAMMED, 0.3 * MM, spacing)
+        self._executed = MarkerLine('executed', EXECUTED, 0.6 * MM, spacing)
         self._program_id, self._sequence = '', -1
         self._block: G1Block | None = None
         self._cleared, self._viewers = False, 0

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import gouge_depth
-from cnc_interp.cam.guiding import Frames, GuidingPlanes, SurfaceCurve, crossing
+from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.next_posture import conditions
 from cnc_interp.cam.passes import constant_tilt, place
 from cnc_interp.cam.posture import Postures
@@ -229,7 +229,7 @@ class _Run:
         n = point.normal
         feed = unit(along - scaled(dot(along, n), n))
         t, zero, none = cross(feed, n), np.zeros(len(u)), np.zeros((len(u), 3))
-        frames = Frames(
+        frames = CurveFrames(
             point.offset(self.cutter.corner_radius).position, n, feed, t, none, none, none, u, v,
             zero,
         )  # fmt: skip

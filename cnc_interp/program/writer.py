@@ -1,7 +1,7 @@
 """
 Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data.
 
-The writers know only words and formats. ``convert/dialects.py`` decides what is written.
+The writers know only words and formats. ``convert/conversion.py`` decides what is written.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.proof.program_shapes import REACH, SLACK, Program
+from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes
 from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
 from cnc_interp.proof.stored_columns import gathered, spans
 from cnc_interp.proof.verdict import Ledger
@@ -25,7 +25,7 @@ STOP_ANGLE = 1e-6
 POLE_TOLERANCES = 4.0
 
 
-def prove_completeness(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
     """Check that the motion passes every vertex, begins and ends on the program, and stops."""
     blocks, height, machine = plan.blocks, plan.flank_height, program.machine
     vertex_top, transform = blocks['tip'] + height * blocks['axis'], program.transform
@@ -100,7 +100,7 @@ def _rests(position: FloatArray, crawl: FloatArray) -> bool:
 
 
 def _prove_rotary_words(
-    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
+    ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
     """
     Check that rotary axes pass their words, each on its own branch and whole turn.
@@ -151,7 +151,7 @@ def _prove_rotary_words(
 
 
 def _prove_extra_words(
-    ledger: Ledger, plan: PlanFiles, program: Program, search: VertexSearch, where: IntArray
+    ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
     """Demand that extra axes end on their words, within the contour tolerance as the tip does."""
     words, machine = plan.blocks['extra_axes'], program.machine

@@ -28,7 +28,7 @@ from cnc_interp.core.small_files import UnreadableError, parse_yaml
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, Move
+from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, ReadMove
 
 #: The last digit that is printed, in the unit of the program.
 LAST_DIGIT = 1e-4
@@ -73,7 +73,7 @@ def read_by_linuxcnc(
     skip: bool,
     rows: int,
     setup: Setup | None = None,
-) -> Iterator[Move]:
+) -> Iterator[ReadMove]:
     """Read a program."""
     command = interpreter()
     if not command:
@@ -135,7 +135,7 @@ def _prepared(text: str, skip: bool, tool: int = 0) -> str:
     return _FIRST.sub(rf'\1G98\n{taken}', f'{text}\nM2\n', count=1)
 
 
-def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[Move]:
+def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[ReadMove]:
     """Yield the motions of what LinuxCNC prints, at most so many lines."""
     columns = ['ABC'.index(name) for name in axis_names[3:]]
     state = _Printed()
@@ -164,7 +164,7 @@ class _Printed:
         self.here = np.zeros(6)
         self.tolerance, self.worded = float('nan'), False
 
-    def take(self, name: str, text: str) -> Move | None:
+    def take(self, name: str, text: str) -> ReadMove | None:
         numbers = [float(word) for word in _NUMBER.findall(text)]
         if name == 'STRAIGHT_TRAVERSE' or name == 'STRAIGHT_FEED':
             return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
@@ -211,7 +211,7 @@ class _Printed:
 
     def move(
         self, rapid: bool, end: FloatArray, centre: FloatArray | None = None, turns: int = 0
-    ) -> Move:
+    ) -> ReadMove:
         """Return the motion to a position, which is then the present one."""
         before, self.here = self.here, end
         feed, duration, unsure, digit = float('nan'), float('nan'), 0.0, LAST_DIGIT * self.unit
@@ -227,13 +227,13 @@ class _Printed:
                 duration, unsure = line / self.feed, digit * (2.0 / line + 1.0 / 60.0 / self.feed)
         sweep = (turns > 0) - (turns < 0)
         self.worded = self.worded or bool(end[3:].any())
-        return Move(
+        return ReadMove(
             0, rapid, end[:3], end[3:], None, np.zeros(0), feed, duration, self.tcp, self.plane,
             centre, sweep, max(abs(turns), 1), digit, unsure, self.tolerance, self.tolerance,
             worded=self.worded,  # exact stops are not compared: canned cycles set and reset them
         )  # fmt: skip
 
-    def arc(self, numbers: list[float]) -> Move:
+    def arc(self, numbers: list[float]) -> ReadMove:
         """Return the motion of an arc: first and second end, centres, turns, axial end, A B C."""
         a, b, across = self.plane
         end = np.zeros(6)

@@ -44,7 +44,7 @@ _NAMED = re.compile(
 
 
 @dataclass(frozen=True)
-class Move:
+class ReadMove:
     """One motion of a program."""
 
     line: int  #: Line of the text; 0 where the reader does not know it.
@@ -83,7 +83,7 @@ def read_plainly(
     skip: bool,
     tools: Mapping[int, tuple[float, float]] | None = None,
     height: float = float('nan'),
-) -> list[Move]:
+) -> list[ReadMove]:
     """Read a program; an angle of tolerance (OTOL) counts at the flank height [m]."""
     state = _State(name, axis_names, feed, tools or {}, height)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
@@ -114,7 +114,7 @@ class _State:
         self.tools, self.cutter = tools, (0.0, 0.0)
         self.by_normals, self.normal = False, np.zeros(3)
         self.name, self.names, self.line = name, axis_names, 0
-        self.moves: list[Move] = []
+        self.moves: list[ReadMove] = []
         self.here = np.zeros(len(axis_names))  # in m and rad
         self.tool: FloatArray | None = None
         self.motion, self.plane, self.unit = '', PLANES['17'], MM
@@ -301,7 +301,7 @@ class _State:
         rotary = sum(letter in 'ABC' for letter in self.names)
         tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)
         timed = self.inverse and not rapid
-        self.moves.append(Move(
+        self.moves.append(ReadMove(
             self.line, rapid, self.here[:3].copy(), self.here[3 : 3 + rotary].copy(), tool,
             self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
             60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,

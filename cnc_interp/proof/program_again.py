@@ -21,7 +21,7 @@ from cnc_interp.proof.linuxcnc_reader import (
     read_by_linuxcnc,
     setup_of,
 )
-from cnc_interp.proof.plain_reader import Move, read_plainly
+from cnc_interp.proof.plain_reader import ReadMove, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
@@ -96,7 +96,9 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     try:
         if not linuxcnc and _OTHER_HOLES.search(text):
             raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
-        moves: Iterable[Move] = read_by_linuxcnc(text, names, skip, len(plan.blocks['tip']), setup)
+        moves: Iterable[ReadMove] = read_by_linuxcnc(
+            text, names, skip, len(plan.blocks['tip']), setup
+        )
         found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerances))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
@@ -121,14 +123,17 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     )  # fmt: skip
 
 
-def _tolerated(moves: Iterable[Move], forced: bool) -> Iterable[Move]:
+def _tolerated(moves: Iterable[ReadMove], forced: bool) -> Iterable[ReadMove]:
     """Return motions without the tolerances of the text where those of the settings rule."""
     nan = float('nan')
     return (replace(m, tolerance=nan, orientation=nan) for m in moves) if forced else moves
 
 
 def compare_places(
-    blocks: Columns, machine: Machine, moves: Iterable[Move], tolerances: Sequence[float] = UNKNOWN
+    blocks: Columns,
+    machine: Machine,
+    moves: Iterable[ReadMove],
+    tolerances: Sequence[float] = UNKNOWN,
 ) -> Agreement:
     """Compare rows with motions whose lines are not known."""
     return _FollowPlaces(blocks, machine, tolerances).follow(moves)
@@ -146,10 +151,10 @@ class _Comparison:
         count = len(machine.axis_names)
         self.zero = np.zeros((1, count))
         self.zero[0, :3] -= self.transform.forward(self.zero)[0][0]
-        self.before: Move | None = None
+        self.before: ReadMove | None = None
         self.linear: FloatArray | None = None
 
-    def follow(self, moves: Iterable[Move]) -> Agreement:
+    def follow(self, moves: Iterable[ReadMove]) -> Agreement:
         for move in moves:
             if not self.take(move):
                 break
@@ -157,16 +162,16 @@ class _Comparison:
             self.end()
         return Agreement(self.motions, self.arcs, tuple(self.faults))
 
-    def fault(self, move: Move, text: str) -> None:
+    def fault(self, move: ReadMove, text: str) -> None:
         self.faults.append(f'line {move.line} of the program: {text}')
 
-    def rows_of(self, move: Move) -> int:
+    def rows_of(self, move: ReadMove) -> int:
         lines, last = self.blocks['line'], self.row
         while last < len(lines) and lines[last] == move.line:
             last += 1
         return last
 
-    def pose(self, move: Move) -> tuple[FloatArray, FloatArray]:
+    def pose(self, move: ReadMove) -> tuple[FloatArray, FloatArray]:
         if move.tcp or not self.machine.has_rotary:
             axis = move.axis
             if axis is None:
@@ -183,7 +188,7 @@ class _Comparison:
         tip, axes = self.transform.forward(q)
         return tip[0], axes[0]
 
-    def room(self, move: Move) -> float:
+    def room(self, move: ReadMove) -> float:
         """Return how far from the end of a motion its row may be [m]: angles have digits, too."""
         room = _place(move)
         if move.digit and not move.tcp:
@@ -193,7 +198,7 @@ class _Comparison:
                 room += float(np.linalg.norm(turned - tip))
         return room
 
-    def take(self, move: Move) -> bool:
+    def take(self, move: ReadMove) -> bool:
         """Compare one motion with its rows; return whether those of the next one are known."""
         last = self.rows_of(move)
         rows = np.arange(self.row, last)
@@ -228,7 +233,9 @@ class _Comparison:
             self.speed(move, before, rows)
         return off <= near or move.line > 0
 
-    def unmoved(self, move: Move, before: Move | None, tip: FloatArray, axis: FloatArray) -> None:
+    def unmoved(
+        self, move: ReadMove, before: ReadMove | None, tip: FloatArray, axis: FloatArray
+    ) -> None:
         """Accept a motion without rows if it goes nowhere."""
         if before is None:
             self.fault(move, 'is not the start pose of the plan')
@@ -239,7 +246,7 @@ class _Comparison:
         if gone > self.room(move) or turned > _angle(move) or move.sweep:
             self.fault(move, 'has no row in the plan')
 
-    def points(self, move: Move) -> FloatArray:
+    def points(self, move: ReadMove) -> FloatArray:
         """Return X Y Z of all rows as the words of a motion mean them."""
         if move.tcp or not self.machine.has_rotary:
             tips: FloatArray = self.blocks['tip']
@@ -249,7 +256,7 @@ class _Comparison:
             self.linear = self.transform.linear(self.blocks['tip'], rotary) - self.zero[0, :3]
         return self.linear
 
-    def way(self, move: Move, before: Move, rows: IntArray) -> None:
+    def way(self, move: ReadMove, before: ReadMove, rows: IntArray) -> None:
         """Compare the rows inside a motion with its line or arc."""
         tolerance = float(self.blocks['contour_tolerance'][rows].min())
         room = CHORD * tolerance + SAME_PLACE + 3.0 * move.digit
@@ -268,7 +275,7 @@ class _Comparison:
         if off.max() > room or (np.diff(share) < -unsure).any():
             self.fault(move, f'rows {rows[0]} to {rows[-1]} are not on its line')
 
-    def kept(self, move: Move, rows: IntArray, chord_error: float) -> None:
+    def kept(self, move: ReadMove, rows: IntArray, chord_error: float) -> None:
         """Demand that the rows leave room in the programmed tolerance for their arc."""
         wanted = self.tolerances[0] if np.isnan(move.tolerance) else move.tolerance
         used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
@@ -288,7 +295,7 @@ class _Comparison:
                 f'{used / MM:.6g} mm',
             )
 
-    def chord_error(self, move: Move, rows: IntArray) -> float:
+    def chord_error(self, move: ReadMove, rows: IntArray) -> float:
         """Return the largest distance of an arc from the lines of its rows [m]."""
         if len(move.extra) and not move.tcp:
             return 0.0
@@ -297,7 +304,7 @@ class _Comparison:
         radius = np.linalg.norm(arms, axis=1)
         return float(np.max(np.maximum(radius[1:], radius[:-1]) * (1.0 - np.cos(0.5 * turn))))
 
-    def arc(self, move: Move, rows: IntArray, room: float) -> None:
+    def arc(self, move: ReadMove, rows: IntArray, room: float) -> None:
         if len(move.extra) and not move.tcp:
             return
         points = self.points(move)[rows[0] - 1 : rows[-1] + 1]
@@ -316,7 +323,7 @@ class _Comparison:
         elif max(float(even), float(straight)) > room:
             self.fault(move, 'its rows are not on the arc')
 
-    def turn_of(self, move: Move, start: FloatArray) -> float:
+    def turn_of(self, move: ReadMove, start: FloatArray) -> float:
         """Return the angle that an arc turns by [rad]."""
         first, last = _arms(move, start), _arms(move, move.end)
         turn = move.sweep * float(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
@@ -325,7 +332,7 @@ class _Comparison:
         turn = 2.0 * np.pi if whole else turn % (2.0 * np.pi)
         return turn + 2.0 * np.pi * (move.turns - 1)
 
-    def speed(self, move: Move, before: Move, rows: IntArray) -> None:
+    def speed(self, move: ReadMove, before: ReadMove, rows: IntArray) -> None:
         if (self.blocks['rapid'][rows] != move.rapid).any():
             self.fault(move, f'is {"a" if move.rapid else "no"} rapid, its rows are not so')
             return
@@ -366,18 +373,18 @@ class _FollowPlaces(_Comparison):
         borders = np.append(1 + np.flatnonzero(np.diff(blocks['line'])), count)
         self.stops = borders[np.searchsorted(borders, np.arange(count), side='right')]
 
-    def fault(self, move: Move, text: str) -> None:
+    def fault(self, move: ReadMove, text: str) -> None:
         """Record that a line differs, by the row where the motions are."""
         line = self.blocks['line'][min(self.row, len(self.blocks['line'])) - 1]
         self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
 
-    def take(self, move: Move) -> bool:
+    def take(self, move: ReadMove) -> bool:
         """Compare one motion; rapids before the start pose are the way to it."""
         if self.before is None and move.rapid and not self.near(move, 0, 1)[0]:
             return True
         return super().take(move)
 
-    def rows_of(self, move: Move) -> int:
+    def rows_of(self, move: ReadMove) -> int:
         """Return the row after those of a motion: the first one at its end, in one line."""
         before = self.before
         if before is None:
@@ -398,7 +405,7 @@ class _FollowPlaces(_Comparison):
             some *= 4
         return self.row if not move.sweep and self.near(move, self.row - 1, 1)[0] else stop
 
-    def pass_tiny(self, before: Move) -> None:
+    def pass_tiny(self, before: ReadMove) -> None:
         """Pass rows of motions that are shorter than the last digit."""
         while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
             self.row, self.tiny = self.row + 1, self.tiny - 1
@@ -408,7 +415,7 @@ class _FollowPlaces(_Comparison):
             self.pass_tiny(self.before)
         super().end()
 
-    def near(self, move: Move, first: int, some: int) -> BoolArray:
+    def near(self, move: ReadMove, first: int, some: int) -> BoolArray:
         """Return which of some rows are at the end of a motion."""
         rows = slice(first, first + some)
         turned = np.abs(self.blocks['rotary'][rows, : len(move.rotary)] - move.rotary)
@@ -416,7 +423,7 @@ class _FollowPlaces(_Comparison):
         turning = turned.max(axis=1, initial=0.0) > _angle(move)
         return np.asarray((away <= _place(move)) & ~turning)
 
-    def swept(self, move: Move, first: int, some: int) -> BoolArray:
+    def swept(self, move: ReadMove, first: int, some: int) -> BoolArray:
         """Return at which of some rows an arc has turned by its angle."""
         points = self.points(move)[first - 1 : first + some]
         arms = _arms(move, points)
@@ -426,7 +433,7 @@ class _FollowPlaces(_Comparison):
         return np.asarray(turned >= wanted - 1e-6 - _blur(move, points[0]))
 
 
-def _tip_of(move: Move, axis: FloatArray) -> FloatArray:
+def _tip_of(move: ReadMove, axis: FloatArray) -> FloatArray:
     """Return the tip of the cutter that touches the part at the end of a motion [m]."""
     assert move.normal is not None
     ring, corner = move.cutter
@@ -438,22 +445,22 @@ def _tip_of(move: Move, axis: FloatArray) -> FloatArray:
     return np.asarray(centre + ring * inward - corner * axis)
 
 
-def _place(move: Move) -> float:
+def _place(move: ReadMove) -> float:
     """Return how far from the end of a motion its row may be [m]."""
     return SAME_PLACE + DIGITS * move.digit
 
 
-def _angle(move: Move) -> float:
+def _angle(move: ReadMove) -> float:
     """Return by how much tool axis and rotary words may differ [rad]; digits are of degrees."""
     return SAME_PLACE + (DIGITS * LAST_DIGIT * DEG if move.digit else 0.0)
 
 
-def _blur(move: Move, start: FloatArray) -> float:
+def _blur(move: ReadMove, start: FloatArray) -> float:
     """Return how well the angle of an arc is known [rad]."""
     return 4.0 * move.digit / max(float(np.linalg.norm(_arms(move, start))), 1e-12)
 
 
-def _arms(move: Move, points: FloatArray) -> FloatArray:
+def _arms(move: ReadMove, points: FloatArray) -> FloatArray:
     """Return the way from the centre of an arc to points, in its plane [m]."""
     assert move.centre is not None
     return np.asarray(points[..., list(move.plane[:2])] - move.centre)

@@ -24,7 +24,7 @@ REACH = 142.0
 
 
 @dataclass(frozen=True)
-class Program:
+class ProgramShapes:
     """What a plan was made for, in the shapes that its motion is compared with."""
 
     plan: PlanFiles  #: The plan, with M program rows.
@@ -37,14 +37,14 @@ class Program:
     orientation: FloatArray
 
     @staticmethod
-    def of(plan: PlanFiles, machine: Machine) -> Program:
+    def of(plan: PlanFiles, machine: Machine) -> ProgramShapes:
         """Return the program of a plan."""
         blocks = plan.blocks
         path = ProgrammedPath.of(
             blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,
             blocks['interpolation'] != POSES,
         )  # fmt: skip
-        return Program(
+        return ProgramShapes(
             plan, machine, Transform.of(machine), path, ProgrammedAxes.of(plan, machine),
             *vertex_tolerances(plan),
         )  # fmt: skip
@@ -56,7 +56,7 @@ class Program:
         return self.contour[vertex], self.orientation[vertex]
 
 
-def measure(program: Program, position: FloatArray, block: IntArray) -> Deviation:
+def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> Deviation:
     """Measure positions (K, n) [m, rad] against a program; ``block`` (K,) is the executed row."""
     tip, axis = program.transform.forward(position)
     result = measure_widely(program, tip, axis, block, position)
@@ -80,7 +80,11 @@ def measure(program: Program, position: FloatArray, block: IntArray) -> Deviatio
 
 
 def measure_widely(
-    program: Program, tip: FloatArray, axis: FloatArray, block: IntArray, position: FloatArray
+    program: ProgramShapes,
+    tip: FloatArray,
+    axis: FloatArray,
+    block: IntArray,
+    position: FloatArray,
 ) -> Deviation:
     """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
     result = program.path.deviation(tip, axis, block)

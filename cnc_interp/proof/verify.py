@@ -35,7 +35,7 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
 from cnc_interp.proof.program_shapes import (
     REACH,
     SLACK,
-    Program,
+    ProgramShapes,
     measure,
     measure_widely,
 )
@@ -78,7 +78,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     if plan.path:
         prove_grid(ledger, plan, machine)
     ledger.plan = plan = with_chords(plan, machine)
-    program = Program.of(plan, machine)
+    program = ProgramShapes.of(plan, machine)
     plan = _prove_sequence(ledger, plan, program)
     _prove_tolerances(ledger, plan, program)
     prove_completeness(ledger, plan, program)
@@ -199,7 +199,7 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
             )
 
 
-def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
     """Judge contour and orientation errors of all samples, and the axes beside their lines."""
     twist = 0.0
     for a, b in spans(len(plan.position)):
@@ -216,7 +216,7 @@ def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: Program) -> None
     ledger.remarks['largest_twist'] = twist
 
 
-def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: Program) -> PlanFiles:
+def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> PlanFiles:
     """Demand the order of the program; return the plan with the nearest possible row numbers."""
     contour, orientation = program.contour + SLACK, program.orientation + SLACK
     machine, path = program.machine, program.path
@@ -280,7 +280,7 @@ def longest_block(plan: PlanFiles) -> float:
     return float(length) if isinstance(length, int | float) else LONGEST_BLOCK
 
 
-def _prove_feed(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
     lines, contour = program.lines, program.contour
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
@@ -354,7 +354,7 @@ def _prove_columns(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
                 ledger.check(f'{name} column', gap[:, j], float(allowed[j]), axis, first=a)
 
 
-def _prove_path(ledger: Ledger, plan: PlanFiles, program: Program) -> None:
+def _prove_path(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
     for a, b in spans(len(plan.path['block'])):
         rows, q = plan.path['block'][a:b], plan.path['q'][a:b]
         tip, axis = program.transform.forward(q)

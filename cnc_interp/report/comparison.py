@@ -32,7 +32,7 @@ from cnc_interp.report.series import Series, extremes
 
 
 @dataclass(frozen=True)
-class Run:
+class ExaminedPlan:
     """A plan with its name, its proof and the values to draw."""
 
     name: str  #: Name shown on the page.
@@ -41,10 +41,10 @@ class Run:
     series: Series  #: Values to draw.
 
 
-Figure = Callable[[Run], float]
+Figure = Callable[[ExaminedPlan], float]
 
 
-def comparison_table(first: Run, second: Run) -> str:
+def comparison_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
     """Write cycle times, path and deviations of both runs as a table."""
     proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
     lines = [('proven', *proven, '')]
@@ -72,7 +72,7 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
     return rows
 
 
-def use_table(first: Run, second: Run) -> str:
+def use_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
     """Write the largest use of every axis limit in both runs as a table."""
     kinds = max(first.proof.kinds, second.proof.kinds, key=len)
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
@@ -84,7 +84,7 @@ def use_table(first: Run, second: Run) -> str:
     return table(('largest use', *kinds), lines, span=2)
 
 
-def comparison_figure(first: Run, second: Run) -> Any:
+def comparison_figure(first: ExaminedPlan, second: ExaminedPlan) -> Any:
     """Draw both feeds over path length and over time."""
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
     runs = ((first, {'color': BLUE, 'width': 1.6}), (second, {'color': ORANGE, 'width': 1.6}))
@@ -110,20 +110,20 @@ def comparison_figure(first: Run, second: Run) -> Any:
     return with_axes(figure)
 
 
-def _planning_time(run: Run) -> float:
+def _planning_time(run: ExaminedPlan) -> float:
     found = run.plan.summary.get('planning_time')
     return float(found) if isinstance(found, int | float) else np.nan
 
 
-def _largest(error: str, run: Run) -> float:
+def _largest(error: str, run: ExaminedPlan) -> float:
     return run.proof.largest(error).value / UM
 
 
-def _mean_feed(run: Run) -> float:
+def _mean_feed(run: ExaminedPlan) -> float:
     return float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0
 
 
-def comparison_section(first: Run, second: Run) -> str:
+def comparison_section(first: ExaminedPlan, second: ExaminedPlan) -> str:
     """Write the section that compares two runs."""
     text = (
         f'{escape(first.name)} and {escape(second.name)}; the rest of the page is about the '

@@ -52,7 +52,7 @@ def render(
 ) -> str:
     """Write the page."""
     try:
-        from cnc_interp.report.comparison import Run, comparison_section
+        from cnc_interp.report.comparison import ExaminedPlan, comparison_section
         from cnc_interp.report.corner_figures import corner_section
         from cnc_interp.report.curves import curves_section
         from cnc_interp.report.figures import PLOTS, tool_error_section
@@ -71,8 +71,8 @@ def render(
         second = other.machine or _machine_of(other.plan)
         body.append(
             comparison_section(
-                Run(other.names[0], plan, proof, series),
-                Run(other.names[1], other.plan, *_examined(other.plan, second)),
+                ExaminedPlan(other.names[0], plan, proof, series),
+                ExaminedPlan(other.names[1], other.plan, *_examined(other.plan, second)),
             )
         )
     body.append(time_section(series))

@@ -11,7 +11,7 @@ from cnc_interp.core.limit_table import BEFORE, limit_shares, limits_along, torq
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.proof.program_shapes import Program, measure
+from cnc_interp.proof.program_shapes import ProgramShapes, measure
 from cnc_interp.proof.programmed_splines import with_chords
 
 KINDS = ('velocity', 'acceleration', 'jerk')
@@ -53,7 +53,7 @@ class Series:
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
     """Compute the values to draw from the files of a plan."""
     plan = with_chords(plan, machine).in_memory()
-    program = Program.of(plan, machine)
+    program = ProgramShapes.of(plan, machine)
     tip, axis = program.transform.forward(plan.position)
     deviation = measure(program, plan.position, plan.block)
     contour, orientation = program.tolerances(deviation)

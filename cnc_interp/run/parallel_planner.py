@@ -44,7 +44,7 @@ AHEAD = 4
 
 
 @dataclass(frozen=True)
-class Section:
+class PathSection:
     """Part of a path that begins where the one before ends."""
 
     path: AxisPath  #: The part.
@@ -59,7 +59,7 @@ class RestSections:
         self._parts: list[AxisPath] = []
         self._work = 0
 
-    def push(self, path: AxisPath) -> Iterator[Section]:
+    def push(self, path: AxisPath) -> Iterator[PathSection]:
         """Add the next part of the path; yield the sections that are complete."""
         begin = counted = 0
         for rest in np.flatnonzero(path.stop).tolist() if self._at_rests else ():
@@ -81,16 +81,16 @@ class RestSections:
         if self._work >= ENOUGH and len(self._parts) > 1:
             yield self._section(len(self._parts) - 1, rests=False)
 
-    def finish(self) -> Iterator[Section]:
+    def finish(self) -> Iterator[PathSection]:
         """Yield what is left, down to rest at the end of the path."""
         if self._parts:
             yield self._section(len(self._parts), rests=True)
 
-    def _section(self, parts: int, rests: bool) -> Section:
+    def _section(self, parts: int, rests: bool) -> PathSection:
         path = AxisPath.join(self._parts[:parts])
         del self._parts[:parts]
         self._work = sum(len(part.s) - 1 for part in self._parts)
-        return Section(path, rests)
+        return PathSection(path, rests)
 
 
 class LostProcessError(InterpError):
@@ -121,7 +121,7 @@ class PlannerProcess:
     def __init__(self, planning: Planning):
         context = multiprocessing.get_context('fork')
         self.waiting = 0  # sections that were given and not taken back
-        self._sections: multiprocessing.Queue[Section | None] = context.Queue()
+        self._sections: multiprocessing.Queue[PathSection | None] = context.Queue()
         self._results, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
             target=_live, args=(planning, os.getpid(), self._sections, theirs)
@@ -129,7 +129,7 @@ class PlannerProcess:
         self._process.start()
         theirs.close()
 
-    def give(self, section: Section | None) -> None:
+    def give(self, section: PathSection | None) -> None:
         """Give the next section; None asks for the refusal of what was given."""
         self._sections.put(section)
         self.waiting += 1
@@ -163,7 +163,7 @@ class PlannerProcess:
 def _live(
     planning: Planning,
     parent: int,
-    sections: multiprocessing.Queue[Section | None],
+    sections: multiprocessing.Queue[PathSection | None],
     results: Connection,
 ) -> None:
     """Plan sections until the parent ends this process, or has died."""
@@ -181,7 +181,7 @@ def _live(
             answers.put(problem)
 
 
-def _planned(planner: FeedPlanner, section: Section | None) -> list[PlannedPiece]:
+def _planned(planner: FeedPlanner, section: PathSection | None) -> list[PlannedPiece]:
     if section is None:
         planner.refuse()
         return []
@@ -238,7 +238,7 @@ class ParallelPlanner:
         for process in self._processes:
             process.kill()
 
-    def _give(self, section: Section) -> None:
+    def _give(self, section: PathSection) -> None:
         """Give a section to the process that has the begin of its stretch, or the least to do."""
         if not self._processes:
             # All at once: a process that has threads already is no good parent.

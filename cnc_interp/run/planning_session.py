@@ -80,7 +80,7 @@ class Received:
 
 
 @dataclass(frozen=True)
-class Task:
+class PlanningTask:
     """A task, and the function that receives its result."""
 
     work: Callable[[], Any]
@@ -99,7 +99,7 @@ class Activity(Enum):
     ENDED = 'the run is over'
 
 
-class Step(Enum):
+class Change(Enum):
     """What changes the activity."""
 
     BEGIN = 'the first segment of a run came'
@@ -111,8 +111,8 @@ class Step(Enum):
     END = 'the run was executed, refused or given up'
 
 
-A, S = Activity, Step
-TABLE: dict[tuple[Activity, Step], Activity] = {
+A, S = Activity, Change
+TABLE: dict[tuple[Activity, Change], Activity] = {
     (A.WAITING, S.PLACE): A.PLANNING,
     (A.PLANNING, S.REVISE): A.REVISING,
     (A.REVISING, S.DONE): A.PLANNING,
@@ -170,7 +170,7 @@ class PlanningSession:
         self.activity = Activity.NONE
         self.run_id, self.path_end = NO_RUN, PathEnd.OPEN
         self.planner: RunPlanner | None = None
-        self.task: Task | None = None
+        self.task: PlanningTask | None = None
         self.ready = 0.0  # motion planned and not sent [s]
         self.wants_segments = False
         self.sent_before = 0  # setpoints, in earlier plans of the run
@@ -185,12 +185,12 @@ class PlanningSession:
         self._plans = 0
         self.joins_at = 0  # number of the first setpoint of a plan that joins; 0 of any other
 
-    def _change(self, step: Step) -> None:
+    def _change(self, step: Change) -> None:
         self.activity = TABLE[self.activity, step]
 
     def begin(self, run_id: RunId, continue_at: float) -> None:
         """Begin a run; the result of a task of an earlier run is dropped."""
-        self._change(Step.BEGIN)
+        self._change(Change.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
         self.planner, self.task, self._machine, self._executing = None, None, None, False
         self.sent_before = self.joins_at = self._plans = 0
@@ -222,11 +222,11 @@ class PlanningSession:
             self._port.refuse(kind, reason)
 
     def _end(self) -> None:
-        self._change(Step.END)
+        self._change(Change.END)
         self._segments.clear()
         self.task, self.wants_segments = None, False
 
-    def step(self, now: float, received: Received) -> Task | None:
+    def step(self, now: float, received: Received) -> PlanningTask | None:
         """Return what to do now, at a time of any steady clock [s]; None while a task runs."""
         self._received = received
         if self.activity is Activity.JOINING:
@@ -260,9 +260,9 @@ class PlanningSession:
         self.planner = self._port.make_planner(
             self._segments[0], report.stands, place, self.settings
         )
-        self._change(Step.PLACE)
+        self._change(Change.PLACE)
 
-    def _next_task(self, planner: RunPlanner, now: float) -> Task | None:
+    def _next_task(self, planner: RunPlanner, now: float) -> PlanningTask | None:
         report = self._machine
         if self.activity is Activity.JOINING:
             return self._plan_ahead_task(planner, report)
@@ -272,14 +272,14 @@ class PlanningSession:
             return self._revise(planner, now)
         return self._plan_ahead_task(planner, report)
 
-    def _resume(self, planner: RunPlanner, report: MachineReport) -> Task:
-        self._change(Step.RESUME)
+    def _resume(self, planner: RunPlanner, report: MachineReport) -> PlanningTask:
+        self._change(Change.RESUME)
         sender, settings = self._port.sender, self.settings
         self.sent_before += sender.sent
         self._begin_plan(0)
         sender.begin(self.run_id)
         s, stands = report.path_position, report.stands
-        return Task(lambda: planner.resume(s, stands, settings), self._resumed)
+        return PlanningTask(lambda: planner.resume(s, stands, settings), self._resumed)
 
     def _begin_plan(self, joins_at: int) -> None:
         """Set the identity of the next plan, which is unique within an attempt."""
@@ -288,7 +288,7 @@ class PlanningSession:
         self.path_end = min(self.path_end, PathEnd.PLANNED)
 
     def _resumed(self, chunks: list[Chunk], _now: float) -> None:
-        self._change(Step.DONE)
+        self._change(Change.DONE)
         self._put(chunks)
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
@@ -317,25 +317,25 @@ class PlanningSession:
         ahead = self._received.executed + self._lead / self._period
         return min(max(math.ceil(ahead), self.joins_at), self._port.sender.sent - 1)
 
-    def _revise(self, planner: RunPlanner, now: float) -> Task:
+    def _revise(self, planner: RunPlanner, now: float) -> PlanningTask:
         """Plan again from a setpoint a little ahead of the machine; the old plan continues."""
-        self._change(Step.REVISE)
+        self._change(Change.REVISE)
         number, settings, self._asked_at = self._join_after(), self.settings, now
-        return Task(lambda: planner.revise(number, settings), self._revised)
+        return PlanningTask(lambda: planner.revise(number, settings), self._revised)
 
     def _revised(self, revision: Revision | None, now: float) -> None:
         """Send a revision that is ready in time; a late one is dropped."""
         planner = self.planner
         if revision is not None and self._is_late(revision.number):
             self._lead = self._lead_like_last(now)
-            self._change(Step.DONE)
+            self._change(Change.DONE)
             return
         self._revised_at = now
         if revision is None or planner is None:
-            self._change(Step.DONE)
+            self._change(Change.DONE)
             return
         self._lead = max(0.5 * self._lead, self._lead_like_last(now))
-        self._change(Step.JOIN)
+        self._change(Change.JOIN)
         before = planner.stream.adopt(revision.plan)
         self._kept = Kept(self.run_id, self.joins_at, before, self.path_end)
         self._begin_plan(revision.number + 1)
@@ -364,9 +364,11 @@ class PlanningSession:
         elif self._received.run_id != self.run_id:
             return
         self._kept = None
-        self._change(Step.DONE)
+        self._change(Change.DONE)
 
-    def _plan_ahead_task(self, planner: RunPlanner, report: MachineReport | None) -> Task | None:
+    def _plan_ahead_task(
+        self, planner: RunPlanner, report: MachineReport | None
+    ) -> PlanningTask | None:
         """Sample and plan ahead; read segments when little is left to plan."""
         plan = planner.stream.current  # even if another one counts when this is done
         unsent = self._port.sender.unsent * self._period
@@ -379,18 +381,18 @@ class PlanningSession:
             mine = report is not None and report.run_id.same_attempt(self.run_id)
             known = report is not None and mine and not report.away
             executed = report.path_position if report is not None and known else -math.inf
-            return Task(lambda: planner.work(plan, sample, executed), self._put)
+            return PlanningTask(lambda: planner.work(plan, sample, executed), self._put)
         if self.activity is Activity.JOINING:
             return None  # more path is added when it is known which plan remains
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
             segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])
-            return Task(
+            return PlanningTask(
                 lambda: planner.push(segments, pauses), lambda _, __: self._port.consumed(count)
             )
         if self.path_end is PathEnd.KNOWN and not self._segments:
             self.path_end = PathEnd.PLANNED
-            return Task(planner.finish, lambda _, __: None)
+            return PlanningTask(planner.finish, lambda _, __: None)
         if self.path_end is PathEnd.QUEUED and report is not None and report.completed:
             self._end()
         return None
@@ -401,7 +403,7 @@ class PlanningSession:
             if chunk.wait is Wait.END:
                 self.path_end = PathEnd.QUEUED
 
-    def finish(self, task: Task, outcome: Callable[[], Any], now: float) -> None:
+    def finish(self, task: PlanningTask, outcome: Callable[[], Any], now: float) -> None:
         """Store the result of a task, unless of an earlier run; an InterpError refuses the run."""
         if task is not self.task:
             return

@@ -18,7 +18,7 @@ import pytest
 from cnc_interp.batch import processes
 from cnc_interp.batch.batch_run import Store, run_batch
 from cnc_interp.batch.processes import PROCESS_NAME, Loss, Processes
-from cnc_interp.batch.task import Jobs, Outcome, Row, Task, Verdict, programs_of
+from cnc_interp.batch.task import Jobs, Row, Task, TaskOutcome, Verdict, programs_of
 from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
@@ -273,7 +273,7 @@ def test_a_worker_has_no_more_memory_than_it_may(programs):
     assert found[0].row.verdict is Verdict.TOO_LARGE
 
 
-def eat(task: Task) -> Outcome:
+def eat(task: Task) -> TaskOutcome:
     """A task that asks for more memory than its worker has."""
     from cnc_interp.batch import task_work as work
 
@@ -349,7 +349,7 @@ def test_names_and_bad_input(programs, tmp_path, capsys):
 
 
 def test_outcomes_survive_their_text():
-    one = Outcome(Row(Verdict.PROVEN, cycle_time=1 / 3, notices=('a', 'b')))
-    assert Outcome.of_json(json.loads(one.to_text())) == one
+    one = TaskOutcome(Row(Verdict.PROVEN, cycle_time=1 / 3, notices=('a', 'b')))
+    assert TaskOutcome.of_json(json.loads(one.to_text())) == one
     with pytest.raises((TypeError, ValueError, KeyError)):
-        Outcome.of_json({'row': {'verdict': 'fine'}, 'cost': {}})
+        TaskOutcome.of_json({'row': {'verdict': 'fine'}, 'cost': {}})

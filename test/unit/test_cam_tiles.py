@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from tiers import few_of
 
-from cnc_interp.batch.processes import Ended, Loss
+from cnc_interp.batch.processes import EndedCall, Loss
 from cnc_interp.cam import needle_cuts, warp_cuts
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import KINDS, TILE, Figures, HeightStore, deviations
 from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part
 from cnc_interp.cam.needle_tiles import TileCutter
-from cnc_interp.cam.needles import PATCH, NeedleGrid, Needles, Sweep
+from cnc_interp.cam.needles import PATCH, MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.tile_work import STEP, ZERO, TilePage
@@ -71,7 +71,7 @@ class Here:
             if self.calls == self.stop:
                 raise KeyboardInterrupt
             self.calls += 1
-            yield Ended(number, self.result or function(make()))
+            yield EndedCall(number, self.result or function(make()))
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_heights_are_the_same_bits_in_whatever_part_they_are_cut(mill, seed):
     motion = wild(seed)
     whole = cut_needles(needles, mill, *motion).height
     assert (whole < -1.0 * MM).any() and (whole == TOP).any()
-    sweep = Sweep.of(mill, *motion)
+    sweep = MotionPieces.of(mill, *motion)
     left_out = 0
     for tall, wide in ((64, 64), (64, columns)):
         found = np.full(whole.shape, np.nan)
@@ -137,7 +137,7 @@ def grid():
 def cut(folder, grid, pool, motion=None, mill=MILL):
     store = HeightStore(folder, grid, {})
     told = []
-    cutter = TileCutter(grid, Sweep.of(mill, *(motion or gouging())))
+    cutter = TileCutter(grid, MotionPieces.of(mill, *(motion or gouging())))
     return store, cutter.run(pool, store, told.append), told
 
 
@@ -303,7 +303,7 @@ def test_the_text_for_warp_cuts_the_same():
     exec(warp_cuts.KERNEL, names)
     grid = NeedleGrid.on(SURFACE, 0.9 * MM)
     needles = grid.needles(slice(0, 11), slice(0, 9))
-    sweep = Sweep.of(MILL, *gouging())
+    sweep = MotionPieces.of(MILL, *gouging())
     height = np.full(99, TOP)
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
     for j in range(0, 99, 7):

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
-from cnc_interp.convert.dialects import convert
+from cnc_interp.convert.conversion import convert
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate

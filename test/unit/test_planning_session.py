@@ -17,10 +17,10 @@ from cnc_interp.run.planning_session import (
     REFILLING,
     TABLE,
     Activity,
+    Change,
     PathEnd,
     PlanningSession,
     Received,
-    Step,
 )
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
@@ -399,5 +399,5 @@ def test_a_first_attempt_does_not_begin_on_a_machine_that_is_held(bench):
 def test_every_activity_can_be_reached_and_left():
     reached = set(TABLE.values())
     assert reached == set(Activity) - {Activity.NONE}
-    assert {step for _, step in TABLE} == set(Step)
-    assert all((activity, Step.BEGIN) in TABLE for activity in Activity)
+    assert {step for _, step in TABLE} == set(Change)
+    assert all((activity, Change.BEGIN) in TABLE for activity in Activity)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from cnc_interp.batch.processes import Ended, Loss, Processes
+from cnc_interp.batch.processes import EndedCall, Loss, Processes
 from cnc_interp.batch.task import engine
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
@@ -225,7 +225,7 @@ class Sweep:
             return None
 
 
-def _found(ended: Ended[Found]) -> Found:
+def _found(ended: EndedCall[Found]) -> Found:
     if isinstance(ended.result, Loss):
         return Found(fault=' '.join([ended.result.name.lower().replace('_', ' '), ended.why]))
     return ended.result

@@ -92,7 +92,6 @@ def _moving(found: dict[Point, Found]) -> list[Point]:
 
 
 def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
-    """Draw scallop over time, and the error as color; without scallops, error over time."""
     from plotly import graph_objects as go
 
     scallops = any(one.scallop is not None for one in found.values())

@@ -404,7 +404,6 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
 
 
 def _faults(reader: Any, checks: Any) -> list[str]:
-    """List what OpenCASCADE could not read of the geometry and topology of a file."""
     found, model = [], reader.StepModel()
     checks.Start()
     while checks.More():

@@ -196,7 +196,6 @@ class Surface(ABC):
             self._check_far_parts(point, ours, offset)
 
     def _check_far_parts(self, point: SurfacePoint, ours: BoolArray, offset: float) -> None:
-        """Refuse an offset that enters another part of the surface."""
         samples = point.position[ours]
         tree = cKDTree(samples)
         near, _ = tree.query(point.offset(offset).position.reshape(-1, 3))

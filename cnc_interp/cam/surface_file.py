@@ -65,7 +65,6 @@ class _File:
         return array
 
     def number(self, key: str, unit: float) -> float:
-        """Return one number, multiplied by its unit."""
         return float(self.numbers(key, ())) * unit
 
 

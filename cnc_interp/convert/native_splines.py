@@ -140,7 +140,6 @@ class SplineMoves:
         return line_jets(*(row[None] for row in rows))
 
     def _compare(self, arrives: Jets | None, leaves: Jets | None) -> None:
-        """Record the largest jumps of the derivatives of the orientation."""
         if arrives is None or leaves is None:
             return
         jumps = [float(norm(arrives.axis[k] - leaves.axis[k])[0]) for k in (1, 2)]

@@ -207,7 +207,6 @@ class Jog:
             motion.stop()
 
     def _fill(self, motion: JogMotion) -> None:
-        """Hand setpoints to the machine until it has enough, or the motion ends."""
         while not motion.over and self._playback.buffer.count < self._setpoints(AHEAD):
             self._playback.push_jog(motion.piece(self._setpoints(PIECE)))
         if motion.over and isinstance(self._wish, Move):

@@ -196,7 +196,6 @@ class Playback:
         self._on_tail, self._row = False, -1
 
     def _forget_figures(self) -> None:
-        """Reset the figures: when a run begins, and where its approach ends."""
         self.axes.forget_use()
         self.largest_following_error = np.zeros(len(self.axes.machine.axis_names))
         self.largest_contour_error = 0.0
@@ -438,7 +437,6 @@ class Playback:
 
     @property
     def _played(self) -> Rows:
-        """Setpoint rows of the current chunk, or of its stop tail."""
         assert self._current is not None
         return self._current.tail if self._on_tail else self._current.rows
 

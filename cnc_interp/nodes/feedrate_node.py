@@ -165,7 +165,6 @@ class FeedrateNode(LifecycleNode):
         check_segment(segment, len(self._transform.extra_names))
 
     def _take(self, segment: PathSegment) -> None:
-        """Queue a valid segment. The first one begins a run."""
         self._pace.wake()
         if segment.sequence == 0:
             self._session.begin(run_id_of(segment), segment.continue_at)
@@ -203,7 +202,6 @@ class FeedrateNode(LifecycleNode):
         return self._session.activity in (Activity.NONE, Activity.ENDED)
 
     def _tell_planning(self) -> None:
-        """Report how much planned motion waits to be sent, and how long tasks take."""
         session, sender = self._session, self._outlet.sender
         self._diagnostics.say(
             'planning', OK, 'no program' if self._idle else 'at work',

@@ -140,7 +140,6 @@ class LookaheadNode(Node):
         self._pace = Pace(self, WORK_PERIOD, self._work)
 
     def _take(self, block: G1Block) -> None:
-        """Queue a valid block. The first one begins a run."""
         self._pace.wake()
         if block.sequence == 0:
             settings = settings_of_block(block, self._settings)

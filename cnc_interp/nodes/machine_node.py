@@ -183,7 +183,6 @@ class MachineNode(LifecycleNode):
         return self._controls.homing.active or playback.busy
 
     def _report_clock(self) -> None:
-        """Report how late the drives are stepped in this run, and what compensation does."""
         self._topics.report_compensation()
         clock = self._clock_of_drives
         if clock is not None:
@@ -208,7 +207,6 @@ class MachineNode(LifecycleNode):
 
 
 def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:
-    """Return a chunk, and the source lines of its setpoints and of its stop tail."""
     return chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
 
 

@@ -120,7 +120,6 @@ class MarkersNode(Node):
         self._sequence, self._block = block.sequence, block
 
     def _see_setpoints(self, chunk: SetpointChunk) -> None:
-        """Add the last setpoint of the message that belongs to the program."""
         q = np.reshape(chunk.positions, (-1, chunk.axis_count))
         if len(q) and chunk.sequences[-1] > 0:  # neither approach nor motion by hand
             self._begin(chunk.program_id)

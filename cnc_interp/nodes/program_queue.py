@@ -84,6 +84,5 @@ class ProgramQueue:
             self._end(entry, Outcome(Code.NOT_STARTED, text))
 
     def _end(self, entry: Waiting, outcome: Outcome) -> None:
-        """End a run that moved nothing."""
         entry.run.preparation.close()
         answer(entry.handle, entry.run.result(outcome))

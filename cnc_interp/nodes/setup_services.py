@@ -89,7 +89,6 @@ class SetupServices:
         return (self.apply(wanted, request.client) or 'nothing changes') + note
 
     def _require_unused(self, changes: list[SetupChange]) -> None:
-        """Refuse to change what the program that runs uses."""
         for change in changes:
             if self._program and change.name in self._in_use | RUNNING:
                 raise InterpError(

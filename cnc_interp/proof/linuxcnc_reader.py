@@ -118,7 +118,6 @@ def read_by_linuxcnc(
 
 
 def _demand_end(said: str, code: int) -> None:
-    """Raise if LinuxCNC complained, or ended otherwise than by itself."""
     lines = [line.strip() for line in said.splitlines() if line.strip() not in ('', 'executing')]
     if code < 0:
         lines = ['it takes too long' if code == -signal.SIGXCPU else f'it ended by signal {-code}']
@@ -136,7 +135,6 @@ def _prepared(text: str, skip: bool, tool: int = 0) -> str:
 
 
 def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[ReadMove]:
-    """Yield the motions of what LinuxCNC prints, at most so many lines."""
     columns = ['ABC'.index(name) for name in axis_names[3:]]
     state = _Printed()
     for number, line in enumerate(printed):

@@ -236,7 +236,6 @@ class _Comparison:
     def unmoved(
         self, move: ReadMove, before: ReadMove | None, tip: FloatArray, axis: FloatArray
     ) -> None:
-        """Accept a motion without rows if it goes nowhere."""
         if before is None:
             self.fault(move, 'is not the start pose of the plan')
             return
@@ -257,7 +256,6 @@ class _Comparison:
         return self.linear
 
     def way(self, move: ReadMove, before: ReadMove, rows: IntArray) -> None:
-        """Compare the rows inside a motion with its line or arc."""
         tolerance = float(self.blocks['contour_tolerance'][rows].min())
         room = CHORD * tolerance + SAME_PLACE + 3.0 * move.digit
         self.kept(move, rows, self.chord_error(move, rows) if move.sweep else 0.0)
@@ -374,7 +372,6 @@ class _FollowPlaces(_Comparison):
         self.stops = borders[np.searchsorted(borders, np.arange(count), side='right')]
 
     def fault(self, move: ReadMove, text: str) -> None:
-        """Record that a line differs, by the row where the motions are."""
         line = self.blocks['line'][min(self.row, len(self.blocks['line'])) - 1]
         self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
 
@@ -416,7 +413,6 @@ class _FollowPlaces(_Comparison):
         super().end()
 
     def near(self, move: ReadMove, first: int, some: int) -> BoolArray:
-        """Return which of some rows are at the end of a motion."""
         rows = slice(first, first + some)
         turned = np.abs(self.blocks['rotary'][rows, : len(move.rotary)] - move.rotary)
         away = np.linalg.norm(self.points(move)[rows] - move.end, axis=1)

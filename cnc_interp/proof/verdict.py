@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partialmethod
 from pathlib import Path
 from typing import Any
 
@@ -192,18 +193,8 @@ class Ledger:
         )  # fmt: skip
         self._judged[name] = finding, share, quiet
 
-    def check(
-        self,
-        what: str,
-        value: FloatArray,
-        limit: FloatArray | float,
-        axis: str = '',
-        allowed: float = 1.0,
-        rows: IntArray | None = None,
-        first: int = 0,
-    ) -> None:
-        """Judge a consistency check; the same as ``judge``, but recorded only if it fails."""
-        self.judge(what, value, limit, axis, allowed, rows=rows, first=first, quiet=True)
+    #: Judge a consistency check: the same, but recorded only if it fails.
+    check = partialmethod(judge, quiet=True)
 
     def require(self, holds: bool | np.bool_, fault: str) -> None:
         """Record a failure unless the condition holds."""
@@ -231,14 +222,12 @@ def _failure(finding: Finding) -> str:
 
 
 def _place(finding: Finding) -> str:
-    """Return the place of a finding: sample, time and program line."""
     if finding.sample < 0:
         return f'line {finding.line}'
     return f'at sample {finding.sample} ({finding.time:.3f} s, line {finding.line})'
 
 
 def _with_units(finding: Finding) -> tuple[str, str]:
-    """Return value and limit as text in shop-floor units."""
     scale, unit = (1e3, 'mm') if finding.linear else (180.0 / np.pi, 'deg')
     order = dict(DIFFERENCES).get(finding.what.removeprefix('planned ').removesuffix(' column'))
     if finding.what == 'tip feed':
@@ -255,7 +244,6 @@ def _with_units(finding: Finding) -> tuple[str, str]:
 
 
 def _figure(value: float) -> str:
-    """Return a number as text; values below 1e-8 become 0."""
     return f'{value:.6g}' if abs(value) >= 1e-8 else '0'
 
 
@@ -345,6 +333,5 @@ def _name(summary: Mapping[str, Any]) -> str:
 
 
 def _span(values: FloatArray) -> str:
-    """Return least and largest value as text, or one where they are equal."""
     least, most = f'{values.min():g}', f'{values.max():g}'
     return least if least == most else f'{least} to {most}'

@@ -132,7 +132,6 @@ def _grid_rows(plan: PlanFiles, start: float, end: float) -> tuple[int, int]:
 def _view(
     plan: PlanFiles, segments: PathSegments, row: int, start: float, end: float
 ) -> CornerView:
-    """Compute the values to draw for the corner between two path lengths [m]."""
     one = segments[row : row + 1]
     bottom, polygon = one.bottom[:, :5], one.top[:, :5]
     curves = Curves(bottom, polygon, one.connection, one.parametrization)

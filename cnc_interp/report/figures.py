@@ -208,7 +208,6 @@ def error_figure(series: Series) -> Any:
 
 
 def _every(count: int, most: int) -> Any:
-    """Choose at most ``most`` of ``count`` rows evenly, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 

@@ -105,11 +105,7 @@ class Course:
         cell = min(max(int(np.searchsorted(path.s, s)) - 1, 0), len(path.s) - 2)
         place = np.array([s])
         position = evaluate(path, place, np.array([cell]))[0]
-        still: FloatArray = np.zeros_like(position)
-        return Setpoints(
-            time=np.zeros(1), position=position, velocity=still, acceleration=still, jerk=still,
-            block=path.cell_block[cell : cell + 1].copy(), s=place,
-        )  # fmt: skip
+        return Setpoints.at_rest(0.0, position, path.cell_block[cell : cell + 1].copy(), place)
 
     def first_rest(self) -> Setpoints | None:
         """Return the setpoint of a machine that rests where the kept path begins."""
@@ -167,15 +163,14 @@ def slowed(
     law = way_down.law
     begin, end = float(law.s[0]), float(way_down.path.s[-1])
     fine = refine(path, np.linspace(begin, end, ENVELOPE))
-    fastest = fastest_in_cells(law.time, way_down, fine.s)
+    fastest = fastest_in_cells(law, fine.s)
     feed = np.maximum(scaled(fine), ABOVE * fastest)
     return replace(fine, cell_feed=feed)
 
 
-def fastest_in_cells(time: FloatArray, way_down: PlannedPiece, s: FloatArray) -> FloatArray:
+def fastest_in_cells(law: MotionLaw, s: FloatArray) -> FloatArray:
     """Return the largest speed of a stop in each cell."""
-    law = way_down.law
-    instants = np.linspace(time[0], law.end_time, 20 * ENVELOPE)
+    instants = np.linspace(law.time[0], law.end_time, 20 * ENVELOPE)
     place, speed, _, _ = law.evaluate(instants)
     at = np.interp(s, place, speed, left=float(speed[0]), right=0.0)
     fastest = np.maximum(at[:-1], at[1:])

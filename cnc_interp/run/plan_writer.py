@@ -212,7 +212,6 @@ class _Column:
         self._count += rows.shape[self._along]
 
     def header(self) -> dict[str, Any]:
-        """Describe the whole column as NumPy's file format does."""
         shape = list(self._shape)
         shape[self._along] = self._count
         return {'descr': self._dtype.str, 'fortran_order': False, 'shape': tuple(shape)}

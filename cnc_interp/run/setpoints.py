@@ -26,6 +26,12 @@ class Setpoints(Table):
     block: IntArray = column()  #: Row of the block being executed.
     s: FloatArray = column()  #: Path position [m].
 
+    @staticmethod
+    def at_rest(time: float, position: FloatArray, block: IntArray, s: FloatArray) -> Setpoints:
+        """Return one setpoint that rests at a position, shape (1, n_axes) [m or rad]."""
+        still = np.zeros_like(position)
+        return Setpoints(np.array([time]), position, still, still, still, block, s)
+
 
 class Interpolator:
     """Samples planned pieces as they arrive; sample k lies at k times the period."""
@@ -55,7 +61,11 @@ class Interpolator:
         along = law.s[k] - path.s[cell] + law.moved(time, k)
         q, q_s, q_ss, q_sss = evaluate_along(path, along, cell)
         v, a, j = s_dot[:, None], s_ddot[:, None], s_dddot[:, None]
-        self._rest = self._at_rest(piece)
+        # The sample after the piece, as if the motion ended there.
+        self._rest = Setpoints.at_rest(
+            self.next_number * self.period, path.cell_right[0, -1:].copy(),
+            path.cell_block[-1:].copy(), path.s[-1:].copy(),
+        )  # fmt: skip
         return Setpoints(
             time=time,
             position=q,
@@ -73,15 +83,6 @@ class Interpolator:
         """Return the last sample, at rest at the end of the path."""
         assert self._rest is not None, 'nothing was pushed'
         return self._rest
-
-    def _at_rest(self, piece: PlannedPiece) -> Setpoints:
-        """Return the sample after the piece, as if the motion ended there."""
-        still: FloatArray = np.zeros((1, piece.path.cell_left.shape[2]))
-        return Setpoints(
-            time=np.array([self.next_number * self.period]),
-            position=piece.path.cell_right[0, -1:].copy(), velocity=still, acceleration=still,
-            jerk=still, block=piece.path.cell_block[-1:].copy(), s=piece.path.s[-1:].copy(),
-        )  # fmt: skip
 
 
 class Wait(IntEnum):

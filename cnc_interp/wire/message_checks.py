@@ -71,7 +71,6 @@ def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray
 
 
 def _check_interpolation(name: str, message: G1Block) -> None:
-    """Refuse linear rotary axes without positions at both ends of the block."""
     if message.interpolation == G1Block.POSES:
         return
     if message.interpolation > G1Block.AXES_LINEAR or message.spline or message.sequence == 0:
@@ -81,7 +80,6 @@ def _check_interpolation(name: str, message: G1Block) -> None:
 
 
 def _check_extra(name: str, values: array[float], count: int) -> None:
-    """Refuse positions of extra axes that are not finite or not those of the machine."""
     if len(values) != count:
         raise StreamError(
             f'{name}: extra_axes holds {len(values)} values, the machine needs {count}'
@@ -91,7 +89,6 @@ def _check_extra(name: str, values: array[float], count: int) -> None:
 
 
 def _check_control_point(name: str, message: G1Block) -> None:
-    """Refuse a control point of splines that is not finite or lies off the tool axis."""
     if not message.spline:
         return
     if not 0.0 <= message.knot_interval < np.inf:
@@ -140,7 +137,6 @@ def check_segment(message: PathSegment, extra_count: int = 0) -> None:
 
 
 def _check_spline(name: str, spline: BSpline, kind: int) -> None:
-    """Refuse a curve whose degree, knots or control points do not fit its kind."""
     degree, knots, points = CURVES.get(kind, LINE_CURVE)
     count = 3 * points
     if (spline.degree, spline.dimension, spline.knots) != (degree, 3, knots):
@@ -234,7 +230,6 @@ def check_setpoints(message: SetpointChunk, axis_count: int) -> None:
 
 
 def _check_rows(name: str, values: array[float], count: int) -> None:
-    """Refuse a list of a wrong length or with values that are not finite."""
     if len(values) != count:
         raise StreamError(f'{name} has {len(values)} values, not {count}')
     if not np.isfinite(np.frombuffer(values)).all():

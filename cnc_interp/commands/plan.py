@@ -66,13 +66,15 @@ def plan_command(options: argparse.Namespace) -> int:
     geometry = Transform.of(machine)
     stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)
+    read_as: tuple[str, ...] = ()
     try:
         summary = plan_to_files(
             stream, machine, options.out, settings, progress.of('planning'), options.workers
         )
+        read_as = stream.read_as  # a refusal is one line
     finally:
         progress.end(complete=False)
-        tell((*stream.read_as, *stream.notices))
+        tell((*read_as, *stream.notices))
     if summary['cycle_time'] > HOUR:
         tell([f'the motion lasts {summary["cycle_time"] / HOUR:.4g} h; is the feed right?'])
     print(json.dumps(summary, indent=2) if options.json else describe(summary))

@@ -17,9 +17,9 @@ from typing import BinaryIO
 from cnc_interp.core.errors import InterpError
 
 
-def require_allowed(path: Path, folders: Sequence[str]) -> Path:
+def require_inside(path: Path, folders: Sequence[str]) -> Path:
     """
-    Return the real path of a regular file that is one of some files or lies below some folders.
+    Return the real path of what is one of some files or folders, or lies below some folders.
 
     Raises InterpError for every other path.
     """
@@ -29,6 +29,12 @@ def require_allowed(path: Path, folders: Sequence[str]) -> Path:
             f'{path}: no file of a folder that the node may read; start it with program_folders, '
             'or send the text of the program'
         )
+    return real
+
+
+def require_allowed(path: Path, folders: Sequence[str]) -> Path:
+    """Return the real path of a regular file; raises as ``require_inside``, and for others."""
+    real = require_inside(path, folders)
     try:
         regular = stat.S_ISREG(real.stat().st_mode)
     except OSError as problem:

@@ -20,9 +20,9 @@ from cnc_interp.batch.batch_page import write_page
 from cnc_interp.batch.batch_run import Progress, Store, run_batch
 from cnc_interp.batch.processes import Processes, total_memory
 from cnc_interp.batch.table import write_tables
-from cnc_interp.batch.task import Jobs, Verdict
+from cnc_interp.batch.task import Jobs, Verdict, programs_of
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.named_files import require_allowed
+from cnc_interp.core.named_files import require_allowed, require_inside
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import end_goal, run_node
@@ -96,7 +96,9 @@ class BatchNode(Node):
         if not NAME.fullmatch(goal.name):
             raise InterpError('name: letters, digits, dots, blanks and dashes, at most 100')
         folders = self._values['program_folders']
-        programs = [require_allowed(Path(program), folders) for program in goal.programs]
+        programs = [require_inside(Path(program), folders) for program in goal.programs]
+        for program, _ in programs_of(programs):  # a link in a folder may lead out of it
+            require_allowed(program, folders)
         machines = list(goal.machines) or [self._values['machine']]
         for machine in goal.machines:
             if Path(machine).exists():  # not a bundled one

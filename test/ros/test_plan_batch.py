@@ -120,11 +120,15 @@ def test_what_a_goal_may_not_have_is_refused(client, tmp_path):
     (tmp_path / 'programs' / 'a.ngc').write_text(LINE.format(1))
     inside, outside = str(tmp_path / 'programs'), str(tmp_path / 'other')
     for goal, text in (
-        ({'programs': [outside], 'name': 'a'}, 'no program of a folder'),
+        ({'programs': [outside], 'name': 'a'}, 'no file of a folder'),
         ({'programs': [inside], 'name': '../a'}, 'name: letters'),
         ({'programs': [inside], 'name': 'a', 'machines': ['no']}, "no machine 'no'"),
         ({'programs': [], 'name': 'a'}, 'no programs here'),
     ):
         result = client.result_of(client.send(**goal))
         assert not result.success and text in result.message
+    (tmp_path / 'programs' / 'link.ngc').symlink_to(tmp_path / 'no.ngc')
+    (tmp_path / 'no.ngc').write_text(LINE.format(2))
+    result = client.result_of(client.send(programs=[inside], name='a'))
+    assert not result.success and 'no file of a folder' in result.message
     assert not (tmp_path / 'out').exists()

@@ -88,8 +88,10 @@ def write_screens(tab: Tab, folder: Path) -> None:
     for name, (width, height, phone) in SCREENS.items():
         tab.size(width, height, phone)
         time.sleep(SETTLE)
-        tab.wait(lambda: tab.text('contact') == '')
         shown = seen_on(tab, folder)
+        while tab.text('contact'):  # rendering took so long that the page lost its server
+            time.sleep(SETTLE)
+            shown = seen_on(tab, folder)
         shown.quantize(256).save(HERE / 'pictures' / f'{name}.png', optimize=True)
     label(tab, shown, LABELLED)
     shown.quantize(256).save(HERE / 'pictures' / 'page_labelled.png', optimize=True)

@@ -159,6 +159,17 @@ def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
     assert done.stdout == '[]\n', done.stderr
 
 
+def test_no_start_waits_for_splines_and_optimisers_of_scipy():
+    """A merged file brought scipy.interpolate into every plan and node: a quarter of a second."""
+    script = (
+        'import sys, cnc_interp.run.chain, cnc_interp.run.run_planner, cnc_interp.commands.cli\n'
+        "heavy = ('interpolate', 'optimize', 'ndimage', 'signal', 'spatial', 'sparse')\n"
+        "print([name for name in heavy if f'scipy.{name}' in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
+    assert done.stdout == '[]\n', done.stderr
+
+
 @pytest.mark.parametrize(
     ('module', 'source'),
     [

@@ -1,0 +1,53 @@
+"""An axis path from arrays of axis positions; apart, because no program needs scipy's splines."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+
+#: Degree of the spline: q_ss and q_sss are continuous, as a motion within jerk limits needs.
+DEGREE = 5
+
+
+def axis_path_from(
+    q: FloatArray, s: FloatArray, machine: Machine, feedrate: float = np.inf
+) -> AxisPath:
+    """
+    Return the smooth path through axis positions, from rest to rest.
+
+    Every axis is the quintic spline through its positions, with four continuous derivatives. Its
+    error is of the sixth order in the distance of the points; at corners it overshoots.
+    ``q`` (N, n_axes): axis positions, N >= 6 [m, rad]; ``s`` (N,): path parameter, increasing,
+    usually the tool tip's path length [m]; ``feedrate``: largest ds/dt [m/s].
+    Raises InterpError if the arrays do not fit each other or the machine, or s does not increase.
+    """
+    q, s = np.array(q, dtype=float), np.array(s, dtype=float)
+    axes = len(machine.axis_names)
+    if s.ndim != 1 or q.shape != (len(s), axes):
+        raise InterpError(f'q must have shape ({s.size}, {axes}): a row for each s, of all axes')
+    if len(s) <= DEGREE:
+        raise InterpError(f'{len(s)} points: a quintic spline needs {DEGREE + 1} or more')
+    if not (np.isfinite(q).all() and np.isfinite(s).all() and (np.diff(s) > 0.0).all()):
+        raise InterpError('q and s must be finite numbers, and s must increase')
+    spline = make_interp_spline(s, q, k=DEGREE)
+    jets = np.stack([spline(s, nu) for nu in range(4)])
+    jets[0] = q
+    tip, axis = Transform.of(machine).forward(q)
+    stop = np.zeros(len(s), dtype=np.bool_)
+    stop[[0, -1]] = True
+    return AxisPath(
+        s=s,
+        cell_left=jets[:, :-1].copy(),
+        cell_right=jets[:, 1:].copy(),
+        tip=tip,
+        axis=axis,
+        cell_feed=np.full(len(s) - 1, feedrate),
+        cell_block=np.zeros(len(s) - 1, dtype=np.int64),
+        stop=stop,
+    )

@@ -143,7 +143,7 @@ class Walk:
 def page(folder: Path) -> Iterator[Tab]:
     """Serve the page beside nodes of its own, and show it in a browser."""
     token_file = folder / 'token'
-    token_file.write_text('picture')
+    token_file.write_text('known-to-pictures')
     words = ['--setup', str(folder / 'setup.yaml'), '--port', '0', '--token-file', str(token_file)]
     served = subprocess.Popen(
         interp('panel', str(PROGRAM), *words), stdout=subprocess.PIPE, text=True
@@ -153,7 +153,7 @@ def page(folder: Path) -> Iterator[Tab]:
         assert served.stdout is not None
         said = iter(served.stdout)
         address = next(found for line in said if (found := re.search(r'http://\S+/', line)))
-        tab = browser.open(f'{address[0]}?token=picture', *SIZE)
+        tab = browser.open(f'{address[0]}?token=known-to-pictures', *SIZE)
         tab.wait(lambda: tab.text('rights') == 'in charge')
         yield tab
     finally:

@@ -133,7 +133,7 @@ def main() -> None:
         )
         program = str(folder / 'program.mpf')
         token_file = folder / 'token'
-        token_file.write_text('picture')
+        token_file.write_text('known-to-pictures')
         panel = interp('panel', program, '--port', '0', '--token-file', str(token_file))
         page = subprocess.Popen(panel, stdout=subprocess.PIPE, text=True)
         browser = Browser()
@@ -141,7 +141,7 @@ def main() -> None:
             assert page.stdout is not None
             said = iter(page.stdout)
             address = next(found for line in said if (found := re.search(r'http://\S+/', line)))
-            tab = browser.open(f'{address[0]}?token=picture', *SIZE)
+            tab = browser.open(f'{address[0]}?token=known-to-pictures', *SIZE)
             write_animation(frames_of(tab, folder))
             write_screens(tab, folder)
         finally:

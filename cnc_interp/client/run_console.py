@@ -23,7 +23,7 @@ from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.processes.node_processes import Children
+from cnc_interp.processes.node_processes import KILLED, Children
 from cnc_interp.program.notices import tell, warnings_of
 from cnc_interp.wire.settings_messages import goal_of
 
@@ -63,7 +63,8 @@ class RunConsole:
         self._first_motion = float('nan')
         self._interrupted = self._cancelling = False
         self._restarted = False  # a node, and the run has not gone on since
-        self._forgotten = False  # the programs, because program_node was killed
+        self._forgotten = False  # the programs, because program_node was lost
+        self._faults: list[str] = []  # of cnc_interp: tracebacks of nodes that were restarted
         self._stop_told = False
         self._warned = ''  # the run whose warnings were told last
         self._pressed: Future[Answer] | None = None  # cycle_start after a restart
@@ -141,6 +142,7 @@ class RunConsole:
             jerk_use=by_axis(outcome.jerk_use),
             position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
+            faults=tuple(self._faults),
         )
 
     def _wait_for_nodes(self) -> None:
@@ -191,7 +193,8 @@ class RunConsole:
             self._show_progress(sent)
             return sent.result is not None or (self._forgotten and self._client.peers.at_rest)
 
-        self._spin(done)
+        while not done():
+            self._client.serve(SPIN)
         result = sent.result
         self._progress.end(result is not None and result.code == Result.SUCCEEDED)
         if result is None:
@@ -220,8 +223,8 @@ class RunConsole:
             self._progress.show(f'checking {name}', self._client.checked)
 
     def _forgotten_result(self) -> RunProgram.Result:
-        """Return what is known of a run whose program_node was killed."""
-        text = 'program_node was killed and has forgotten the program; run it again'
+        """Return what is known of a run whose program_node was lost."""
+        text = 'program_node was started again and has forgotten the program; run it again'
         state = self._client.state
         if state is None:
             return Result(code=Result.STREAM_LOST, message=text)
@@ -239,9 +242,11 @@ class RunConsole:
         )
 
     def _bring_back_lost_nodes(self) -> None:
-        """Restart killed nodes and continue from where the machine has stopped."""
-        for name in self._children.revive():
-            print(f'\n{name} was killed; it is started again', file=sys.stderr)
+        """Restart lost nodes and continue from where the machine has stopped."""
+        for name, why in self._children.revive().items():
+            print(f'\n{name} {why}; it is started again', file=sys.stderr)
+            if why != KILLED:
+                self._faults.append(self._children.traceback_of(name))
             self._restarted = True
             self._forgotten = self._forgotten or name == 'program_node'
         state = self._client.state

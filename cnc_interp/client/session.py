@@ -115,6 +115,8 @@ class RunResult:
     #: Where the axes stand at the end [m, rad].
     position: dict[str, float] = field(default_factory=dict)
     notices: tuple[str, ...] = ()  #: What of the program had no effect or was simplified.
+    #: Tracebacks of nodes that ended by a fault of cnc_interp and were started again.
+    faults: tuple[str, ...] = ()
     #: Where it is limited: errors that the drives of the machine file leave at the tool, ``tip``
     #: and ``axis``, and their ``limit`` [m]; the flank height at which the axis is measured [m].
     tool_error: dict[str, float] | None = None
@@ -146,6 +148,10 @@ class RunResult:
             lines.append(f'{name:<15}{values}')
         if self.tool_error:
             lines.append(tool_error_text(self.tool_error, self.flank_height))
+        lines += [
+            f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
+            for fault in self.faults
+        ]
         if self.excesses:
             lines.append(f'NOT proven     {"; ".join(self.excesses)}')
         elif self.ok:

@@ -189,10 +189,20 @@ class MachineNode(LifecycleNode):
             said = f'{clock.scheduling}; {self._memory}'
             self._diagnostics.say('clock', OK, said, **self._playback.cycle.lateness().figures())
 
+    def come_to_rest(self) -> bool:
+        """Stop on the path, as at a feed hold; tell whether the axes stand. Call it until then."""
+        if self._clock_of_drives is None or self._playback.state.state is State.INACTIVE:
+            return True
+        if not self._playback.left:
+            self._playback.hold()
+        self._playback.read()
+        return self._playback.state.resting
+
     def publish_rest(self) -> None:
-        """Publish the executed setpoints that are not published yet."""
+        """Publish the executed setpoints that are not published yet, and the state."""
         self._playback.read()
         self._topics.publish_executed()
+        self._topics.publish_state()
 
     def _stop_clock(self) -> None:
         if self._clock_of_drives is not None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -26,6 +27,10 @@ from cnc_interp.processes.this_host import stay_on_this_host
 
 #: Timeout of the events executor [s]. Signals are noticed after it at the latest.
 SPIN_TIMEOUT = 0.1
+#: Longest time in which a node that is to end may bring axes to rest [s].
+REST_WAIT = 8.0
+#: Longest time for which its last messages are waited for, each topic.
+LAST_WORDS = Duration(seconds=0.2)
 #: Niceness of the nodes, if permitted, so that setpoints do not wait for other programs.
 NICENESS = -10
 
@@ -33,7 +38,7 @@ NICENESS = -10
 def run_node(
     make: Callable[[], Any], arguments: list[str] | None = None, urgent: bool = True
 ) -> int:
-    """Run one node until Ctrl-C, SIGTERM or the end of its context."""
+    """Run one node until Ctrl-C, SIGTERM, or the end of its context or of the run around it."""
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda found, _frame: stop.append(found))
@@ -56,6 +61,13 @@ def run_node(
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
             if run is not None and time.monotonic() - looked > SPIN_TIMEOUT:
                 looked, lives = time.monotonic(), run.is_alive()
+        if hasattr(node, 'come_to_rest'):
+            until = time.monotonic() + REST_WAIT
+            while rclpy.ok() and not node.come_to_rest() and time.monotonic() < until:
+                executor.spin_once(timeout_sec=SPIN_TIMEOUT)
+            node.publish_rest()
+            for publisher in node.publishers:
+                publisher.wait_for_all_acked(LAST_WORDS)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except InterpError as problem:

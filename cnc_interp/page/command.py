@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
 #: Environment variable with the process of the run; the page ends when that process ends.
 PARENT = 'CNC_INTERP_PARENT'
-#: Longest token [bytes].
+#: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
+SHORTEST_TOKEN = 16
+#: Longest one [bytes].
 LONGEST_TOKEN = 1000
 #: How long the page may take to end [s].
 LAST_WAIT = 5.0
@@ -90,9 +92,8 @@ class NodeWatch:
     def _watch(self) -> None:
         while not self._done.wait(WATCH_NODES):
             try:
-                for name in self._children.revive():
-                    print(f'{name} was killed; it is started again', file=sys.stderr)
-                self._children.check()
+                for name, why in self._children.revive().items():
+                    print(f'{name} {why}; it is started again', file=sys.stderr)
             except InterpError as problem:
                 self._problem = problem
                 os.kill(os.getpid(), signal.SIGINT)
@@ -119,8 +120,8 @@ def token_of(file: Path | None) -> str:
         raise InterpError(f'{file}: cannot be opened: {problem.strerror}') from None
     except UnreadableError as problem:
         raise InterpError(f'{file}: {problem}') from None
-    if not token:
-        raise InterpError(f'{file}: it holds no token')
+    if len(token) < SHORTEST_TOKEN:
+        raise InterpError(f'{file}: a token has at least {SHORTEST_TOKEN} characters')
     return token
 
 

@@ -6,7 +6,6 @@ import asyncio
 import json
 import os
 import socket
-import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,11 +13,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from fastapi import HTTPException, Request, Response
+from fastapi import Response
 from nicegui import app, ui
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.page.access import Access, Gate, TooManyTriesError
+from cnc_interp.page.access import Access, Gate
 from cnc_interp.page.command import PARENT
 from cnc_interp.page.contact import AGAIN
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
@@ -102,8 +101,8 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
             text = None
 
     @ui.page('/')
-    async def page(request: Request, token: str = '') -> None:
-        trusted = opens(access, request, token)
+    async def page(token: str = '') -> None:
+        trusted = access.knows(token)
         ui.add_css(STYLE)
         ui.add_head_html(scripts())
         ui.dark_mode(True)
@@ -135,15 +134,6 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
         show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
         binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
     )  # fmt: skip
-
-
-def opens(access: Access, request: Request, token: str) -> bool:
-    """Tell whether a request for the page knows the token; refuse an address that guesses."""
-    address = request.client.host if request.client is not None else ''
-    try:
-        return access.knows(token, address, time.monotonic())
-    except TooManyTriesError:
-        raise HTTPException(429, 'too many wrong tokens: wait a minute') from None
 
 
 async def shown_when_known(desk: Desk) -> None:

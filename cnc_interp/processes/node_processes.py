@@ -20,8 +20,12 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_f
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 #: What the fork server loads before it forks.
 PRELOADED = ['cnc_interp.nodes.preload_nodes']
-#: A node that has not ended by itself after this is killed [s].
-LAST_WAIT = 5.0
+#: A node that has not ended by itself after this is killed: a machine may have to stop [s].
+LAST_WAIT = 10.0
+#: How a process ends that Python ends for an error that nobody caught.
+FAULT = 1
+#: Why a node was lost that a signal has ended.
+KILLED = 'was killed'
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,14 @@ class Started:
     name: str
     process: ForkServerProcess
     log: Path
+
+    @property
+    def last_words(self) -> str:
+        """The last line that the node wrote, or how it ended."""
+        written = self.log.read_text(errors='replace') if self.log.exists() else ''
+        words = written.strip().splitlines()
+        last = words[-1] if words else f'exit code {self.process.exitcode}'
+        return last.removeprefix('cnc_interp: ')
 
 
 def load_nodes() -> ForkServerContext:
@@ -43,7 +55,7 @@ def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: 
         return  # the run was interrupted before the fork server was ready
     os.setsid()  # the run receives Ctrl-C and ends the nodes in order
     os.environ.update(environment)
-    with log.open('wb') as output, open(os.devnull, 'rb') as nothing:
+    with log.open('ab') as output, open(os.devnull, 'rb') as nothing:
         for stream, number in ((nothing, 0), (output, 1), (output, 2)):
             os.dup2(stream.fileno(), number)
     with contextlib.suppress(OSError):  # the name in ps, top and pgrep
@@ -71,6 +83,7 @@ class Children:
         self._arguments = arguments or {}
         self._context = load_nodes()
         self.nodes: dict[str, Started] = {}
+        self._faults: dict[str, str] = {}
         try:
             for node in NODES:
                 self.nodes[node] = self._start(node)
@@ -96,16 +109,34 @@ class Children:
         """Make sure that all nodes run; raise InterpError with the last words of a dead one."""
         for node in self.nodes.values():
             if node.process.exitcode is not None:
-                words = node.log.read_text(errors='replace').strip().splitlines()
-                last = words[-1] if words else f'exit code {node.process.exitcode}'
-                raise InterpError(f'{node.name} ended: {last.removeprefix("cnc_interp: ")}')
+                raise InterpError(f'{node.name} ended: {node.last_words}')
 
-    def revive(self) -> list[str]:
-        """Restart nodes that were killed by a signal and return their names."""
-        dead = [n.name for n in self.nodes.values() if (n.process.exitcode or 0) < 0]
-        for name in dead:
-            self.nodes[name] = self._start(name)
-        return dead
+    def revive(self) -> dict[str, str]:
+        """
+        Restart nodes that were killed, or ended by a fault of ours; return why, by name.
+
+        Raises InterpError when a node has ended by itself, or again by the same fault: it would do
+        so for ever.
+        """
+        lost = {}
+        for node in tuple(self.nodes.values()):
+            if (code := node.process.exitcode) is None:
+                continue
+            words = node.last_words
+            if code == FAULT and self._faults.get(node.name) != words:
+                self._faults[node.name] = words
+                lost[node.name] = f'ended by a fault of cnc_interp: {words}'
+            elif code < 0:
+                lost[node.name] = KILLED
+            else:
+                raise InterpError(f'{node.name} ended: {words}')
+            self.nodes[node.name] = self._start(node.name)
+        return lost
+
+    def traceback_of(self, name: str) -> str:
+        """Return what a node has written last, from the beginning of a traceback."""
+        text = self.nodes[name].log.read_text(errors='replace')
+        return text[max(text.rfind('Traceback ('), 0) :].strip()
 
     def end(self) -> None:
         """End all nodes; those that do not end in time are killed."""

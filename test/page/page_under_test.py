@@ -14,7 +14,7 @@ from std_msgs.msg import Float64
 from cnc_interp.nodes import qos
 from cnc_interp.page.contact import INTERRUPTED
 
-TOKEN = 'a test knows it'
+TOKEN = 'every test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.
 REFUSED = f'document.body.textContent.includes("{INTERRUPTED}")'
 
@@ -74,6 +74,10 @@ class PanelUnderTest(NodesUnderTest):
     def override(self):
         """The feed override that counts."""
         return self.peers.state.feed_override
+
+    def last_words(self):
+        """What each page shows, and what the nodes said."""
+        return [tab.texts() for tab in self.page.tabs], super().last_words()
 
     def until(self, state):
         self.spin_until(lambda: self.peers.state and self.peers.state.state == state)

@@ -96,6 +96,10 @@ def long_program(tmp_path):
     return path
 
 
+#: Where the slider of the override stands.
+SLIDER = 'document.querySelector(`[data-mark="override slider"]`).ariaValueNow'
+
+
 def shows(tab, state):
     """Tell whether the read-outs are those of a machine state, to their last digits."""
     text, q = tab.texts(), state.positions
@@ -117,12 +121,23 @@ def seconds(tab, mark):
 
 
 def set_override(panel, tab, percent):
-    """Move the slider, five percent a step."""
-    steps = round((percent - 100 * panel.override) / 5)
-    key = 'ArrowRight' if steps > 0 else 'ArrowLeft'
-    tab.press_key('override slider', key, times=abs(steps))
-    panel.spin_until(lambda: panel.override == percent / 100)
-    tab.wait(lambda: tab.text('override') == f'{percent}%')
+    """
+    Move the slider, five percent a step.
+
+    What is pressed while the connection is interrupted (see ``press_key``) does nothing: the page
+    says so, and its slider goes back to what counts. The rest is pressed then.
+    """
+
+    def seen(share):
+        return tab.run(SLIDER) == f'{100 * share:.0f}' and tab.text('override') == f'{share:.0%}'
+
+    while panel.override != percent / 100:
+        tab.wait(lambda: not tab.run(REFUSED) and seen(panel.next_state().feed_override))
+        steps = round((percent - 100 * panel.override) / 5)
+        key = 'ArrowRight' if steps > 0 else 'ArrowLeft'
+        tab.press_key('override slider', key, times=abs(steps))
+        panel.spin_until(lambda: panel.override == percent / 100 or tab.run(REFUSED))
+    tab.wait(lambda: seen(percent / 100))
 
 
 def hold(panel, tab, program):
@@ -237,8 +252,6 @@ def test_the_impeller_is_operated_from_the_page(panel):
     assert tab.faults == []
 
 
-#: Where the slider of the override stands.
-SLIDER = 'document.querySelector(`[data-mark="override slider"]`).ariaValueNow'
 LOSE_THE_NEXT_STOP = """
 const ws = window.socket.io.engine.transport.ws, send = ws.send;
 ws.send = function (frame) {
@@ -625,7 +638,7 @@ def test_a_killed_node_is_named_and_its_program_goes_on_from_the_page(panel, lon
     tab.wait(lambda: shows(tab, stopped))
     tab.wait(lambda: 'feedrate_node' in tab.run('document.querySelector(".alarms").textContent'))
 
-    assert panel.children.revive() == ['feedrate_node']
+    assert list(panel.children.revive()) == ['feedrate_node']
     panel.watching = True
     panel.spin_until(lambda: any('was restarted' in text for _, text in panel.diagnostics))
     panel.go_on(tab)

@@ -24,7 +24,7 @@ def test_a_run_with_the_page_beside_it(tmp_path):
     program = tmp_path / 'short.ngc'
     program.write_text(PROGRAM)
     token_file = tmp_path / 'token'
-    token_file.write_text('known\n')
+    token_file.write_text('known to this test\n')
     command = [sys.executable, '-m', 'cnc_interp', 'run', str(program), '--panel', '--port', '0']
     run = subprocess.Popen(
         [*command, '--token-file', str(token_file)],
@@ -40,7 +40,7 @@ def test_a_run_with_the_page_beside_it(tmp_path):
             if 'view only' in said and 'the page stays open' in said:
                 break
         assert 'executed to the end; the page stays open' in said
-        address = re.search(r'operator page +(\S+/\?token=known)\n', said)[1]
+        address = re.search(r'operator page +(\S+/\?token=known%20to%20this%20test)\n', said)[1]
         with urllib.request.urlopen(address) as answer:
             assert answer.status == 200 and b'contact.js' in answer.read()
         run.send_signal(signal.SIGINT)

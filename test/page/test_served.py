@@ -14,13 +14,11 @@ pytest.importorskip(
 
 from nodes_under_test import clean_environment
 
-from cnc_interp.page.access import TRIES
-
 
 @pytest.fixture(params=[pytest.param('::1', marks=pytest.mark.thorough), '0.0.0.0'])
 def served(request, tmp_path):
     """A page without nodes on an address; host and port where it can be reached, and its words."""
-    (tmp_path / 'token').write_text('a secret & more\n')
+    (tmp_path / 'token').write_text('a secret & much more\n')
     page = subprocess.Popen(
         [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--host', request.param]
         + ['--port', '0', '--token-file', tmp_path / 'token'],
@@ -55,7 +53,6 @@ def test_it_is_served_under_its_address_and_not_to_who_guesses(served):
     assert status(place, f'/?token={place[3]}') == 200
     assert status(place, '/', host='attacker.example') == 400
     assert status(place, '/', content_length=str(1 << 30)) == 413
-    for k in range(TRIES):
+    for k in range(20):  # whoever guesses shuts nobody out
         assert status(place, f'/?token=guess{k}') == 200
-    assert status(place, '/?token=another') == status(place, f'/?token={place[3]}') == 429
-    assert status(place, '/') == 200
+    assert status(place, f'/?token={place[3]}') == status(place, '/') == 200

@@ -9,11 +9,15 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
+import faulty_node
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
+from limit_use import limit_use
 from operated import LIMITS, PROGRAM, Bench, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
+from cnc_interp.core.errors import InterpError
+from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.nodes import qos
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
@@ -192,17 +196,69 @@ def test_a_killed_node_is_restarted_and_cycle_start_goes_on_from_the_stopped_poi
         bench.press('feed_hold')
     bench.spin_until(lambda: bench.state.plan_over)
     stopped = bench.next_state()
-    assert bench.children.revive() == [node]
+    assert list(bench.children.revive()) == [node]
     bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
     assert bench.next_state().commanded_positions == stopped.commanded_positions
     assert bench.press('cycle_start').success
     bench.finish(handle)
 
 
+def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_told(
+    tmp_path, monkeypatch
+):
+    ask = faulty_node.put_in(monkeypatch, tmp_path)
+    bench = Bench()
+    try:
+        handle = bench.begin()
+        bench.until_at(0.01)
+        bench.watching = False
+        process = bench.children.nodes['feedrate_node'].process
+        ask.touch()
+        bench.spin_until(lambda: process.exitcode is not None)
+        bench.spin_until(lambda: bench.state.plan_over)
+        told = bench.children.revive()
+        assert told['feedrate_node'].endswith('ZeroDivisionError: float division by zero')
+        assert 'in faulty' in bench.children.traceback_of('feedrate_node')
+        bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
+        assert bench.press('cycle_start').success
+        bench.finish(handle)
+        process = bench.children.nodes['feedrate_node'].process
+        ask.touch()
+        bench.spin_until(lambda: process.exitcode is not None)
+        with pytest.raises(InterpError, match='feedrate_node ended: ZeroDivisionError'):
+            bench.children.revive()
+    finally:
+        bench.close()
+
+
+def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path(bench):
+    bench.begin()
+    bench.until_at(0.01)
+    bench.watching = False
+    machine = bench.children.nodes['machine_node'].process
+
+    def told():
+        return sum(len(m.sequences) for m in bench.executed)
+
+    machine.terminate()
+    bench.spin_until(lambda: machine.exitcode is not None)
+    bench.spin_until(lambda: bench.state.state == MachineState.HELD)
+    bench.spin_until(lambda: told() == bench.state.samples)
+    q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in bench.executed])
+    s = np.concatenate([m.path_positions for m in bench.executed])
+    path, on = path_of(PROGRAM), s >= 0.0
+    assert machine.exitcode == 0
+    assert 0.01 < s[-1] < path.s[-1] - 0.01
+    assert np.abs(q[on] - evaluate(path, s[on])[0]).max() < 1e-9
+    moved = np.abs(np.diff(q, axis=0)).max(axis=1)
+    assert moved[-1] < 1e-9 < moved[-100:].max()
+    assert limit_use(q, LIMITS) <= 1.001
+
+
 def lose(bench, node):
     """Kill a node, start it again, wait until its run is known to be lost."""
     bench.kill(node)
-    assert bench.children.revive() == [node]
+    assert list(bench.children.revive()) == [node]
     bench.watching = True
     bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
     bench.diagnostics.clear()
@@ -275,7 +331,7 @@ def test_a_goal_sent_at_once_to_a_restarted_program_node_runs_when_the_machine_r
     bench.begin()
     bench.until_at(0.01)
     bench.kill('program_node')
-    assert bench.children.revive() == ['program_node']
+    assert list(bench.children.revive()) == ['program_node']
     first = bench.state.program_id
     bench.finish(bench.begin())
     assert bench.state.program_id != first
@@ -288,7 +344,7 @@ def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
     bench.kill('program_node')
     assert bench.press('feed_hold').success
     bench.spin_until(lambda: bench.state.plan_over)
-    assert bench.children.revive() == ['program_node']
+    assert list(bench.children.revive()) == ['program_node']
     result = bench.run(text=PROGRAM)
     assert result.code == Result.BUSY and 'reset' in result.message
     assert bench.press('reset').success
@@ -343,7 +399,7 @@ def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
     handle = bench.begin()
     bench.until_at(0.01)
     bench.kill('machine_node')
-    assert bench.children.revive() == ['machine_node']
+    assert list(bench.children.revive()) == ['machine_node']
     result = bench.result_of(handle)
     assert result.code in (Result.STREAM_LOST, Result.STOPPED), result.message
     bench.spin_until(lambda: not bench.peers.missing(time.monotonic(), 1.0))

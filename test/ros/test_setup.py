@@ -203,7 +203,7 @@ def test_a_kill_during_edits_leaves_the_file_whole(bench):
     kill.join()
     found = JobSetup.load(bench.file).work_offsets['G58']
     assert found['Y'] == -found['X'] and round(found['X'] * 1e6) in (answered, answered + 1)
-    assert bench.children.revive() == ['program_node']
+    assert list(bench.children.revive()) == ['program_node']
     bench.told.clear()
     bench.spin_until(lambda: bench.told and bench.told[-1].text)
     assert JobSetup.of_text(bench.told[-1].text) == JobSetup.load(bench.file)

@@ -1,0 +1,35 @@
+"""A node of ours with a fault: it divides by zero in motion, each time a file asks for it."""
+
+import os
+from pathlib import Path
+
+from cnc_interp.processes import node_processes
+
+#: The file that asks for the fault, and that is gone when it has happened.
+ASKED = 'CNC_INTERP_TEST_FAULT'
+live = node_processes._live
+
+
+def live_with_fault(node, arguments, environment, log):
+    """What a child process runs."""
+    if node == 'feedrate_node':
+        from cnc_interp.run.planning_session import PlanningSession
+
+        asked, step = Path(environment[ASKED]), PlanningSession.step
+
+        def faulty(session, now, received):
+            if asked.exists():
+                asked.unlink()
+                return now / 0.0
+            return step(session, now, received)
+
+        PlanningSession.step = faulty
+    live(node, arguments, environment, log)
+
+
+def put_in(monkeypatch, folder):
+    """Give the nodes that are started from now on the fault; returns what asks for it."""
+    file = folder / 'fault'
+    monkeypatch.setitem(os.environ, ASKED, str(file))
+    monkeypatch.setattr(node_processes, '_live', live_with_fault)
+    return file

@@ -14,9 +14,11 @@ from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.recorder import NEEDED, Recorder
 from cnc_interp.client.run_console import RunConsole
 from cnc_interp.client.session import RunRequest, RunResult
+from cnc_interp.feedrate.plan_options import tool_warnings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
 from cnc_interp.processes.temporary_folder import TemporaryFolder
+from cnc_interp.program.notices import tell
 
 
 def run_recorded(
@@ -31,6 +33,7 @@ def run_recorded(
 
     A limit of the error at the tool is judged by the executed setpoints, so they are recorded.
     """
+    tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None
     with bag_folder(request) as folder:
         with ExitStack() as records:

@@ -56,6 +56,7 @@ def add_plan_command(commands: Any) -> None:
 def plan_command(options: argparse.Namespace) -> int:
     """Plan a program and write the plan files."""
     from cnc_interp.core.progress_bar import ProgressBar
+    from cnc_interp.feedrate.plan_options import tool_warnings
     from cnc_interp.machine_model.transform import Transform
     from cnc_interp.program import open_program
     from cnc_interp.program.notices import tell
@@ -64,6 +65,7 @@ def plan_command(options: argparse.Namespace) -> int:
     machine = machine_of(options)
     settings = settings_from(options)
     geometry = Transform.of(machine)
+    tell(tool_warnings(machine, settings))
     stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)
     read_as: tuple[str, ...] = ()

@@ -77,3 +77,9 @@ def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
     return ToolLimit.of_settings(machine, settings)
+
+
+def tool_warnings(machine: Machine, settings: Settings) -> list[str]:
+    """Return what must be known of ``wanted_tool`` before the motion; raises as it does."""
+    tool = wanted_tool(machine, settings)
+    return [] if tool is None else tool.warnings

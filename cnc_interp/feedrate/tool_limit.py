@@ -25,6 +25,7 @@ from scipy.ndimage import maximum_filter1d
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import SettingsError
+from cnc_interp.core.units import MM
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion
@@ -33,6 +34,7 @@ from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program.notices import WARNING
 from cnc_interp.settings.choices import Settings
 
 #: Half of the step of an axis in a difference of poses [m or rad].
@@ -88,6 +90,19 @@ class ToolLimit:
         """Return the limit before any motion."""
         series = error_series(machine, model)
         return ToolLimit(machine, model, period, largest, flank_height, series)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What must be known before the motion: a limit below friction and backlash."""
+        taken = float(np.linalg.norm(self.series.away[self.machine.is_linear]))
+        if taken <= self.largest:
+            return []
+        instead = 'raise it, or --compensate' if self.model is None else 'raise it'
+        return [
+            f'{WARNING}friction and backlash of the linear axes take up to {taken / MM:.3f} mm at '
+            f'any speed, more than --tool-error {self.largest / MM:g} mm: the motion is slow '
+            f'there, and is not proven; {instead}'
+        ]
 
     def begun(self, path: AxisPath, start: tuple[float, float]) -> ToolLimit:
         """Return the limit with the drives at the start of a path, if that is not known yet."""

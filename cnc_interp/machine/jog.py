@@ -17,6 +17,8 @@ from cnc_interp.run.run_state import Reason, State
 
 #: The motion stops where no beat has come for this time [s].
 LATE = 0.2
+#: A key that no beat names for longer was given up [s].
+GIVEN_UP = 3.0
 #: Motion handed to the machine ahead of time, and in one piece [s].
 AHEAD, PIECE = 0.05, 0.01
 #: Name of motions by hand in the record of executed setpoints; their attempts count them.
@@ -49,6 +51,7 @@ class Jog:
         self._axes = Slides.of_axes(self._machine)
         self._wish: Beat | Move | None = None
         self._beat_at = -math.inf
+        self._held = False  # the last beat moves axes
         self._released = True  # after a hold the keys must be let go
         self._seen = playback.state
         self._motion: JogMotion | None = None
@@ -66,31 +69,36 @@ class Jog:
 
     # What the operator asks for -----------------------------------------------------------------
 
-    def beat(self, shares: Mapping[str, float], tool: float, now: float) -> None:
+    def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
         """
         Take a beat; raise StreamError if it cannot be followed.
 
         ``shares``: velocity of each axis that moves, over its limit, -1 to 1 [-]; ``tool``: the
         same along the tool, away from the workpiece; ``now``: time of any steady clock [s].
+        Returns the silence before it, where the motion of a held key ended in that, else 0 [s].
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
         if not (np.abs(wanted) <= 1.0).all():
             raise StreamError('jog: shares lie between -1 and 1')
-        moves, fresh = bool(wanted.any()), now - self._beat_at > LATE
+        silence = now - self._beat_at
+        moves, fresh = bool(wanted.any()), silence > LATE
         if moves and isinstance(self._wish, Move):
             raise StreamError('a move is under way; feed_hold ends it')
-        self._beat_at = now
+        ended = silence if self._held and LATE < silence < GIVEN_UP else 0.0
+        self._beat_at, self._held = now, False
         self._released = self._released or fresh or not moves
         if not moves:
             self._wish = None if isinstance(self._wish, Beat) else self._wish
-            return
+            return ended
         self._playback.check_jog()
         slides, before = self._slides(bool(tool)), self._wish
         if slides is None or not self._released:
             self._wish = None
         elif not (isinstance(before, Beat) and np.array_equal(before.shares, wanted)):
             self._wish = Beat(slides, wanted)
+        self._held = self._wish is not None
+        return ended
 
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float

@@ -72,8 +72,12 @@ class Controls:
             if self.homing.active and not (any(shares.values()) or message.tool):
                 self.homing.stop(time.monotonic())
             self._refuse_beside_homing()
-            self._jog.beat(shares, message.tool, time.monotonic())
-            self._diagnostics.say('jog', OK, 'follows jog')
+            silence = self._jog.beat(shares, message.tool, time.monotonic())
+            if silence:
+                told = f'no beat of the held key came for {silence:.1f} s, so the axes stopped'
+                self._diagnostics.say('jog', WARN, f'{told}; the computer or the network is busy')
+            else:
+                self._diagnostics.say('jog', OK, 'follows jog')
         except StreamError as problem:
             self._diagnostics.say('jog', WARN, str(problem))
 

@@ -19,12 +19,12 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.core.units import MS
-from cnc_interp.feedrate.plan_options import wanted_tool
+from cnc_interp.feedrate.plan_options import tool_warnings, wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import OperatorInputs
-from cnc_interp.nodes.diagnostics import OK, Diagnostics
+from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
@@ -112,8 +112,10 @@ class FeedrateNode(LifecycleNode):
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
-        wanted_tool(self._transform.machine, parameters.settings_of(values))  # refuse it now
+        told = tool_warnings(self._transform.machine, parameters.settings_of(values))
         self._diagnostics = Diagnostics(self)
+        if told:
+            self._diagnostics.say('tool error', WARN, told[0])
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
             heartbeat='blocks',

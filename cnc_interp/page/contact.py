@@ -32,6 +32,8 @@ Command = Callable[[Act], Awaitable[None]]
 #: What the page says when it heard nothing for a while, and a key did nothing.
 INTERRUPTED = 'the connection was interrupted'
 AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
+#: What a page says that does not command.
+VIEW_ONLY = 'view only: press "take over" first'
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
 #: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].

@@ -1,31 +1,38 @@
 // Keys that move an axis while they are held: a beat again and again until the pointer leaves the key or
 // lets it go, the window is left, or the contact breaks. The machine stops by itself where no beat comes.
+// What ends or delays the motion, but is not its user's doing, is said.
 window.jog = {
   EVERY: 60, // time between beats [ms]
+  LATE: 200, // a press that the page has heard so much later is told [ms]
   OLD: STALE, // silence of the server after which a held key must be pressed again [ms]
+  GONE: LOST, // what is said where neither the user nor the contact ended it
   KEYS: ARROWS,
   timer: 0,
   key: null, // the key that a pointer holds
 
-  hold(name, sign) {
+  hold(name, sign, pressed) {
     this.release();
     const beat = () => {
       if (contact.connected() && performance.now() - contact.heard < this.OLD)
         emitEvent('jog', { name, sign, heard: contact.beat });
-      else {
-        this.release();
-        Quasar.Notify.create({ type: 'warning', message: AGAIN });
-      }
+      else this.release(AGAIN);
     };
     this.timer = setInterval(beat, this.EVERY);
-    beat();
+    const late = performance.now() - pressed;
+    if (late < this.LATE) beat();
+    // The release may wait already: it is heard before the first beat of the timer.
+    else this.say(`this page is busy: the key moves ${(late / 1000).toFixed(1)} s after the press`);
   },
-  release() {
+  release(why) {
     this.key = null;
     if (!this.timer) return;
     clearInterval(this.timer);
     this.timer = 0;
     if (contact.connected()) emitEvent('jog', { name: '', sign: 0, heard: contact.beat });
+    if (why) this.say(why);
+  },
+  say(message) {
+    Quasar.Notify.create({ type: 'warning', message });
   },
   pad() {
     const pad = document.querySelector('.jog');
@@ -33,7 +40,7 @@ window.jog = {
   },
   press(event, name, sign) {
     if (!this.pad() || !event.isPrimary || event.button) return;
-    this.hold(name, sign);
+    this.hold(name, sign, event.timeStamp);
     this.key = event.currentTarget;
     this.key.setPointerCapture(event.pointerId); // else nothing is heard of a pointer outside the window
   },
@@ -48,14 +55,15 @@ window.jog = {
     event.preventDefault();
     event.stopImmediatePropagation();
     if (event.type === 'keyup') this.release();
-    else if (!event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey) this.hold(...key);
+    else if (!event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey) this.hold(...key, event.timeStamp);
   },
 };
 for (const kind of ['keydown', 'keyup']) document.addEventListener(kind, (event) => jog.arrow(event), true);
-for (const kind of ['pointerup', 'pointercancel', 'lostpointercapture', 'pagehide', 'visibilitychange'])
-  window.addEventListener(kind, () => jog.release(), true);
+window.addEventListener('pointerup', () => jog.release(), true);
+for (const kind of ['pointercancel', 'lostpointercapture', 'pagehide', 'visibilitychange'])
+  window.addEventListener(kind, () => jog.release(jog.GONE), true);
 window.addEventListener('pointermove', (event) => jog.slide(event), true);
 // Without capture: the blur of an element is none of the window.
-window.addEventListener('blur', () => jog.release());
+window.addEventListener('blur', () => jog.release(jog.GONE));
 // A finger that rests on a key asks for no menu.
 document.addEventListener('contextmenu', (event) => event.target.closest('.jog') && event.preventDefault());

@@ -19,12 +19,13 @@ from cnc_interp_msgs.msg import Jog
 from cnc_interp_msgs.srv import MoveAxes
 from nicegui import events, ui
 
+from cnc_interp.client.alarms import Alarm
 from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.core.units import MINUTE
 from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.page.contact import Command, asked, key
+from cnc_interp.page.contact import VIEW_ONLY, Command, asked, key
 from cnc_interp.page.shown_unit import ShownUnit
 
 #: Arrow keys of the keyboard: axis and direction.
@@ -44,6 +45,10 @@ SPEED = 1
 AT_END = 1e-6
 #: A beat that names an older beat of the server was on its way for too long [s].
 STALE = 1.2
+#: Where messages of motion by hand come from.
+ALARMS = 'machine_node: jog'
+#: What the page says where a held key was let go by something else than its user.
+LOST = 'the window or the pointer was lost: look at the machine, then press again'
 
 
 def beat_of(name: str, share: float, axes: tuple[str, ...]) -> Jog:
@@ -73,10 +78,11 @@ class JogPad:
     ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
         self._unit = unit
-        self._told = ''  # the end of travel that was told last
+        self._told = ''  # what was told of the key that is held
         self._nodes, self._may_move, self._command = nodes, may_move, command
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
+        self._alarm: Alarm | None = None  # the last one of motion by hand
         with ui.element('div').classes('jog') as self._pad:
             self._steps = ui.toggle([HOLD], value=HOLD, on_change=self._choose)
             self._steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
@@ -134,7 +140,12 @@ class JogPad:
         await self._command(asked(self._nodes.home, axes))
 
     def show(self, state: Any) -> None:
-        """Show by the colour of their keys which axes must still be homed."""
+        """Show by the colour of their keys which axes must be homed; tell why axes stopped."""
+        alarms = self._nodes.alarms.newest_first
+        alarm = next((one for one in alarms if one.source == ALARMS), None)
+        if alarm is not None and alarm != self._alarm and self._pad.visible:
+            ui.notify(alarm.message, type='warning')
+        self._alarm = alarm
         if not self._homes or state is None or self._shown == list(state.homed):
             return
         self._shown = list(state.homed)
@@ -200,12 +211,15 @@ class JogPad:
     def _beat(self, event: events.GenericEventArguments) -> None:
         """Pass a beat on, unless it is old or this page does not command; a stop is never old."""
         name, sign, heard = (event.args[key] for key in ('name', 'sign', 'heard'))
-        is_fresh = isinstance(heard, int | float) and time.monotonic() - heard <= STALE
-        if self._may_move() and (is_fresh or not name):
+        if not self._may_move():
+            said = VIEW_ONLY if name else ''
+        elif not name or (isinstance(heard, int | float) and time.monotonic() - heard <= STALE):
             known = name in (*self._names, TOOL)
             share = (1 if sign > 0 else -1) * self._share(name) if known else 0.0
             self._nodes.beat(beat_of(str(name), share, self._names))
-            end = self._end(name, sign)
-            if end and end != self._told:
-                ui.notify(end, type='warning')
-            self._told = end
+            said = self._end(name, sign)
+        else:
+            return
+        if said and said != self._told:
+            ui.notify(said, type='warning')
+        self._told = said

@@ -22,7 +22,7 @@ from cnc_interp.page.command import PARENT
 from cnc_interp.page.contact import AGAIN
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
-from cnc_interp.page.hand_motion import ARROWS, STALE
+from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
 from cnc_interp.page.tab import Page
 from cnc_interp.processes.stop_signals import stops_later
 
@@ -31,7 +31,7 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},
     'keyboard': {'MARKS': MARKS},
-    'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN},
+    'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN, 'LOST': LOST},
     'scene': {},
     'preferences': {},
 }

@@ -15,7 +15,16 @@ from cnc_interp.client.setup_client import work_zero
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
-from cnc_interp.page.contact import AGAIN, LATE, Act, Contact, asked, key, pressing
+from cnc_interp.page.contact import (
+    AGAIN,
+    LATE,
+    VIEW_ONLY,
+    Act,
+    Contact,
+    asked,
+    key,
+    pressing,
+)
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad
@@ -303,7 +312,7 @@ class Page:
     def _allowed(self) -> bool:
         """Tell whether this page may command; say so where it may not."""
         if not self._in_charge:
-            ui.notify('view only: press "take over" first', type='warning')
+            ui.notify(VIEW_ONLY, type='warning')
         return self._in_charge
 
     def _trigger(self, name: str) -> Act:

@@ -53,6 +53,10 @@ class PlanContext:
     pause_blocks: dict[int, Wait] = field(default_factory=dict)
     tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
 
+    def tool_on(self, path: AxisPath) -> ToolLimit | None:
+        """Return the limit on a part of the path; a way to the path or back has none."""
+        return self.tool if path.cell_block[0] > 0 else None
+
 
 class MotionPlan:
     """One plan of a run, from one setpoint on."""
@@ -111,7 +115,8 @@ class MotionPlan:
             self._open_leg().finish(item.wait)
             return
         self._block_before = int(item.cell_block[-1])
-        self._open_leg().push(slowed(item, self._scaled, self._way_down))
+        leg = self._open_leg(self._context.tool_on(item))
+        leg.push(slowed(item, self._scaled, self._way_down))
 
     def _scaled(self, path: AxisPath) -> FloatArray:
         """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
@@ -128,10 +133,9 @@ class MotionPlan:
             feed[rapids] = np.where(share < 1.0, share / use.max(axis=1), np.inf)
         return feed
 
-    def _open_leg(self) -> Leg:
+    def _open_leg(self, tool: ToolLimit | None = None) -> Leg:
         if not self._legs or self._legs[-1].wait is not None:
-            context = self._context
-            self._legs.append(Leg(context.limits, context.period, tool=context.tool))
+            self._legs.append(Leg(self._context.limits, self._context.period, tool=tool))
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:
@@ -279,7 +283,8 @@ class MotionStream:
         assert leg.number_of_zero is not None
         begun, period = number - leg.number_of_zero + 1, self._context.period
         if not rests:
-            new = Leg(self._context.limits, period, begun, (v, a), self._context.tool)
+            tool = self._context.tool_on(stop.path)
+            new = Leg(self._context.limits, period, begun, (v, a), tool)
             todo = finely(self._course.after(s))
             plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self.current)
             with suppress(PlanningError):

@@ -22,9 +22,11 @@ from tiers import few_of
 
 from cnc_interp import page
 from cnc_interp.client.hand_move import pose_request
+from cnc_interp.machine.jog import LATE
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
-from cnc_interp.page.hand_motion import STALE
+from cnc_interp.page.contact import AGAIN, VIEW_ONLY
+from cnc_interp.page.hand_motion import LOST, STALE
 from cnc_interp.page.number_fields import numbers
 from cnc_interp.program import JobSetup
 
@@ -214,8 +216,10 @@ def moves(panel, tab, device):
         rests(panel, tab)
 
 
-#: Counts the beats that the page sends so that an axis moves.
+#: Counts the beats that the page sends so that an axis moves, and keeps what it tells its user.
 COUNT_BEATS = """
+window.told = []; const tell = Quasar.Notify.create;
+Quasar.Notify.create = (what) => { told.push(what.message); return tell(what); };
 window.beats = 0; const emit = window.emitEvent;
 window.emitEvent = (name, ...words) => {
   window.beats += name === 'jog' && !!words[0].name;
@@ -274,6 +278,7 @@ def test_a_held_key_ends_with_its_window_and_with_the_contact(panel, pad):
     rests(panel, tab)
     tab.show()
     rests(panel, tab)
+    tab.wait(lambda: {LOST, AGAIN} & set(tab.run('told')))
     tab.pointer('release', x, y, device)
     tab.wait(lambda: tab.run(IN_CONTACT))
     x, y = moves(panel, tab, device)
@@ -283,7 +288,35 @@ def test_a_held_key_ends_with_its_window_and_with_the_contact(panel, pad):
     os.kill(panel.page.process.pid, signal.SIGCONT)
     tab.wait(lambda: tab.run(IN_CONTACT))
     rests(panel, tab)
+    assert AGAIN in tab.run('told')
     tab.pointer('release', x, y, device)
+    other.click('take over')
+    tab.wait(lambda: tab.text('rights') == 'view only')
+    tab.pointer('press', *tab.centre('jog X+'), device)
+    tab.wait(lambda: VIEW_ONLY in tab.run('told'))
+    tab.pointer('release', x, y, device)
+    rests(panel, tab)
+    assert tab.faults == []
+
+
+@pytest.mark.parametrize('pad', DEVICES[:1], indirect=True)
+def test_what_delays_or_ends_the_motion_of_a_held_key_is_told(panel, pad):
+    tab, device = pad
+    x, y = moves(panel, tab, device)
+    os.kill(panel.page.process.pid, signal.SIGSTOP)
+    time.sleep(2 * LATE)
+    os.kill(panel.page.process.pid, signal.SIGCONT)
+    tab.wait(lambda: 'so the axes stopped' in str(tab.run('told')))
+    tab.pointer('release', x, y, device)
+    rests(panel, tab)
+    # The browser is busy while the key is pressed.
+    x, y = tab.centre('jog X+')
+    tab.run('void setTimeout(() => { const end = Date.now() + 1500; while (Date.now() < end); })')
+    tab.pointer('press', x, y, device)
+    tab.pointer('release', x, y, device)
+    told = 'this page is busy: the key moves'
+    tab.wait(lambda: told in str(tab.run('told')))
+    rests(panel, tab)
     assert tab.faults == []
 
 

@@ -65,5 +65,6 @@ def test_the_run_and_its_plan_have_one_verdict(tmp_path):
             stdin=subprocess.DEVNULL, check=False,
         )  # fmt: skip
         assert done.returncode == FAILED, done.stderr
+        assert 'WARNING: friction and backlash of the linear axes take up to' in done.stderr
         verdicts.append(re.findall(r'^(?:tool error|NOT proven).*', done.stdout, re.M))
     assert verdicts[0] == verdicts[1] and len(verdicts[0]) == 2

@@ -7,7 +7,7 @@ import pytest
 from tiers import examples
 
 from cnc_interp.core.errors import StreamError
-from cnc_interp.machine.jog import AHEAD, LATE, PIECE, Jog
+from cnc_interp.machine.jog import AHEAD, GIVEN_UP, LATE, PIECE, Jog
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
@@ -145,7 +145,7 @@ class Bench:
         return np.array(self.heard)
 
     def beat(self, tool=0.0, **shares):
-        self.jog.beat(shares, tool, self.now)
+        return self.jog.beat(shares, tool, self.now)
 
     def move(self, relative=True, tool=0.0, speed=0.0, **values):
         return self.jog.move(values, relative, tool, speed)
@@ -187,6 +187,20 @@ def test_a_jog_lives_on_beats_and_stops_by_itself():
     stop = len(bench.heard) - late
     assert bench.state is State.IDLE and stop * T < 1.2
     assert bench.play.starvations == 0
+
+
+def test_the_silence_that_ends_the_motion_of_a_held_key_is_told():
+    bench = Bench()
+    bench.run(0.5, X=0.2)
+    bench.run(0.35)  # the browser is busy
+    assert bench.beat(X=0.2) == pytest.approx(0.4, abs=0.01)
+    assert bench.beat(X=0.2) == 0.0
+    bench.run(0.3)
+    assert bench.beat() == pytest.approx(0.3, abs=0.01), 'the key is let go after it'
+    bench.rest()
+    assert bench.beat(X=0.2) == 0.0, 'it was let go before'
+    bench.run(GIVEN_UP + 0.1)
+    assert bench.beat(X=0.2) == 0.0, 'a new press, where nobody tells of the end of one'
 
 
 def test_motion_begins_and_ends_soon_after_the_command():

@@ -21,9 +21,11 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import read_program
+from cnc_interp.program import read_program, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.path_chain import segments_of
+from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 from cnc_interp.settings.choices import Settings
 
@@ -240,6 +242,30 @@ def test_revisions_in_motion_hold_it():
     run = Setpoints.concatenate([chunk.samples for chunk in sent])
     # The drives at a revision are taken as in steady motion, so a little more is possible.
     assert error_of(run, TIRED) <= 1.15 * 150 * UM
+
+
+def test_the_way_to_the_path_is_as_fast_as_without_a_limit():
+    transform = Transform.of(TIRED)
+    program = read_text('G21 G90\nG1 X0 Y0 F600\nX9\nM30\n', 'way.ngc', transform, Settings())
+    whole = segments_of(program.blocks, transform, Settings())
+    ways = []
+    for tool in (None, ToolLimit.of(TIRED, T, 1 * UM, HEIGHT)):
+        stands = np.array([0.05, -0.03, 0.04, 0.2, 0.0])
+        planner = RunPlanner(transform, HEIGHT, T, 0.01, stands, tool=tool)
+        planner.push(whole, {})
+        planner.finish()
+        chunks = []
+        while not (chunks and (chunks[-1].samples.velocity[-1] == 0.0).all()):
+            chunks += planner.work(planner.stream.current, True, 0.0)
+        ways.append(Setpoints.concatenate([chunk.samples for chunk in chunks]))
+    assert not ways[0].block.any() and (ways[0].position == ways[1].position).all()
+
+
+def test_a_limit_below_friction_is_told_before_the_motion():
+    assert ToolLimit.of(TIRED, T, 100 * UM, HEIGHT).warnings == []
+    assert ToolLimit.of(TIRED, T, 20 * UM, HEIGHT, TIRED).warnings == []
+    (told,) = ToolLimit.of(TIRED, T, 20 * UM, HEIGHT).warnings
+    assert 'take up to 0.048 mm at any speed, more than --tool-error 0.02 mm' in told
 
 
 def test_command_line_and_proof(tmp_path, capsys):

@@ -31,6 +31,8 @@ LOOK = 0.2
 MOST_KILLS = 200
 #: Signals by which others end a process; by any other signal it ends itself.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+#: How multiprocessing says that the fork server, and with it the end of a process, is gone.
+SERVER_LOST = 255
 
 A = TypeVar('A')
 R = TypeVar('R')
@@ -118,7 +120,14 @@ class Processes:
                     call = killed.popleft() if killed else next(coming, None)
                     if call is None:
                         break
-                    self._start(function, call, running)
+                    try:
+                        self._start(function, call, running)
+                    except (EOFError, ConnectionError):  # the fork server was killed meanwhile
+                        if call.kills >= MOST_KILLS:
+                            raise InterpError(
+                                'each new process is killed; end what does it'
+                            ) from None
+                        killed.append(replace(call, kills=call.kills + 1))
                 if not running:
                     return
                 if self._stopped():
@@ -174,7 +183,7 @@ def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
     if late:
         return EndedCall(call.number, Loss.KILLED if call.kills else Loss.TOO_LONG, call.kills)
     code = process.exitcode or 0
-    if -code in FROM_OUTSIDE:
+    if -code in FROM_OUTSIDE or code == SERVER_LOST:
         return EndedCall(call.number, Loss.KILLED, call.kills)
     why = signal.Signals(-code).name if code < 0 else f'exit code {code}'
     return EndedCall(call.number, Loss.CRASHED, call.kills, why)

@@ -31,6 +31,8 @@ from cnc_interp.client.question import Question
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
 from cnc_interp.processes.stop_signals import stop_signals
+from cnc_interp.run.run_id import RunId
+from cnc_interp.wire.run_messages import run_id_of
 
 #: Topics from which plan files are written.
 NEEDED = (
@@ -38,8 +40,40 @@ NEEDED = (
 )  # fmt: skip
 #: Topics of which the bag must hold every executed setpoint.
 COUNTED = {'executed_setpoints', 'axis_feedback'}
+#: Streams by topic: what is numbered, and the parts of a message: run, first number, count.
+NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[Any, int, int]]]]] = {
+    'block_batches': ('blocks', lambda m: [(one, one.sequence, 1) for one in m.blocks]),
+    'segments': ('segments', lambda m: [(one, one.sequence, 1) for one in m.segments]),
+    'setpoints': ('setpoints', lambda m: [(m, m.first_sample, len(m.line_numbers))]),
+}
 #: Longest wait for the last messages [s].
 LAST_WAIT = 5.0
+
+
+class StreamRecord:
+    """Which numbers of a stream a record holds. What was sent again counts once."""
+
+    def __init__(self, topic: str):
+        self.name, self._numbers = NUMBERED[topic]
+        self._spans: dict[RunId, list[tuple[int, int]]] = {}
+
+    def add(self, message: Any) -> None:
+        """Take a message that is recorded."""
+        for one, first, count in self._numbers(message):
+            spans = self._spans.setdefault(run_id_of(one), [])
+            follows = spans and spans[-1][1] == first
+            spans.append((spans.pop()[0] if follows else first, first + count))
+
+    @property
+    def lost(self) -> int:
+        """How many are missing between the first and the last one of each plan."""
+        lost = 0
+        for spans in self._spans.values():
+            reached = min(spans)[0]
+            for first, after in sorted(spans):
+                lost += max(0, first - reached)
+                reached = max(reached, after)
+        return lost
 
 
 class Recorder:
@@ -68,6 +102,7 @@ class Recorder:
         self._flushed: set[str] = set()
         #: Executed setpoints that the bag holds, by topic.
         self._counts = dict.fromkeys(COUNTED & set(topics), 0)
+        self._streams = {topic: StreamRecord(topic) for topic in NUMBERED if topic in topics}
         self._state = b''  # the last one of the machine, serialised
         self._ended: Time | None = None  # when the nodes were asked first
         #: Number of executed setpoints that the bag must hold.
@@ -84,12 +119,18 @@ class Recorder:
             message = deserialize_message(data, TOPICS[topic][0])
             self._counts[topic] += len(message.positions) // message.axis_count
 
+        def number(data: bytes) -> None:
+            write(data)
+            self._streams[topic].add(deserialize_message(data, TOPICS[topic][0]))
+
         def keep(data: bytes) -> None:
             write(data)
             self._state = data
 
         if topic in COUNTED:
             return count
+        if topic in NUMBERED:
+            return number
         return keep if topic == 'machine_state' else write
 
     @property
@@ -136,6 +177,10 @@ class Recorder:
         if not self.complete():
             nodes = ', '.join(self._missing()) or 'machine_node'
             print(f'the bag may lack the last messages of {nodes}', file=sys.stderr)
+        lost = [f'{one.lost} {one.name}' for one in self._streams.values() if one.lost]
+        if lost:
+            text = 'the computer was too busy; record again to replay or compare'
+            print(f'the bag lacks {", ".join(lost)}: {text}', file=sys.stderr)
         self.close()
 
     def close(self) -> None:

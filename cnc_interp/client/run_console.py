@@ -223,15 +223,12 @@ class RunConsole:
             self._progress.show(f'checking {name}', self._client.checked)
 
     def _forgotten_result(self) -> RunProgram.Result:
-        """Return what is known of a run whose program_node was lost."""
-        text = 'program_node was started again and has forgotten the program; run it again'
+        """Return what is known of a run whose program_node was lost; the words are the default."""
         state = self._client.state
         if state is None:
-            return Result(code=Result.STREAM_LOST, message=text)
+            return Result()
         period = self._client.peers.period
         return Result(
-            code=Result.STREAM_LOST,
-            message=text,
             program_id=state.program_id,
             samples=state.samples - state.approach_samples,
             approach_time=state.approach_samples * period,

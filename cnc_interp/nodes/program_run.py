@@ -29,6 +29,8 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 #: How long look-ahead and planner may take to accept a run when all nodes answer [s].
 PATIENCE = 10.0
+#: A machine that has left its run for so long was reset or started again [s].
+FORGOTTEN = 1.0
 #: Within this, the machine stands where a line by hand starts [m, rad].
 SAME = 1e-9
 MACHINE = RECEIVERS['setpoints']
@@ -67,6 +69,7 @@ class ProgramRun:
         self._since = 0.0  # time at which the phase began [s]
         self.continue_at = 0.0  # path length from which the program goes on [m]
         self._machine: MachineReport | None = None  # its last report on this run
+        self._machine_at = 0.0  # when it came [s]
         self.sent_before = 0  # blocks, the most of the attempts before
         self._changes_done = 0  # changes of the machine's setup that were executed
         self._known_by: set[str] = set()
@@ -119,7 +122,7 @@ class ProgramRun:
         if machine is not None and (mine or not_begun):
             self.recovery.see(machine)
         if mine:
-            self._machine = machine
+            self._machine, self._machine_at = machine, now
         else:
             machine = None
         if (outcome := self._ended(machine, *peers.refusal(self.run_id))) is not None:
@@ -128,6 +131,9 @@ class ProgramRun:
         if self.missing == MACHINE:
             text = f'{MACHINE} does not answer any more; start it again'
             return Outcome(Code.STREAM_LOST, text)
+        if self._machine is not None and not self.missing and now - self._machine_at > FORGOTTEN:
+            text = 'the machine was reset, or machine_node started again; run the program again'
+            return Outcome(Code.STOPPED, text)
         self._see_nodes(peers, now)
         if self.phase is not Phase.OFFERED:
             return None

@@ -409,6 +409,18 @@ def test_a_restarted_machine_node_stands_still_and_runs_the_next_program(bench):
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize('first', ['machine_node', 'feedrate_node'])
+def test_a_run_that_machine_and_planner_have_forgotten_ends_and_the_next_one_runs(bench, first):
+    handle = bench.begin()
+    bench.until_at(0.01)
+    for node in (first, {'feedrate_node': 'machine_node', 'machine_node': 'feedrate_node'}[first]):
+        bench.kill(node)
+        bench.children.revive()
+    assert bench.result_of(handle).code in (Result.STOPPED, Result.STREAM_LOST)
+    bench.finish(bench.begin())
+
+
+@pytest.mark.thorough
 def test_a_run_that_nobody_knows_any_more_asks_for_reset(bench):
     bench.begin(waves(60))  # not over before both are dead
     bench.until_at(0.01)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from functools import partial
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import numpy as np
@@ -253,6 +254,33 @@ def test_a_killed_call_is_begun_again_as_long_as_it_has_time(tmp_path, monkeypat
     assert (ended.result, ended.kills) == (Loss.KILLED, 5)
     (ended,) = Processes(1, 4 * GIGA, 2.0).run(slow_to_die, [partial(float, 1.0)])
     assert isinstance(ended.result, Loss) and ended.kills <= 2
+
+
+def lost_with_its_server(path):
+    """A function of a worker that dies with the fork server twice."""
+    with Path(path).open('a+') as file:
+        file.write('x')
+        times = file.tell()
+    if times <= 2:
+        os.kill(os.getppid(), signal.SIGKILL)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return times
+
+
+def test_a_killed_fork_server_loses_no_call(tmp_path, monkeypatch):
+    work = Processes(1, 4 * GIGA, 60.0, preloaded=())
+    (ended,) = work.run(lost_with_its_server, [partial(str, tmp_path / 'calls')])
+    assert ended.result == 3
+    start, times = ForkServerProcess.start, iter(range(9))
+
+    def killed_at_first(process):  # what multiprocessing raises where there is no answer
+        if next(times) == 0:
+            raise EOFError
+        start(process)
+
+    monkeypatch.setattr(ForkServerProcess, 'start', killed_at_first)
+    (ended,) = work.run(lost_with_its_server, [partial(str, tmp_path / 'calls')])
+    assert (ended.result, ended.kills) == (4, 1)
 
 
 def test_faults_of_a_program_are_its_row(monkeypatch, programs):

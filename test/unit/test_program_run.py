@@ -11,7 +11,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core.errors import Refusal
-from cnc_interp.nodes.program_run import PATIENCE, ProgramRun
+from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, ProgramRun
 from cnc_interp.run.machine_report import FILLED, SETTLED
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
@@ -265,7 +265,20 @@ def test_a_reset_after_the_end_of_a_run_does_not_undo_its_success():
     assert run.step(peers, 0.0, 3.0).code is Code.SUCCEEDED
 
 
+def test_a_run_that_the_machine_has_left_ends_and_a_refusal_says_more():
+    for refusal in ((Refusal.NONE, ''), (Refusal.GIVEN_UP, 'given up by reset')):
+        run, peers = streaming()
+        peers.say(run, RUNNING)
+        assert run.step(peers, 0.0, 3.0) is None
+        peers.machine = machine_report(MachineState(state=MachineState.IDLE))
+        assert run.step(peers, 0.9 * FORGOTTEN, 3.0) is None, 'a reason may come yet'
+        peers.refused = refusal
+        outcome = run.step(peers, 1.1 * FORGOTTEN, 3.0)
+        assert outcome.code is Code.STOPPED and (refusal[1] or 'started again') in outcome.message
+
+
 def test_codes_and_phases_are_complete():
+    assert RunProgram.Result().code == Code.STREAM_LOST  # of a node that does not know the goal
     assert all(getattr(RunProgram.Result, code.name) == code for code in Code)
     assert all(getattr(StreamStatus, kind.name) == kind for kind in Refusal if kind < Refusal.GAP)
     assert set(TABLE.values()) == set(Phase) - {Phase.QUEUED}

@@ -1,0 +1,47 @@
+"""What a record lacks of the streams is counted."""
+
+import pytest
+
+pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, PathSegmentBatch, SetpointChunk
+
+from cnc_interp.client.recorder import StreamRecord
+
+
+def blocks(first, count):
+    one = [G1Block(program_id='a', sequence=first + k) for k in range(count)]
+    return G1BlockBatch(blocks=one)
+
+
+def segments(first, count):
+    one = [PathSegment(program_id='a', sequence=first + k) for k in range(count)]
+    return PathSegmentBatch(segments=one)
+
+
+def setpoints(first, count, plan=0):
+    return SetpointChunk(
+        program_id='a', plan=plan, first_sample=first, line_numbers=[1] * count,
+        tail_line_numbers=[1] * 7,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('topic', 'message'),
+    [('block_batches', blocks), ('segments', segments), ('setpoints', setpoints)],
+)
+def test_what_is_missing_in_the_middle_is_counted_and_what_came_twice_is_not(topic, message):
+    record = StreamRecord(topic)
+    assert record.lost == 0
+    for first, count in ((10, 5), (15, 5), (15, 5), (40, 10)):
+        record.add(message(first, count))
+    assert record.lost == 20
+    record.add(message(18, 12))  # sent again, late
+    assert record.lost == 10
+
+
+def test_each_plan_has_its_own_numbers():
+    record = StreamRecord('setpoints')
+    for first, plan in ((0, 0), (10, 0), (15, 1), (25, 1), (0, 2), (20, 2)):
+        record.add(setpoints(first, 10, plan))
+    assert record.lost == 10

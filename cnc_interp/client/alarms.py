@@ -19,7 +19,8 @@ KEPT = 200
 COMPARED = 8
 #: What several parts of the nodes tell within this time has one reason [s].
 TOGETHER = 5.0
-NUMBER = re.compile(r'\d+(\.\d+)?')
+#: A number of a text, not that of a word: M5 is not M6.
+NUMBER = re.compile(r'\b\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
 

@@ -6,6 +6,7 @@ import argparse
 import os
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ from typing import Any
 from cnc_interp.commands.parser import FAILED, FINE, command, count
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
+
+#: Most reasons why points do not move that are printed; the page has all.
+FAULTS = 5
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
@@ -78,6 +82,9 @@ def sweep_command(
         best = []
     moves = sum(one.cycle_time is not None for one in sweep.found.values())
     print(f'points         {len(sweep.found)}, {moves} of them move')
+    faults = Counter(one.fault for one in sweep.found.values() if one.fault)
+    for fault, times in faults.most_common(FAULTS):
+        print(f'no motion      {fault}{f" ({times} points)" if times > 1 else ""}')
     for title, point in (('as it is', as_it_is(sweep.found)), *(('fastest', p) for p in best[:1])):
         one = sweep.found[point]
         if one.cycle_time is None:

@@ -30,6 +30,7 @@ from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transiti
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
+from cnc_interp.program.notices import WARNING
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
     Activity,
@@ -115,7 +116,7 @@ class FeedrateNode(LifecycleNode):
         told = tool_warnings(self._transform.machine, parameters.settings_of(values))
         self._diagnostics = Diagnostics(self)
         if told:
-            self._diagnostics.say('tool error', WARN, told[0])
+            self._diagnostics.say('tool error', WARN, told[0].removeprefix(WARNING))
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
             heartbeat='blocks',

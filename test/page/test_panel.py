@@ -150,6 +150,7 @@ def test_alarms_that_come_again_are_told_apart_from_news():
 
     assert alarm('repeat of 10; 20 is next').repeats(alarm('repeat of 30; 40 is next'))
     assert not alarm('repeat of 10').repeats(alarm('gap before 10'))
+    assert not alarm('line 4: M6: no effect').repeats(alarm('line 5: M5: no effect'))
 
 
 @pytest.fixture(scope='module')

@@ -45,6 +45,7 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     said = capsys.readouterr().out
     rows = list(csv.DictReader((out / 'sweep.csv').open()))
     assert len(rows) == 7 and 'points         7, 5 of them move' in said
+    assert '-3 mm is not between' in said and ' (2 points)\n' in said
     refused = [row for row in rows if row['fault']]
     assert {row['contour-tolerance'] for row in refused} == {'-3'}
     assert all('contour-tolerance' in row['fault'] for row in refused)

@@ -6,6 +6,8 @@ import asyncio
 import json
 import os
 import socket
+import sys
+import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -26,6 +28,8 @@ from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
 from cnc_interp.page.tab import Page
 from cnc_interp.processes.stop_signals import stops_later
 
+#: Where our own code is.
+PACKAGE = Path(__file__).resolve().parents[1]
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
@@ -128,12 +132,33 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
     app.add_middleware(Gate, host=served.host, longest=LONGEST_PROGRAM)
     app.timer(WATCH, watch)
     app.on_shutdown(desk.end_planning)
+    app.on_startup(lambda: asyncio.get_running_loop().set_exception_handler(FaultsOnce()))
     app.on_startup(lambda: announce(served.host, served.port, access.token))
     ui.run(
         host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,
         show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
         binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
     )  # fmt: skip
+
+
+class FaultsOnce:
+    """Tells a fault of the server once for each place in the code: nonsense fills no disk."""
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Take a fault that nobody else handles."""
+        fault = context.get('exception')
+        steps = traceback.extract_tb(fault.__traceback__) if fault is not None else []
+        place = f'{steps[-1].filename}:{steps[-1].lineno}' if steps else str(context['message'])
+        if place in self._told:
+            return
+        self._told.add(place)
+        if any(step.filename.startswith(str(PACKAGE)) for step in steps):
+            loop.default_exception_handler(context)
+        else:
+            print(f'a message to the page is not sound and ignored ({fault!r})', file=sys.stderr)
 
 
 async def shown_when_known(desk: Desk) -> None:

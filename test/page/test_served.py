@@ -13,6 +13,7 @@ pytest.importorskip(
 )
 
 from nodes_under_test import clean_environment
+from websockets.sync.client import connect
 
 
 @pytest.fixture(params=[pytest.param('::1', marks=pytest.mark.thorough), '0.0.0.0'])
@@ -56,3 +57,24 @@ def test_it_is_served_under_its_address_and_not_to_who_guesses(served):
     for k in range(20):  # whoever guesses shuts nobody out
         assert status(place, f'/?token=guess{k}') == 200
     assert status(place, f'/?token={place[3]}') == status(place, '/') == 200
+
+
+#: Socket.IO messages that no page sends.
+NONSENSE = [
+    f'42["{name}",{value}]'
+    for name in ('event', 'javascript_response', 'handshake', 'ack', 'log_message')
+    for value in ('null', '5', '[]', '{"id":1}')
+]
+
+
+def test_nonsense_is_told_once_and_hurts_nobody(served):
+    page, place = served
+    socket = f'ws://{place[1]}:{place[2]}/_nicegui_ws/socket.io/?EIO=4&transport=websocket'
+    with connect(socket) as stranger:
+        stranger.recv()
+        for message in ('40', *(50 * NONSENSE)):
+            stranger.send(message)
+    assert status(place, '/') == 200
+    page.terminate()
+    said = page.communicate()[1]
+    assert 0 < said.count('is not sound and ignored') < len(NONSENSE) and 'Traceback' not in said

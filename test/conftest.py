@@ -17,10 +17,6 @@ LANES = (
 )
 LIVE = tuple(folder for lane in LANES for folder in lane)
 
-# A busy computer changes no verdict.
-settings.register_profile('any speed', deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile('any speed')
-
 
 def pytest_addoption(parser):
     parser.addoption(
@@ -38,6 +34,11 @@ def pytest_configure(config):
         'markers', 'thorough: runs with --all and where files or names are given, not every time'
     )
     tiers.thorough = config.getoption('--all')
+    settings.register_profile(  # a busy computer changes no verdict
+        'any speed', deadline=None, suppress_health_check=[HealthCheck.too_slow],
+        max_examples=tiers.examples(30, 100),
+    )  # fmt: skip
+    settings.load_profile('any speed')
 
 
 def turn():

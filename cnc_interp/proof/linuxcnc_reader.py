@@ -103,9 +103,11 @@ def read_by_linuxcnc(
         for file, content in (('tool.tbl', table), ('part.ngc', text), ('p.var', variables)):
             (folder / file).write_text(content, encoding='utf-8')
         words = [command, '-t', 'tool.tbl', '-v', 'p.var', '-g', 'part.ngc']
+        # It keeps the tool table in a file of its home, which two readers at once would share.
         with (folder / 'complaints').open('w+b') as complaints, subprocess.Popen(
-            words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=complaints, text=True, errors='replace', preexec_fn=bound,
+            words, cwd=folder, env=os.environ | {'HOME': name}, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=complaints, text=True, errors='replace',
+            preexec_fn=bound,
         ) as child:  # fmt: skip
             assert child.stdout is not None
             try:

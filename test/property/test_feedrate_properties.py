@@ -189,6 +189,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.thorough
 def test_the_same_bits_in_another_process():
     digest = hashlib.sha256()
     for seed in range(5):

@@ -174,6 +174,7 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     assert samples.s[-1] == path.s[-1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('name', NAMES)
 def test_a_revision_that_is_dropped_leaves_no_trace(name):
     rng, stream, chunks, revised = np.random.default_rng(7), stream_of(name), [], 0

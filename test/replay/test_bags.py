@@ -1,4 +1,4 @@
-"""Recorded bags: computed again bit for bit, proven, reported, read by others; faults again."""
+"""Recorded bags: computed again, proven, reported, read by others, refused as lessons."""
 
 import json
 import random
@@ -24,9 +24,11 @@ from rosbags.rosbag2 import Reader
 from tiers import few_of
 
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
+from cnc_interp.client.recorded_lesson import recorded_lesson
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
 from cnc_interp.commands.cli import main
+from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan
@@ -236,6 +238,29 @@ def motion(chunks):
     """Positions of the axes, shape (n, axes) [m, rad], and on the path, shape (n,) [m]."""
     q = np.concatenate([np.reshape(m.positions, (-1, m.axis_count)) for m in chunks])
     return q, np.concatenate([m.path_positions for m in chunks])
+
+
+#: Parameters of a machine on which a run teaches.
+COMPENSATED = {'machine_node.machine': 'xyzac', 'machine_node.compensation': 'xyzac_tired'}
+
+
+def test_a_run_that_teaches_nothing_is_refused(recorded_now):
+    held_back = 'the run was held, stopped, or had an override; record one without'
+    for path, parameters, told in (
+        (recorded_now, {}, 'record a run with --compensate MODEL'),
+        (recorded_now, COMPENSATED, held_back),
+        (
+            recorded_now, COMPENSATED | {'machine_node.machine': 'xyz'},
+            'was recorded on a machine with other axes than xyz',
+        ),
+        (FAULTY, COMPENSATED, 'feedback of setpoint 0 was not recorded; record the run again'),
+    ):  # fmt: skip
+        with Bag(path) as bag:
+            bag.parameters.update(parameters)
+            with pytest.raises(InterpError) as refusal:
+                recorded_lesson(bag)
+        assert str(refusal.value).startswith(f'{path}: ') and told in str(refusal.value)
+        assert '\n' not in str(refusal.value)
 
 
 @pytest.mark.thorough

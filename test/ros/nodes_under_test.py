@@ -20,6 +20,8 @@ from cnc_interp.nodes import qos
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.processes.node_processes import Children
 
+#: ROS domain of this process; each worker of a parallel run has a range of its own.
+DOMAIN = 1 + 25 * (int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:]) % 4) + os.getpid() % 25
 START, PATIENCE = 300.0, 300.0  # [s]; the first start compiles; bounds, not timings
 
 
@@ -38,7 +40,7 @@ class NodesUnderTest:
 
     def __init__(self, parameters=None, arguments=None, namespace=''):
         self.namespace = namespace or f'/test_{uuid.uuid4().hex[:8]}'
-        self.domain = 1 + os.getpid() % 100
+        self.domain = DOMAIN
         everywhere = {'program_node': {'program_folders': "['/']"}}
         self.children = Children(
             self.namespace, self.domain, everywhere | (parameters or {}), nodes_file(), arguments

@@ -23,7 +23,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import rclpy
 from cnc_interp_msgs.msg import MachineState
-from nodes_under_test import PATIENCE, NodesUnderTest
+from nodes_under_test import DOMAIN, PATIENCE, NodesUnderTest
 from rclpy.action import ActionClient
 from rclpy.qos import QoSPresetProfiles
 from rosidl_parser.definition import NamespacedType
@@ -279,9 +279,8 @@ def test_a_batch_is_planned(line, tmp_path):
     command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
     given = f"program_folders:=['{tmp_path}']", f'batch_folder:={tmp_path / "plans"}'
     words = [word for one in given for word in ('-p', one)]
-    domain = 1 + os.getpid() % 100
-    with subprocess.Popen([*command, *words], env=environment_of(domain)) as node:
-        said = done(line.replace('/parts', str(tmp_path)), domain)
+    with subprocess.Popen([*command, *words], env=environment_of(DOMAIN)) as node:
+        said = done(line.replace('/parts', str(tmp_path)), DOMAIN)
         node.terminate()
     assert 'success=True' in said and '1 proven' in said
 

@@ -33,6 +33,7 @@ def test_compensation_takes_the_error_out(tmp_path):
     assert results[1] < 0.2 * results[0]
 
 
+@pytest.mark.thorough
 def test_a_model_with_other_axes_is_refused():
     settings = Settings(compensation='xyz')
     request = RunRequest(PYRAMID, machine='xyzac_tired', settings=settings, quiet=True)

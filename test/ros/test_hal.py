@@ -15,7 +15,7 @@ sys.path.append(str(Path(__file__).parents[2] / 'benchmarks'))
 
 import hal_session
 from cnc_interp_msgs.msg import MachineState
-from nodes_under_test import PATIENCE
+from nodes_under_test import DOMAIN, PATIENCE
 from operated import Bench
 
 from cnc_interp.client.session import nodes_file
@@ -83,7 +83,7 @@ def test_without_a_session_the_node_says_so():
     if reason:
         pytest.skip(reason)
     with (
-        Children('/no_hal', 1 + os.getpid() % 100, PARAMETERS, nodes_file()) as children,
+        Children('/no_hal', DOMAIN, PARAMETERS, nodes_file()) as children,
         pytest.raises(InterpError, match='no HAL session runs here; start one: halrun'),
     ):
         deadline = time.monotonic() + PATIENCE

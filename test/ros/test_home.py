@@ -1,8 +1,5 @@
 """Homing over the real nodes: before it no program starts, after it all do."""
 
-import subprocess
-import sys
-
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
@@ -11,6 +8,7 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import Home, MoveAxes
 from operated import Bench, Result
 
+from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.nodes.parameters import NODES
 from cnc_interp.nodes.qos import STATE
@@ -77,13 +75,12 @@ def test_homing_is_told_until_all_groups_are_homed(bench):
     assert all(after_motion()[0].homed) and not after_motion()[0].must_home
 
 
-def test_after_homing_from_the_command_line_programs_start(bench):
-    command = [sys.executable, '-m', 'cnc_interp', 'home', '--namespace', bench.namespace]
-    command += ['--domain', str(bench.domain)]
-    done = subprocess.run([*command, 'Y'], capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and 'no reference switch' in done.stderr
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, 'homed\n'), done.stderr
+def test_after_homing_from_the_command_line_programs_start(bench, capfd):
+    command = ['home', '--namespace', bench.namespace, '--domain', str(bench.domain)]
+    assert main([*command, 'Y']) == 2
+    assert 'no reference switch' in capfd.readouterr().err
+    assert main(command) == 0
+    assert capfd.readouterr().out == 'homed\n'
     state = bench.next_state()
     assert all(state.homed) and not state.must_home and state.state == MachineState.IDLE
     assert -0.020 < state.positions[0] < -0.018 and 0.013 < state.positions[2] < 0.015

@@ -16,6 +16,7 @@ from limit_use import limit_use
 from operated import LIMITS, TRANSFORM, Bench
 from sensor_msgs.msg import Joy
 
+from cnc_interp.commands.cli import main
 from cnc_interp.nodes import qos
 
 
@@ -161,27 +162,25 @@ def test_a_joystick_moves_axes_while_its_button_is_pressed(bench):
     assert end[2] < start[2] and np.array_equal(np.delete(end, 2), np.delete(start, 2))
 
 
-def cnc_interp(bench, *arguments):
-    command = [sys.executable, '-m', 'cnc_interp', 'jog', *arguments]
-    command += ['--namespace', bench.namespace, '--domain', str(bench.domain)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def test_the_command_line_moves_and_refuses_in_one_line(bench, capfd):
+    def cnc_interp(*words):
+        place = ['--namespace', bench.namespace, '--domain', str(bench.domain)]
+        return main(['jog', *words, *place]), capfd.readouterr()
 
-
-def test_the_command_line_moves_and_refuses_in_one_line(bench):
     start = until_idle(bench)
-    done = cnc_interp(bench, 'X', '-10', 'A', '2.5', '--json')
-    assert done.returncode == 0, done.stderr
-    end = json.loads(done.stdout)['position']
+    code, said = cnc_interp('X', '-10', 'A', '2.5', '--json')
+    assert code == 0, said
+    end = json.loads(said.out)['position']
     assert end['X'] == pytest.approx(start[0] - 0.01, abs=1e-9)
     assert end['A'] == pytest.approx(start[3] + np.radians(2.5), abs=1e-9)
-    done = cnc_interp(bench, '--pose', 'Z', '5', 'K', '2', '--json')
-    assert done.returncode == 0, done.stderr
-    place = np.array([list(json.loads(done.stdout)['position'].values())])
+    code, said = cnc_interp('--pose', 'Z', '5', 'K', '2', '--json')
+    assert code == 0, said
+    place = np.array([list(json.loads(said.out)['position'].values())])
     tip, axis = (found[0] for found in TRANSFORM.forward(place))
     assert tip[2] == pytest.approx(5e-3, abs=1e-9)
     assert axis == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
-    wrong = cnc_interp(bench, '--pose', 'A', '5')
-    assert wrong.returncode == 2 and 'a pose has X Y Z' in wrong.stderr
-    wrong = cnc_interp(bench, 'X', '5000')
-    assert wrong.returncode == 2 and wrong.stderr.count('\n') == 1
-    assert 'X would go to' in wrong.stderr
+    code, said = cnc_interp('--pose', 'A', '5')
+    assert code == 2 and 'a pose has X Y Z' in said.err
+    code, said = cnc_interp('X', '5000')
+    assert code == 2 and said.err.count('\n') == 1
+    assert 'X would go to' in said.err

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import rclpy
 from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from nodes_under_test import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -41,7 +42,7 @@ class Viewer:
     """The markers node as a process, somebody who streams, and somebody who looks."""
 
     def __init__(self):
-        namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', 1 + os.getpid() % 100
+        namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
         command = [sys.executable, '-m', 'cnc_interp.nodes.markers_node', '--ros-args']
         self.process = subprocess.Popen(
             [*command, '-r', f'__ns:={namespace}'],

@@ -1,7 +1,6 @@
 """The interface package: created, serialised, sent between two real nodes."""
 
 import math
-import os
 import time
 
 import numpy as np
@@ -19,6 +18,7 @@ from cnc_interp_msgs.msg import (  # noqa: E402
     SetpointChunk,
     StreamStatus,
 )
+from nodes_under_test import DOMAIN  # noqa: E402
 from rclpy.action import ActionClient, ActionServer  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
@@ -125,7 +125,7 @@ def fields_of(message):
 def nodes():
     """Two nodes of their own context, in a domain that no other test shares."""
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=1 + os.getpid() % 100)
+    rclpy.init(context=context, domain_id=DOMAIN)
     sender = rclpy.create_node('sender', context=context)
     receiver = rclpy.create_node('receiver', context=context)
     executor = SingleThreadedExecutor(context=context)

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import rclpy
 from cnc_interp_msgs.action import PlanBatch
+from nodes_under_test import DOMAIN
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
@@ -26,7 +27,7 @@ class Client:
     """The node as a process, and who asks it."""
 
     def __init__(self, folder):
-        namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', 1 + os.getpid() % 100
+        namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
         command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
         given = [f"program_folders:=['{folder / 'programs'}']", f'batch_folder:={folder / "out"}']
         command += ['-r', f'__ns:={namespace}', *(w for one in given for w in ('-p', one))]

@@ -1,16 +1,19 @@
 """A bag holds everything from the first to the last message of a run, on every topic."""
 
 import math
-import os
-import subprocess
-import sys
+import tempfile
 from itertools import chain
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
+from nodes_under_test import PATIENCE
+from test_leftovers import PARTICIPANTS, left, seen_until, segments, started
+
 from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.commands.cli import main
 
 #: Topic of the batches.
 TRAVEL_AS = {'blocks': 'block_batches', 'segments': 'segments'}
@@ -36,22 +39,32 @@ IN_AXES = (
         pytest.param(IN_AXES, id='axes', marks=pytest.mark.thorough),
     ],
 )
-def messages(request, tmp_path_factory):
-    """All messages of a recorded run by topic; nothing is sourced."""
-    folder = tmp_path_factory.mktemp('record')
-    (folder / 'part.ngc').write_text(request.param)
-    command = [sys.executable, '-m', 'cnc_interp', 'run', folder / 'part.ngc', '--record']
-    plain = {
-        k: v for k, v in os.environ.items() if k not in ('AMENT_PREFIX_PATH', 'RMW_IMPLEMENTATION')
-    }
-    subprocess.run([*command, folder / 'bag'], check=True, env=plain)
-    check = [sys.executable, '-m', 'cnc_interp', 'check', folder / 'bag']
-    assert (
-        'proven'
-        in subprocess.run(check, check=True, env=plain, capture_output=True, text=True).stdout
-    )
-    with Bag(folder / 'bag') as bag:
+def recorded(request):
+    """The folder of a recorded run that has ended, and what it had in shared memory."""
+    with tempfile.TemporaryDirectory() as name:  # a short path, because it will hold sockets
+        run = started(Path(name), request.param, '--record', f'{name}/bag')
+        names = seen_until(run, lambda found: False)
+        assert run.wait(PATIENCE) == 0
+        yield Path(name), names
+
+
+@pytest.fixture(scope='module')
+def messages(recorded):
+    """All messages of the run by topic."""
+    with Bag(recorded[0] / 'bag') as bag:
         return {topic: bag.read(topic) for topic in TOPICS}
+
+
+def test_nothing_stays_of_a_run_that_ends_in_order(recorded):
+    folder, names = recorded
+    assert len(segments(names)) >= PARTICIPANTS
+    assert not left(names)
+    assert list((folder / 'tmp').iterdir()) == []
+
+
+def test_the_run_is_proven(recorded, capsys):
+    assert main(['check', str(recorded[0] / 'bag')]) == 0
+    assert 'proven' in capsys.readouterr().out
 
 
 def first_times(items, number):

@@ -46,6 +46,7 @@ def test_a_wrong_choice_is_refused_by_name_before_anything_moves(nodes):
         assert result.samples == 0 and not nodes.loaded
 
 
+@pytest.mark.thorough
 def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     """An inconsistent machine_state ended feedrate_node in 2 of 3 trials."""
     node, nan = nodes.node, float('nan')

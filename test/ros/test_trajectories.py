@@ -11,7 +11,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.msg import MachineState
 from controller_stand_in import StandIn
-from nodes_under_test import PATIENCE
+from nodes_under_test import DOMAIN, PATIENCE
 from operated import PROGRAM, Bench, T, path_of
 
 from cnc_interp.client.session import nodes_file
@@ -21,7 +21,6 @@ from cnc_interp.processes.node_processes import Children
 
 pytestmark = pytest.mark.thorough
 
-DOMAIN = 1 + os.getpid() % 100  # as the nodes under test
 #: Long, because the machine node may wait for a busy computer.
 DELAY = 2.0
 

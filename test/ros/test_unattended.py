@@ -21,7 +21,7 @@ from cnc_interp.client.operator_client import OperatorClient
 
 PROGRAM = 'G21 G90 G94 M3 S1000\nG0 X0 Y0 Z0\nG1 X5 F3000\nX8\nM0\nX10\nM30\n'
 #: How long nothing may happen [s].
-A_WHILE = 3.0
+A_WHILE = 1.0
 
 
 @pytest.fixture

@@ -74,27 +74,25 @@ def test_the_table_has_every_program_and_its_verdict(programs, tmp_path, capsys)
 
 
 def test_the_rows_do_not_depend_on_workers_and_kills(programs, tmp_path):
-    for k in range(8):
+    for k in range(4):
         (programs / f'more {k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))
-    outs = [tmp_path / name for name in ('one', 'two', 'killed')]
+    outs = [tmp_path / name for name in ('one', 'killed')]
     assert batch(programs, outs[0], '--workers', '1') == FAILED
-    assert batch(programs, outs[1], '--workers', '2') == FAILED
     stop, killed = threading.Event(), []
 
     def kill():
-        while len(killed) < 6 and not stop.wait(0.1):
+        while len(killed) < 3 and not stop.wait(0.1):
             killed.extend(kill_one())
 
     killer = threading.Thread(target=kill)
     killer.start()
     try:
-        assert batch(programs, outs[2], '--workers', '2') == FAILED
+        assert batch(programs, outs[1], '--workers', '2') == FAILED
     finally:
         stop.set()
         killer.join()
     assert killed
-    whole = [(out / 'table.csv').read_bytes() for out in outs]
-    assert whole[0] == whole[1] == whole[2]
+    assert len({(out / 'table.csv').read_bytes() for out in outs}) == 1
     if (outs[0] / 'table.parquet').exists():
         assert len({(out / 'table.parquet').read_bytes() for out in outs}) == 1
 

@@ -88,6 +88,7 @@ def test_a_cluster_cuts_needles_with_the_same_bits(scheduler, tmp_path, capsys):
     assert '2 tiles' in capsys.readouterr().out
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_is_said(scheduler, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr('cnc_interp.batch.dask_workers.PATIENCE', 2)
     part, address = scheduler

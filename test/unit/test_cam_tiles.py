@@ -75,7 +75,7 @@ class Here:
 
 
 @pytest.mark.parametrize(
-    ('mill', 'seed'), few_of(4, (MILL, Cutter(0.0, 3 * MM), Cutter(2 * MM, 0.0)), (1, 2, 3))
+    ('mill', 'seed'), few_of(5, (MILL, Cutter(0.0, 3 * MM), Cutter(2 * MM, 0.0)), (1, 2, 3))
 )
 def test_heights_are_the_same_bits_in_whatever_part_they_are_cut(mill, seed):
     grid = NeedleGrid.on(SURFACE, 0.12 * MM)
@@ -190,6 +190,7 @@ def test_a_lost_worker_is_one_line(grid, tmp_path):
         cut(tmp_path, grid, pool)
 
 
+@pytest.mark.thorough
 def test_no_level_loses_a_gouge(grid, tmp_path):
     store, *_ = cut(tmp_path, grid, Here())
     total = store.figures()

@@ -15,6 +15,7 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.dense.end_lines import _borders
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
@@ -241,3 +242,9 @@ def test_share_of_the_tolerance_is_kept():
     segments = smooth(blocks, tolerance_share=0.5)
     assert segments.deviation.max() <= 0.5 * TOLERANCE
     sound(segments, blocks)
+
+
+def test_borders_on_the_line_at_an_end_lie_apart_and_within_it():
+    place = np.array([-0.2, 0.04, 0.3, 0.34, 0.6, 0.97, 1.0])
+    cuts, pieces = _borders(place, np.arange(8), 0.05)
+    assert cuts.tolist() == [0.3, 0.6] and pieces.tolist() == [2, 3, 5]

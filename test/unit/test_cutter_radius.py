@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tiers import few_of
 
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM
@@ -65,7 +66,12 @@ def distances(points, contour):
 
 @pytest.mark.parametrize(
     ('code', 'radius', 'side'),
-    [('G41 D1', 5.0, 1.0), ('G42 D2', 2.0, -1.0), ('G42.1 D5', 2.5, -1.0), ('G41.1 D-4', 2.0, -1)],
+    [
+        ('G41 D1', 5.0, 1.0),
+        ('G42.1 D5', 2.5, -1.0),
+        pytest.param('G42 D2', 2.0, -1.0, marks=pytest.mark.thorough),
+        pytest.param('G41.1 D-4', 2.0, -1, marks=pytest.mark.thorough),
+    ],
 )
 def test_the_tool_keeps_its_radius_from_the_contour(code, radius, side):
     contour = path(PART)[1:]
@@ -79,9 +85,13 @@ def test_the_tool_keeps_its_radius_from_the_contour(code, radius, side):
 
 
 @pytest.mark.skipif(not linuxcnc_reader.interpreter(), reason="needs LinuxCNC's rs274")
-@pytest.mark.parametrize('code', ['G41.1 D10', 'G42.1 D4', 'G41.1 D1', 'G42.1 D9'])
 @pytest.mark.parametrize(
-    'entry', ['G1 X0 Y0 F1000', 'G1 X-14 Y40 F1000', 'G2 X0 Y40 I20 J0 F900', 'G3 X0 Y40 J20 F900']
+    ('code', 'entry'),
+    few_of(
+        5,
+        ['G41.1 D10', 'G42.1 D4', 'G41.1 D1', 'G42.1 D9'],
+        ['G1 X0 Y0 F1000', 'G1 X-14 Y40 F1000', 'G2 X0 Y40 I20 J0 F900', 'G3 X0 Y40 J20 F900'],
+    ),
 )
 def test_linuxcnc_goes_through_the_same_points(code, entry, monkeypatch):
     monkeypatch.setattr(linuxcnc_reader, '_COMPENSATED', re.compile('(?!)'))

@@ -8,6 +8,7 @@ from feedrate_paths import XYZAC, line_path, polyline_path
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limits import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 
 CORNER = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.015, 0], [0.035, 0.02, 0.01]], dtype=float)
@@ -114,3 +115,14 @@ def test_axes_that_move_far_in_nanometres_meet_from_cell_to_cell():
     )  # fmt: skip
     just_before = evaluate(path, s[1:] - 1e-9 * h, np.arange(8))[0]
     assert np.abs(just_before - jet[0, 1:]).max() < 3e-12
+
+
+def test_finer_options_halve_the_cells_and_keep_the_rest():
+    plain = PlanOptions()
+    finer = plain.finer()
+    for name, value in vars(plain).items():
+        if name in ('cell_time', 'share', 'bend', 'step'):
+            assert np.array_equal(2.0 * np.array(getattr(finer, name)), value), name
+        elif name != 'below_ceiling':
+            assert getattr(finer, name) == value, name
+    assert finer.below_ceiling

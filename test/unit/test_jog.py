@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiers import examples
+from tiers import examples, few_of
 
 from cnc_interp.core.errors import StreamError
 from cnc_interp.machine.jog import AHEAD, GIVEN_UP, LATE, PIECE, Jog
@@ -226,7 +226,7 @@ def test_no_beat_no_setpoint_thread_and_it_still_stops_on_its_tail():
     assert bench.play.state.text == ''
 
 
-@pytest.mark.parametrize('press', ['hold', 'stop'])
+@pytest.mark.parametrize('press', few_of(2, ['hold', 'stop']))
 def test_a_hold_and_an_emergency_stop_end_it_at_once_and_keys_must_be_let_go(press):
     bench = Bench()
     bench.run(0.5, X=0.5)
@@ -454,7 +454,7 @@ def test_what_begins_while_the_axes_are_away_is_left_at_once():
     assert bench.play.state.plan_over
 
 
-@pytest.mark.parametrize('press', ['hold', 'stop'])
+@pytest.mark.parametrize('press', few_of(2, ['hold', 'stop']))
 def test_a_hold_and_an_emergency_stop_end_it_and_reset_forgets_the_place(press):
     bench = held_bench()
     bench.run(0.5, X=0.5)

@@ -69,6 +69,7 @@ def outer(package):
     return int(said), found == '1'
 
 
+@pytest.mark.thorough
 def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package):
     assert outer(package) == (1, False)
     (package / 'plain.py').write_text('x = 2\n')

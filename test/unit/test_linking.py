@@ -11,6 +11,7 @@ from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
 from cnc_interp.convert.conversion import convert
+from cnc_interp.convert.native_joins import Joins
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -20,6 +21,7 @@ from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.native.cubic_curves import Portion
+from cnc_interp.smoothing.native.joining import Jets
 from cnc_interp.smoothing.native.linking import join, linked
 
 H = 30 * MM
@@ -209,3 +211,14 @@ def test_corners_are_written_by_their_own_control_points(corner):
     assert np.abs(was - now).max() < 1e-11 and stops == stops_now
     times = [x.pieces[-1].law.end_time for x in (plan, read_back)]
     assert times[1] == pytest.approx(times[0], rel=3e-4)
+
+
+def test_a_join_is_made_where_the_path_goes_straight_on_and_its_tool_axis_does_not():
+    first, second = portions(0, blend=1.4)
+    before, own = first.jets(at_end=True), second.jets(at_end=False)
+    opened = Joins(H, UM, septic=False)._open
+    assert opened(second, before, False) is before
+    assert opened(second, own, False) is None and opened(second, None, False) is None
+    tip = before.tip.copy()
+    tip[1] = tip[1, :, [1, 2, 0]].T  # a corner of the tip, where the machine rests
+    assert opened(second, Jets(tip, before.axis), False) is None

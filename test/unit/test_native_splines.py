@@ -20,7 +20,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.programmed_splines import _rows_reached, with_chords
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
@@ -435,3 +435,12 @@ def test_published_flank_path_is_planned_and_proven(tmp_path):
     curve = spline(np.linspace(0, 1, 200001)) * MM
     way = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
     assert plan.setpoints.s[-1] == pytest.approx(way, rel=1e-6)
+
+
+def test_poses_on_a_curve_that_comes_back_are_no_farther_than_they_moved():
+    """There and back on one line: the nearest row of all would be a row of the way back."""
+    x = np.r_[np.arange(11), np.arange(9, -1, -1)] * MM
+    curve = np.c_[x, np.zeros((21, 5))]
+    poses = np.c_[np.array([1.1, 3.2, 6.9, 9.8, 7.1, 0.2, 0.1]) * MM, np.zeros((7, 5))]
+    moved = np.array([1.1, 2.1, 3.7, 2.9, 3.2, 6.9, 0.1]) * MM
+    assert _rows_reached(curve, poses, moved, 0).tolist() == [1, 3, 7, 10, 13, 20, 20]

@@ -115,7 +115,7 @@ def test_a_stop_from_any_moment_keeps_the_limits_of_every_place(kind):
     limits = placed(XYZAC, parts)
     law = (piece := plan_path(line_path(1.0), limits)).law
     missing = 0
-    moments = np.arange(0.02, law.end_time, 0.02 * examples(3, 1))
+    moments = np.arange(0.02, law.end_time, 0.02 * examples(8, 1))
     for s, v, a, _ in np.array(law.evaluate(moments)).T.tolist():
         if s > 0.4:
             break

@@ -10,7 +10,7 @@ from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
-from cnc_interp.proof.linuxcnc_reader import interpreter
+from cnc_interp.proof.linuxcnc_reader import interpreter, read_by_linuxcnc
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_places, compare_with_text
 from cnc_interp.run.chain import plan_to_files
@@ -76,7 +76,7 @@ SNIPPETS = {
 
 @pytest.mark.parametrize(
     'name',
-    [pytest.param(n, marks=[pytest.mark.thorough] * (MOTIONS[n] > 5_000)) for n in PROGRAMS],
+    [pytest.param(n, marks=[pytest.mark.thorough] * (MOTIONS[n] > 3_300)) for n in PROGRAMS],
 )
 def test_public_programs(name):
     if not (SHARED / name).is_dir():
@@ -96,6 +96,12 @@ def test_each_kind_of_word(name, tmp_path):
     agreement = judged(path, machine, partly=False, tools={1: 10.0, 2: 25.0})
     assert not agreement.faults, agreement.faults[:3]
     assert agreement.motions >= 3
+
+
+def test_a_reading_leaves_nothing_where_another_one_could_find_it(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    assert list(read_by_linuxcnc('T1 M6 G43 G1 X1 F1\n', ('X', 'Y', 'Z'), False, 9))
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_comparison_sees_differences(tmp_path):

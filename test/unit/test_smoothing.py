@@ -17,6 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.choices import Settings
+from cnc_interp.smoothing.corners.connection import lacking, matching_slopes
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.vertices import SWIVEL
 from cnc_interp.smoothing.lookahead import LookAhead
@@ -358,3 +359,21 @@ def test_antiparallel_axes_are_refused_with_the_line():
     tips = np.array([[0, 0, 0], [10, 0, 0]]) * MM
     with pytest.raises(BlockError, match='line 2: the tool axis reverses'):
         smooth(blocks_of(tips, [[0, 0, 1], [0, 0, -1]]))
+
+
+def test_slopes_that_match_leave_no_jump_along_the_top_curve_in_each_order():
+    """What is left of each derivative of D is at right angles to C_top' [B2013, B.3-B.5]."""
+    rng = np.random.default_rng(2)
+    b, c, o = rng.normal(size=(3, 3, 20, 3))
+    axis = rng.normal(size=(20, 3))
+    axis /= np.linalg.norm(axis, axis=1)[:, None]
+    rho = rng.uniform(0.5, 2.0, (20, 1))
+    f1, f2, f3 = (f[:, None] for f in matching_slopes(b, c, axis, o, rho))
+    d = (
+        c[0] * f1 - b[0],
+        c[1] * f1**2 + c[0] * f2 - b[1],
+        c[2] * f1**3 + 3.0 * c[1] * f1 * f2 + c[0] * f3 - b[2],
+    )
+    across = c[0] - (c[0] * axis).sum(axis=1)[:, None] * axis
+    for rest in lacking(d, axis, o, rho):
+        assert np.abs((rest * across).sum(axis=1)).max() < 1e-9 * np.abs(rest).max()

@@ -15,6 +15,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
+from cnc_interp.run import path_chain
 from cnc_interp.run.path_chain import PathChain, is_faster, segments_of, way_time
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense.thinning import longest_chord
@@ -146,3 +147,12 @@ def test_a_chord_at_the_end_of_a_curve_does_not_lead_back_to_its_start():
     tolerance = np.full(2, 100 * UM)
     vertex, off, _ = longest_chord(tip, tip, tolerance, 0, 1, 2, 1 * MM, 0.3)
     assert (vertex, off) == (1, 0.0)
+
+
+def test_the_fastest_way_must_save_what_a_change_is_worth(monkeypatch):
+    monkeypatch.setattr(path_chain, 'way_time', lambda transform, settings, way: way)
+    for ways, others, faster in (
+        ([3.0, 2.0], [2.5], True), ([2.5], [3.0, 2.0], False), ([2.0], [2.0], False),
+        ([2.0 - 1e-9], [2.0], False), ([9.0], [], True), ([], [9.0], False),
+    ):  # fmt: skip
+        assert is_faster(TRANSFORM, Settings(), ways, others) == faster

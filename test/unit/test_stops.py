@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from feedrate_paths import XYZAC, Limits, first_axes, line_path, polyline_path, random_polyline
+from tiers import few_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
@@ -140,14 +141,14 @@ def test_tails_stay_short_in_a_law_at_the_jerk_limit():
     assert max(len(chunk.tail) for chunk in chunks) * period < straight + LONGER + 2 * EVERY
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', few_of(4, range(4)))
 def test_rounded_corners_can_be_stopped_in_between(seed):
     path = polyline_path(random_polyline(np.random.default_rng(seed), 12))
     longer = longer_than_straight(plan_path(path, XYZAC), XYZAC)
     assert longer.max() < LONGER + EVERY
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', few_of(3, range(3)))
 def test_the_reserve_costs_nothing_where_braking_is_possible(seed):
     path = polyline_path(random_polyline(np.random.default_rng(seed), 12))
     kept = plan_path(path, XYZAC)

@@ -110,7 +110,7 @@ def test_the_rapid_override_scales_rapids_and_the_approach_and_the_feed_override
         OperatorSettings, (1.0, 1.0, 0.1, 1.2), [False] * 4, (1.0, 0.25, 1.0, 0.5)
     ):
         stands = np.array([0.1, -0.3, 0.05, 0.0, 0.0])
-        planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, settings=settings)
+        planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.1, stands, settings=settings)
         planner.push(whole, {})
         planner.finish()
         q, s, block = sampled(planner)

@@ -94,7 +94,7 @@ def step_until(play, done, most=20_000):
     return np.array(heard)
 
 
-@pytest.mark.parametrize('target', POSES)
+@pytest.mark.parametrize('target', few_of(3, POSES))
 def test_approach_holds_all_limits_and_ends_at_rest(target):
     samples = samples_to(target)
     assert np.array_equal(samples.position[-1], target)
@@ -157,7 +157,7 @@ def test_a_short_program_starts_without_a_full_buffer():
     assert state_after_step(play) is State.RUNNING
 
 
-@pytest.mark.parametrize('given', few_of(2, [6, 15, 60, 16, 40]))
+@pytest.mark.parametrize('given', few_of(3, [6, 15, 60, 16, 40]))
 def test_starving_follows_the_tail_to_rest_and_goes_on_with_another_plan(given):
     target = [0.4, 0.0, 0.0, 0.2, 0.0]
     play, chunks = playback(50), chunks_to(target)
@@ -246,7 +246,7 @@ def test_an_override_of_zero_rests_without_starving():
     assert play.starvations == 0
 
 
-@pytest.mark.parametrize('first', ['running', 'holding', 'starved', 'waiting'])
+@pytest.mark.parametrize('first', few_of(3, ['running', 'holding', 'starved', 'waiting']))
 def test_emergency_stop_ends_in_fault_on_the_path_and_reset_clears_it(first):
     play, chunks = playback(50), chunks_to([0.2, 0.1, 0.0, 0.2, 0.0])
     play.begin(P)
@@ -321,7 +321,7 @@ def join(play, number, chunks):
 
 
 @pytest.mark.parametrize(
-    ('number', 'ask'), few_of(3, [110, 115, 121, 130, 399], ['nothing', 'hold'])
+    ('number', 'ask'), few_of(7, [110, 115, 121, 130, 399], ['nothing', 'hold'])
 )
 def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     play, old, stop, heard = moving_with_a_stop_from(number)
@@ -350,7 +350,7 @@ def test_a_plan_that_joins_and_does_not_go_on_starves_within_limits():
     assert np.array_equal(heard[-1], stop[0].tail.position[-1])
 
 
-@pytest.mark.parametrize('number', [50, 100, 105])
+@pytest.mark.parametrize('number', few_of(3, [50, 100, 105]))
 def test_where_the_machine_has_passed_nothing_joins_and_it_goes_on(number):
     play, old, stop, heard = moving_with_a_stop_from(number)
     with pytest.raises(StreamError, match='join') as refused:

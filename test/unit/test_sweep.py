@@ -161,6 +161,7 @@ def test_bad_input_gets_a_line(tmp_path, capsys):
         Sweep(main, ['plan', PYRAMID, '--out', 'x'], tmp_path, None, None)
 
 
+@pytest.mark.thorough
 def test_a_surface_is_swept_with_its_ridges(tmp_path):
     from cnc_interp.batch.sweep_points import Call
 

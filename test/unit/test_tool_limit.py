@@ -221,6 +221,7 @@ def test_windows_that_follow_keep_the_parts_of_the_limit(monkeypatch):
         assert (part == np.minimum(kept + RELAXED, 1.0)).all()
 
 
+@pytest.mark.thorough
 def test_revisions_in_motion_hold_it():
     tool = ToolLimit.of(TIRED, T, 150 * UM, HEIGHT)
     path = s_path()

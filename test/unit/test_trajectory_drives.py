@@ -153,7 +153,7 @@ def test_late_setpoints_end_the_motion_where_the_last_trajectory_ends():
     assert playback.state.state is State.IDLE and np.array_equal(bench.axes, ends)
 
 
-@pytest.mark.parametrize('of_its_own', [False, True])
+@pytest.mark.parametrize('of_its_own', few_of(2, [False, True]))
 def test_an_axis_that_does_not_follow_stops_the_others_on_the_path(of_its_own):
     bench = Bench(tolerance=5e-4 if of_its_own else np.inf)
     bench.load()

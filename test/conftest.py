@@ -47,6 +47,13 @@ def turn():
     return int(subprocess.check_output(count, cwd=Path(__file__).parent)) % TURNS
 
 
+def share(thorough, turn):
+    """Tests of a turn: one in so many, and of live ones neighbours, which start the same nodes."""
+    live = [item for item in thorough if item.nodeid.startswith(LIVE)]
+    begin, end = (len(live) * k // TURNS for k in (turn, turn + 1))
+    return [item for item in thorough if item not in live][turn::TURNS] + live[begin:end]
+
+
 def pytest_report_header(config):
     if config.getoption('--share'):
         return f'thorough tests: share {turn() + 1} of {TURNS}, chosen by the commit'
@@ -60,7 +67,7 @@ def pytest_collection_modifyitems(config, items):
         thorough = [item for item in items if item.get_closest_marker('thorough')]
         left_out = set(thorough)
         if config.getoption('--share'):
-            left_out -= set(thorough[turn() :: TURNS])
+            left_out -= set(share(thorough, turn()))
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
     items.sort(key=lambda item: not item.nodeid.startswith(LIVE))  # they take longest

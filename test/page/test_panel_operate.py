@@ -140,7 +140,7 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: legs <= set(tab.run(shown)))
     panel.states.clear()
     panel.press_key(tab, 'cycle start', lambda: any(state.sequence for state in panel.states))
-    panel.set_override.publish(Float64(data=0.05))  # so that a slow browser can hold it
+    panel.set_override.publish(Float64(data=0.02))  # so that a slow browser can hold it
     on_path = [state.path_position for state in panel.states if state.sequence]
     assert min(on_path) >= run.start_at - 1e-9
 

@@ -637,7 +637,7 @@ def test_face_makes_the_program_of_the_same_surface_in_json(tmp_path, capsys):
         'kind': 'bspline', 'knots_u': knots[0].tolist(), 'knots_v': knots[1].tolist(),
         'points_mm': points.tolist(), 'degree': degree, 'flip': True,
     }))  # fmt: skip
-    options = ['--stepover', '2', '--json']
+    options = ['--stepover', '4', '--json']
     for name, file in files.items():
         command = ['cam', 'iso-scallop', str(file), *options, '--out', str(tmp_path / name)]
         assert main(command) == FINE, capsys.readouterr().err

@@ -3,7 +3,8 @@ A program on its way to program_node: sent until it is answered, then followed t
 
 When program_node is killed and started again, DDS addresses the dead process for some twenty
 seconds. The goal is therefore sent again until an answer comes. It keeps its id, so it cannot run
-twice.
+twice. Its result is asked for again, too: what was asked may be lost, or have gone to a node that
+was killed since; the one that is there now does not know the goal and says so.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from unique_identifier_msgs.msg import UUID
 
 #: Time without an answer after which a goal is sent again [s].
 AGAIN = 1.0
+#: Longest time between two questions for its result [s]: a node keeps it for ten seconds.
+SELDOM = 8.0
 
 
 class SentProgram:
@@ -29,7 +32,8 @@ class SentProgram:
         self._id = UUID(uuid=list(uuid.uuid4().bytes))
         self._answers: list[Any] = []
         self.handle: Any = None  # of the goal, once it is accepted
-        self._result: Any = None
+        self._results: list[Any] = []
+        self._ask_after = AGAIN
         self._send()
 
     def _send(self) -> None:
@@ -43,19 +47,27 @@ class SentProgram:
 
     def follow(self) -> None:
         """
-        Read an answer, or send the goal again. Call this repeatedly.
+        Read an answer, or send the goal or the question for its result again. Call it repeatedly.
 
         A second answer to the same goal says "not accepted", because the first one runs. So the
         first answer counts.
         """
+        now = time.monotonic()
         if self.handle is not None:
+            if self.result is None and now - self._sent_at > self._ask_after:
+                self._ask_after = min(2.0 * self._ask_after, SELDOM)
+                self._ask(now)
             return
         answer = next((answer for answer in self._answers if answer.done()), None)
         if answer is not None:
             self.handle = answer.result()
-            self._result = self.handle.get_result_async()
-        elif time.monotonic() - self._sent_at > AGAIN:
+            self._ask(now)
+        elif now - self._sent_at > AGAIN:
             self._send()
+
+    def _ask(self, now: float) -> None:
+        self._sent_at = now
+        self._results.append(self.handle.get_result_async())
 
     @property
     def accepted(self) -> bool:
@@ -65,10 +77,7 @@ class SentProgram:
     @property
     def result(self) -> RunProgram.Result | None:
         """The result; None while the program waits or runs."""
-        if self._result is None or not self._result.done():
-            return None
-        result: RunProgram.Result = self._result.result().result
-        return result
+        return next((one.result().result for one in self._results if one.done()), None)
 
     @property
     def programs_ahead(self) -> int:

@@ -191,13 +191,13 @@ class RunConsole:
             self._bring_back_lost_nodes()
             self._pass_program_stop()
             self._show_progress(sent)
-            return sent.result is not None or (self._forgotten and self._client.peers.at_rest)
+            return self._client.peers.at_rest if self._forgotten else sent.result is not None
 
         while not done():
             self._client.serve(SPIN)
         result = sent.result
         self._progress.end(result is not None and result.code == Result.SUCCEEDED)
-        if result is None:
+        if self._forgotten or result is None:
             return self._forgotten_result()
         if not self._request.quiet:
             told = warnings_of(result.notices)

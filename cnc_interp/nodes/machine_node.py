@@ -191,12 +191,13 @@ class MachineNode(LifecycleNode):
 
     def come_to_rest(self) -> bool:
         """Stop on the path, as at a feed hold; tell whether the axes stand. Call it until then."""
-        if self._clock_of_drives is None or self._playback.state.state is State.INACTIVE:
+        if self._clock_of_drives is None:
             return True
-        if not self._playback.left:
-            self._playback.hold()
-        self._playback.read()
-        return self._playback.state.resting
+        playback = self._playback
+        playback.read()
+        if not (playback.state.resting or playback.state.leaves_plan):
+            playback.hold()
+        return playback.state.resting
 
     def publish_rest(self) -> None:
         """Publish the executed setpoints that are not published yet, and the state."""

@@ -123,6 +123,7 @@ class NodesUnderTest:
             return sent.accepted
 
         self.spin_until(accepted)
+        self.sent = sent
         return sent.handle
 
     def result_of(self, handle, patience=PATIENCE):

@@ -337,10 +337,19 @@ def test_one_cycle_start_is_enough_where_the_planner_still_had_something_to_exec
 
 
 @pytest.mark.thorough
-def test_what_a_killed_program_node_has_sent_is_executed(bench):
+def test_what_a_killed_program_node_has_sent_is_executed_and_its_goal_ends(bench):
     bench.begin()
     bench.until_at(0.01)
     bench.kill('program_node')
+    bench.children.revive()
+
+    def told():
+        bench.sent.follow()
+        return bench.sent.result is not None
+
+    bench.spin_until(told)
+    assert bench.sent.result.code == Result.STREAM_LOST
+    assert 'forgotten' in bench.sent.result.message
     bench.spin_until(lambda: bench.state.completed)
     _, s = bench.recorded()
     assert abs(s[-1] - path_of(PROGRAM).s[-1]) < 1e-12

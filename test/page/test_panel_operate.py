@@ -41,7 +41,7 @@ TRAORI
 G0 X0 Y0 Z10 A10 C0
 G1 Z0 F1500
 o100 repeat [3]
-G91 G1 X10 F300
+G91 G1 X10 F100
 o100 endrepeat
 G90 G1 X0 Y40 Z10 F1500
 M30
@@ -140,7 +140,7 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: legs <= set(tab.run(shown)))
     panel.states.clear()
     panel.press_key(tab, 'cycle start', lambda: any(state.sequence for state in panel.states))
-    panel.set_override.publish(Float64(data=0.02))  # so that a slow browser can hold it
+    panel.set_override.publish(Float64(data=0.05))  # so that a slow browser can hold it
     on_path = [state.path_position for state in panel.states if state.sequence]
     assert min(on_path) >= run.start_at - 1e-9
 
@@ -148,7 +148,7 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: not legs & set(tab.run(shown)) and tab.text('start') == '')
     tab.click('feed hold')
     panel.until(MachineState.HELD)
-    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F300'} <= set(tab.text('modes').split()))
+    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F100'} <= set(tab.text('modes').split()))
 
     # Jog away, return: cycle start leads back to the place of the hold, and goes on from there.
     panel.spin_until(lambda: panel.next_state().resting)

@@ -75,7 +75,7 @@ class Walk:
         self.state('idle')
         self._tab.click('check')
         self._tab.wait(lambda: 'proven' in self._tab.text('status'))
-        marks = 'state', 'program', 'load', 'check', 'look', 'axis X', 'cycle start', 'keyboard'
+        marks = 'state', 'program', 'load', 'check', 'look', 'setup', 'cycle start', 'keyboard'
         self.picture('load', *marks)
 
     def move(self) -> None:
@@ -92,7 +92,7 @@ class Walk:
         self._tab.click('jog Z-')
         self._tab.wait(lambda: self._tab.text('work Z') == '50.000')
         self.state('idle')
-        self.picture('move', 'mdi', 'jog', 'jog step', 'jog Z-', 'jog speed', 'work X')
+        self.picture('move', 'mdi', 'jog', 'jog step', 'jog Z-', 'jog speed', 'setup')
         self._tab.click('jog')
 
     def touch_off(self) -> None:
@@ -100,7 +100,7 @@ class Walk:
         self._tab.click('show touch off')
         for axis in 'XYZ':
             self._tab.fill(f'here {axis}', '0')
-        self.picture('touch_off', 'here X', 'touch off', 'work X', 'offsets')
+        self.picture('touch_off', 'here X', 'touch off', 'setup', 'offsets')
         self._tab.click('touch off')
         self._tab.wait(lambda: self._tab.text('work Z') == '0.000')
         self._tab.click('show touch off')

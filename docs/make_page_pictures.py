@@ -36,11 +36,11 @@ SCREENS = {
 }
 #: Marks of the parts that get a number, in the order of the list in docs/operate/page.md.
 LABELLED = (
-    'state', 'rights', 'program', 'load', 'check', 'settings', 'queue next', 'axis X', 'tip x',
+    'state', 'rights', 'program', 'load', 'check', 'settings', 'queue next', 'setup', 'tip x',
     'feed', 'override slider', 'to go', 'line', 'buffer', 'contour', 'cycle start', 'feed hold',
     'reset', 'single block', 'EMERGENCY STOP', 'look', 'history messages', 'keyboard', 'jog',
 )  # fmt: skip
-RED, WHITE, RADIUS = (200, 30, 30), (255, 255, 255), 10
+RED, WHITE, RADIUS, LOW = (200, 30, 30), (255, 255, 255), 10, 26
 #: The animation: at most so many frames, so far apart in the run and on the page [s].
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
 #: A page that has got another size draws everything anew [s].
@@ -98,15 +98,16 @@ def write_screens(tab: Tab, folder: Path) -> None:
 
 
 def label(tab: Tab, shown: Image.Image, marks: tuple[str, ...]) -> None:
-    """Draw a number beside each part of the page that the documentation names."""
+    """Draw a number at each part that the documentation names: at its corner, or before a text."""
     places = tab.run(
         'Object.fromEntries([...document.querySelectorAll("[data-mark]")].map(part => {'
         'const box = part.getBoundingClientRect();'
-        'return [part.dataset.mark, [box.left, box.top]]; }))'
+        'return [part.dataset.mark, [box.left, box.top, box.height]]; }))'
     )
     draw, font = ImageDraw.Draw(shown), ImageFont.load_default(13)
     for number, mark in enumerate(marks, start=1):
-        x, y = (max(place, RADIUS) for place in (places[mark][0] - RADIUS, places[mark][1]))
+        left, top, height = places[mark]
+        x, y = max(left - RADIUS, RADIUS), max(top + height / 2 if height < LOW else top, RADIUS)
         draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), RED, WHITE)
         draw.text((x, y), str(number), WHITE, font, anchor='mm')
 

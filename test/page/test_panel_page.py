@@ -429,6 +429,22 @@ document.documentElement.scrollWidth <= innerWidth &&
 """
 
 
+#: Keys, fields and texts that something else covers, or that are cut off.
+COVERED = """
+[...document.querySelectorAll('[data-mark]')].filter((part) => {
+  if (!part.checkVisibility({ visibilityProperty: true })) return false;
+  if (getComputedStyle(part).pointerEvents === 'none' || !part.clientWidth) return false;
+  part.scrollIntoView({ block: 'center' });
+  const box = part.getBoundingClientRect(), y = box.top + box.height / 2;
+  const cut = part.matches('button, .place *') && part.scrollWidth > part.clientWidth + 1;
+  return cut || [box.left + 3, box.left + box.width / 2, box.right - 3].some((x) => {
+    const hit = document.elementFromPoint(x, y);
+    return !hit || (!part.contains(hit) && !hit.contains(part));
+  });
+}).map((part) => part.dataset.mark)
+"""
+
+
 @pytest.mark.thorough
 def test_the_keyboard(panel, long_program, short_program):
     tab = panel.open_in_charge()
@@ -578,12 +594,18 @@ def test_lines_by_hand_are_given_on_the_page(panel, long_program):
 
 @pytest.mark.thorough
 def test_the_page_fits_every_window(panel):
-    tab = panel.open()
+    tab = panel.open_in_charge()
     tab.wait(lambda: tab.run('document.querySelectorAll(".chart canvas").length') == 4)
+    # All that can stand in the view stands there.
+    tab.click('jog')
+    tab.click('show touch off')
+    way = 'the way is told in some lines. ' * 6
+    tab.run(f'document.querySelector("[data-mark=start]").textContent = "{way}"')
     for size in ((1366, 768), (1920, 1080), (1366, 768), (390, 844, True), (1366, 768)):
         tab.size(*size)
         time.sleep(1.0)  # what is drawn follows later
         tab.wait(lambda: tab.run(FITS))
+        tab.wait(lambda: tab.run(COVERED) == [])
     assert tab.faults == []
 
 

@@ -223,12 +223,9 @@ def _crossing(drive: AxisDrive, load: DriveLoad | None) -> float:
 
 
 def _write_weights(
-    columns: FloatArray,
-    drive: AxisDrive,
-    load: DriveLoad | None,
-    period: float,
+    columns: FloatArray, drive: AxisDrive, load: DriveLoad | None, period: float,
     timing: tuple[float, int, int],
-) -> None:
+) -> None:  # fmt: skip
     """Write the weights of one axis; ``timing`` is that of ``Compensation`` in periods."""
     later, beside, turning = timing
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant

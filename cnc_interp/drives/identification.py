@@ -101,13 +101,9 @@ class IdentifiedAxis:
 
 
 def identify_axis(
-    machine: Machine,
-    axis: int,
-    period: float,
-    setpoints: FloatArray,
-    rates: FloatArray,
+    machine: Machine, axis: int, period: float, setpoints: FloatArray, rates: FloatArray,
     feedback: FloatArray,
-) -> IdentifiedAxis | None:
+) -> IdentifiedAxis | None:  # fmt: skip
     """
     Fit the model of one axis; None where it did not move.
 
@@ -205,14 +201,9 @@ class _Fit:
     """The fit of one axis."""
 
     def __init__(
-        self,
-        period: float,
-        setpoint: FloatArray,
-        rate: FloatArray,
-        measured: FloatArray,
-        counts: BoolArray,
-        load: DriveLoad | None,
-    ):
+        self, period: float, setpoint: FloatArray, rate: FloatArray, measured: FloatArray,
+        counts: BoolArray, load: DriveLoad | None,
+    ):  # fmt: skip
         self._period, self._counts, self._load = period, counts, load
         self._setpoint, self._rate, self._measured = setpoint, rate, measured
         self._largest = max(each.high for each in LOOPS if each.name == 'delay')
@@ -287,12 +278,9 @@ class _Fit:
         return values, float(done.cost), jacobian, done.fun * spread
 
     def _widths(
-        self,
-        parameters: tuple[Parameter, ...],
-        values: Mapping[str, float],
-        jacobian: FloatArray,
+        self, parameters: tuple[Parameter, ...], values: Mapping[str, float], jacobian: FloatArray,
         residual: FloatArray,
-    ) -> dict[str, float]:
+    ) -> dict[str, float]:  # fmt: skip
         """Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers."""
         place = self.answer(*self._model(values))[self._counts]
         lags = min(len(residual) - 1, round(CORRELATED / self._period))
@@ -311,13 +299,9 @@ SECTIONS = ('loads', 'drives')
 
 
 def with_drives(
-    text: str,
-    machine: Machine,
-    drives: Mapping[int, AxisDrive],
-    loads: Mapping[int, DriveLoad],
-    half_widths: Mapping[int, Mapping[str, float]],
-    origin: str,
-) -> str:
+    text: str, machine: Machine, drives: Mapping[int, AxisDrive], loads: Mapping[int, DriveLoad],
+    half_widths: Mapping[int, Mapping[str, float]], origin: str,
+) -> str:  # fmt: skip
     """
     Write drives and loads into the text of a machine file.
 

@@ -49,13 +49,9 @@ def start_of(setpoints: FloatArray) -> int:
 
 
 def learnt_rates(
-    model: Machine,
-    period: float,
-    lead: float,
-    setpoints: FloatArray,
-    feedback: FloatArray,
+    model: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray,
     before: FloatArray | None = None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """
     Return what is added to the velocity feed-forward in the next run, (K, n_axes) [m, rad, per s].
 

@@ -90,12 +90,9 @@ class ToolMotion:
 
 
 def tool_error(
-    machine: Machine,
-    period: float,
-    positions: FloatArray,
-    velocities: FloatArray,
+    machine: Machine, period: float, positions: FloatArray, velocities: FloatArray,
     model: Machine | None = None,
-) -> ToolError:
+) -> ToolError:  # fmt: skip
     """
     Simulate the drives of a machine, and measure the error at the tool.
 

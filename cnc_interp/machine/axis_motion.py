@@ -135,12 +135,9 @@ class AxisMotion:
         self._contour = ContourErrors(self.period, self._lag, self._tip[0])
 
     def measure(
-        self,
-        setpoints: FloatArray,
-        x: FloatArray,
-        v: FloatArray,
+        self, setpoints: FloatArray, x: FloatArray, v: FloatArray,
         answered: FloatArray | None = None,
-    ) -> Recording:
+    ) -> Recording:  # fmt: skip
         """Compare what was asked for with what the drives did, in the periods that follow."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])

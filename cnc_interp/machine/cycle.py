@@ -82,14 +82,9 @@ class Cycle:
     """The compiled cycle, as the threads of Python use it; bounds are those of ``Memory``."""
 
     def __init__(
-        self,
-        period: float,
-        travel: FloatArray,
-        jump: FloatArray,
-        slots: int,
-        step: int,
+        self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
         drives: FloatArray,
-    ):
+    ):  # fmt: skip
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
         self._memory = Memory(

@@ -51,12 +51,9 @@ class Homing:
     """
 
     def __init__(
-        self,
-        playback: Playback,
-        jog: Jog,
-        pressed: Callable[[FloatArray], BoolArray],
+        self, playback: Playback, jog: Jog, pressed: Callable[[FloatArray], BoolArray],
         towards: FloatArray,
-    ):
+    ):  # fmt: skip
         self._playback, self._jog, self._pressed, self._towards = playback, jog, pressed, towards
         self._machine = playback.axes.machine
         self._names = self._machine.axis_names

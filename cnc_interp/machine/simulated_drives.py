@@ -63,12 +63,9 @@ class SimulatedDrives:
 
 
 def simulate(
-    machine: Machine,
-    period: float,
-    positions: FloatArray,
-    velocities: FloatArray | None = None,
+    machine: Machine, period: float, positions: FloatArray, velocities: FloatArray | None = None,
     model: Machine | None = None,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """
     Run simulated drives through all setpoints, from rest at the first one.
 

@@ -210,11 +210,9 @@ def axis_limits(
 
 
 def limits_by_position(
-    content: dict[str, Any],
-    names: list[str],
-    linear: list[bool],
+    content: dict[str, Any], names: list[str], linear: list[bool],
     rows: list[tuple[list[float], list[float]]],
-) -> dict[int, FloatArray]:
+) -> dict[int, FloatArray]:  # fmt: skip
     """Read the limits that depend on the position; ``rows`` are limits and travel of all axes."""
     given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
     return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}

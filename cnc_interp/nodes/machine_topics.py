@@ -45,14 +45,9 @@ class MachineTopics:
     """Publishes state, joints and executed setpoints at the rates of the node's parameters."""
 
     def __init__(
-        self,
-        node: Any,
-        playback: Playback,
-        values: dict[str, Any],
-        overrides: Overrides,
-        homing: Homing,
-        diagnostics: Diagnostics,
-    ):
+        self, node: Any, playback: Playback, values: dict[str, Any], overrides: Overrides,
+        homing: Homing, diagnostics: Diagnostics,
+    ):  # fmt: skip
         self._node, self._playback = node, playback
         self._overrides, self._homing = overrides, homing
         self._diagnostics = diagnostics

@@ -23,12 +23,9 @@ class Mdi:
     """The lines by hand of the program node."""
 
     def __init__(
-        self,
-        node: Any,
-        transform: Transform,
-        settings: Settings,
+        self, node: Any, transform: Transform, settings: Settings,
         of_machine: Callable[[], JobSetup],
-    ):
+    ):  # fmt: skip
         self._transform, self._settings, self._of_machine = transform, settings, of_machine
         self._reader = MdiReader(transform, settings)
         self._publisher = node.create_publisher(ModalState, 'modal_state', LOADED)

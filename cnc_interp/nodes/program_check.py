@@ -64,13 +64,9 @@ class Prepared:
 
 
 def prepare(
-    goal: Any,
-    transform: Transform,
-    defaults: Settings,
-    told: Callable[[float], None],
-    folders: Sequence[str] = (),
-    of_machine: Callable[[], JobSetup] = JobSetup,
-) -> Prepared:
+    goal: Any, transform: Transform, defaults: Settings, told: Callable[[float], None],
+    folders: Sequence[str] = (), of_machine: Callable[[], JobSetup] = JobSetup,
+) -> Prepared:  # fmt: skip
     """Read and check the program of a goal before anything moves; memory stays flat."""
     machine = transform.machine
     if goal.machine and goal.machine != machine.name:
@@ -96,14 +92,9 @@ def prepare(
 
 
 def prepare_line(
-    goal: Any,
-    reader: MdiReader,
-    setup: JobSetup,
-    stands: FloatArray,
-    transform: Transform,
-    settings: Settings,
-    told: Callable[[float], None],
-) -> Prepared:
+    goal: Any, reader: MdiReader, setup: JobSetup, stands: FloatArray, transform: Transform,
+    settings: Settings, told: Callable[[float], None],
+) -> Prepared:  # fmt: skip
     """Read and check a line by hand."""
     if settings_of_goal(goal, settings) != settings:
         raise InterpError('a line by hand has the settings of program_node; leave out others')
@@ -113,14 +104,9 @@ def prepare_line(
 
 
 def check(
-    stream: ProgramStream,
-    setup: JobSetup,
-    text: str,
-    transform: Transform,
-    settings: Settings,
-    told: Callable[[float], None],
-    may_rest: bool = False,
-) -> Prepared:
+    stream: ProgramStream, setup: JobSetup, text: str, transform: Transform, settings: Settings,
+    told: Callable[[float], None], may_rest: bool = False,
+) -> Prepared:  # fmt: skip
     """Check a program to its last block; raises as ``prepare``."""
     blocks = BlockSpool()
     try:
@@ -143,12 +129,9 @@ def check(
 
 
 def checked_path(
-    stream: ProgramStream,
-    spool: BlockSpool,
-    transform: Transform,
-    settings: Settings,
+    stream: ProgramStream, spool: BlockSpool, transform: Transform, settings: Settings,
     told: Callable[[float], None],
-) -> tuple[float, IntArray, StartPlace | None]:
+) -> tuple[float, IntArray, StartPlace | None]:  # fmt: skip
     """Run a program through look-ahead and kinematics; its blocks go into the spool."""
     chain, tolerances = PathChain(transform, settings), ToleranceUse()
     finder = StartFinder(transform, settings.flank_height, stream.start)

@@ -64,16 +64,11 @@ class Inlet:
     """The receiving end of a stream."""
 
     def __init__(
-        self,
-        node: Any,
-        receiver: WindowedReceiver,
-        kinds: dict[str, Any],
-        check: Callable[[Any], None],
-        on_message: Callable[[Any], None],
-        on_refusal: Callable[[], None],
-        diagnostics: Diagnostics,
+        self, node: Any, receiver: WindowedReceiver, kinds: dict[str, Any],
+        check: Callable[[Any], None], on_message: Callable[[Any], None],
+        on_refusal: Callable[[], None], diagnostics: Diagnostics,
         gate: Callable[[Any], list[Any]] = lambda message: [message],
-    ):
+    ):  # fmt: skip
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
@@ -206,15 +201,9 @@ class Outlet:
     """The sending end of a stream."""
 
     def __init__(
-        self,
-        node: Any,
-        stream: str,
-        kind: Any,
-        resend_after: float,
-        encode: Callable[[Any, int], Any],
-        topic: str = '',
-        profile: QoSProfile = STREAM,
-    ):
+        self, node: Any, stream: str, kind: Any, resend_after: float,
+        encode: Callable[[Any, int], Any], topic: str = '', profile: QoSProfile = STREAM,
+    ):  # fmt: skip
         self.sender: WindowedSender[Any] = WindowedSender(resend_after)
         self.stream = stream
         self.peer: StreamStatus | None = None

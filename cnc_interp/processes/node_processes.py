@@ -67,13 +67,9 @@ class Children:
     """The nodes of one run; ``parameters`` by node name, ``arguments``: remappings."""
 
     def __init__(
-        self,
-        namespace: str,
-        domain: int,
-        parameters: dict[str, dict[str, object]],
-        file: Path,
+        self, namespace: str, domain: int, parameters: dict[str, dict[str, object]], file: Path,
         arguments: dict[str, list[str]] | None = None,
-    ):
+    ):  # fmt: skip
         self._folder = TemporaryFolder()
         self._environment = os.environ | {
             'ROS_DOMAIN_ID': str(domain),

@@ -187,12 +187,9 @@ class VertexSearch:
             before = int(label[-1])
 
     def nearest(
-        self,
-        points_of: Callable[[FloatArray], FloatArray],
-        vertices: FloatArray,
-        tolerance: FloatArray,
-        unit: FloatArray | None = None,
-    ) -> tuple[FloatArray, IntArray]:
+        self, points_of: Callable[[FloatArray], FloatArray], vertices: FloatArray,
+        tolerance: FloatArray, unit: FloatArray | None = None,
+    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
         """
         Search each vertex among the samples of its rows; if it is missed, among more samples.
 
@@ -226,24 +223,17 @@ class VertexSearch:
         return nearest, where
 
     def _peaks(
-        self,
-        where: IntArray,
-        points_of: Callable[[FloatArray], FloatArray],
-        unit: FloatArray,
-    ) -> FloatArray:
+        self, where: IntArray, points_of: Callable[[FloatArray], FloatArray], unit: FloatArray,
+    ) -> FloatArray:  # fmt: skip
         """Return the largest of the ``peaks`` over the chords near these samples, shape (m,)."""
         around = np.clip(where[:, None] + np.arange(-2, 4), 0, self.count - 1)
         points = points_of(gathered(self.plan.position, around.ravel())).reshape(-1, 6, 3)
         return np.asarray(np.linalg.norm(peaks(points) / unit[:, None], axis=2).max(axis=1))
 
     def _among(
-        self,
-        first: IntArray,
-        last: IntArray,
-        points_of: Callable[[FloatArray], FloatArray],
-        vertices: FloatArray,
-        unit: FloatArray,
-    ) -> tuple[FloatArray, IntArray]:
+        self, first: IntArray, last: IntArray, points_of: Callable[[FloatArray], FloatArray],
+        vertices: FloatArray, unit: FloatArray,
+    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
         """Search vertices among the samples of rows, with one sample more on each side."""
         end = len(self.starts) - 1
         low = np.clip(self.starts[np.clip(first, 0, end)] - 1, 0, self.count - 2)

@@ -68,12 +68,8 @@ def interpreter() -> str:
 
 
 def read_by_linuxcnc(
-    text: str,
-    axis_names: tuple[str, ...],
-    skip: bool,
-    rows: int,
-    setup: Setup | None = None,
-) -> Iterator[ReadMove]:
+    text: str, axis_names: tuple[str, ...], skip: bool, rows: int, setup: Setup | None = None,
+) -> Iterator[ReadMove]:  # fmt: skip
     """Read a program."""
     command = interpreter()
     if not command:

@@ -123,12 +123,9 @@ class Order:
 
 
 def order_of(
-    plan: PlanFiles,
-    machine: Machine,
-    program: ProgrammedPath,
-    lines: ProgrammedAxes | None,
+    plan: PlanFiles, machine: Machine, program: ProgrammedPath, lines: ProgrammedAxes | None,
     tolerances: tuple[FloatArray, FloatArray],
-) -> Order:
+) -> Order:  # fmt: skip
     """Follow a program with the motion of its plan."""
     count, rows = len(plan.position), len(plan.blocks['tip'])
     shapes, transform = _Shapes(plan, machine, program, lines), Transform.of(machine)
@@ -182,12 +179,9 @@ class _Shapes:
     """The rows of a program cut into pieces: tip, top and rotary axes at the end of each."""
 
     def __init__(
-        self,
-        plan: PlanFiles,
-        machine: Machine,
-        program: ProgrammedPath,
+        self, plan: PlanFiles, machine: Machine, program: ProgrammedPath,
         lines: ProgrammedAxes | None,
-    ):
+    ):  # fmt: skip
         blocks, height = plan.blocks, plan.flank_height
         self.blocks, rows, self.has_rotary = blocks, len(blocks['tip']), machine.has_rotary
         self.height, transform = height, Transform.of(machine)

@@ -141,12 +141,9 @@ def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArra
 
 
 def _prove_programmed_feed(
-    ledger: Ledger,
-    plan: PlanFiles,
-    rows: IntArray,
-    part: tuple[int, int],
+    ledger: Ledger, plan: PlanFiles, rows: IntArray, part: tuple[int, int],
     written: tuple[IntArray, FloatArray],
-) -> None:
+) -> None:  # fmt: skip
     """
     Demand that the path has no higher programmed feed than its blocks, at some grid points.
 

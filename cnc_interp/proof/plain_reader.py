@@ -76,14 +76,9 @@ class ReadMove:
 
 
 def read_plainly(
-    text: str,
-    name: str,
-    axis_names: tuple[str, ...],
-    feed: float | None,
-    skip: bool,
-    tools: Mapping[int, tuple[float, float]] | None = None,
-    height: float = float('nan'),
-) -> list[ReadMove]:
+    text: str, name: str, axis_names: tuple[str, ...], feed: float | None, skip: bool,
+    tools: Mapping[int, tuple[float, float]] | None = None, height: float = float('nan'),
+) -> list[ReadMove]:  # fmt: skip
     """Read a program; an angle of tolerance (OTOL) counts at the flank height [m]."""
     state = _State(name, axis_names, feed, tools or {}, height)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
@@ -102,13 +97,9 @@ class _State:
     """What holds while a program is read, and its motions."""
 
     def __init__(
-        self,
-        name: str,
-        axis_names: tuple[str, ...],
-        feed: float | None,
-        tools: Mapping[int, tuple[float, float]],
-        height: float,
-    ):
+        self, name: str, axis_names: tuple[str, ...], feed: float | None,
+        tools: Mapping[int, tuple[float, float]], height: float,
+    ):  # fmt: skip
         self.height, self.turns = height, 1
         self.rests = self.rests_once = self.worded = False
         self.tools, self.cutter = tools, (0.0, 0.0)

@@ -130,11 +130,9 @@ def _tolerated(moves: Iterable[ReadMove], forced: bool) -> Iterable[ReadMove]:
 
 
 def compare_places(
-    blocks: Columns,
-    machine: Machine,
-    moves: Iterable[ReadMove],
+    blocks: Columns, machine: Machine, moves: Iterable[ReadMove],
     tolerances: Sequence[float] = UNKNOWN,
-) -> Agreement:
+) -> Agreement:  # fmt: skip
     """Compare rows with motions whose lines are not known."""
     return _FollowPlaces(blocks, machine, tolerances).follow(moves)
 

@@ -80,12 +80,9 @@ def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> De
 
 
 def measure_widely(
-    program: ProgramShapes,
-    tip: FloatArray,
-    axis: FloatArray,
-    block: IntArray,
+    program: ProgramShapes, tip: FloatArray, axis: FloatArray, block: IntArray,
     position: FloatArray,
-) -> Deviation:
+) -> Deviation:  # fmt: skip
     """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
     result = program.path.deviation(tip, axis, block)
     if program.lines is not None:

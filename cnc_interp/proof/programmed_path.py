@@ -61,12 +61,9 @@ class ProgrammedPath:
 
     @staticmethod
     def of(
-        tip: FloatArray,
-        axis: FloatArray,
-        rotary: FloatArray,
-        height: float,
+        tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float,
         linear: BoolArray | None = None,
-    ) -> ProgrammedPath:
+    ) -> ProgrammedPath:  # fmt: skip
         """
         Build the path from the vertices of the program, one line and one great circle per row.
 
@@ -139,12 +136,9 @@ def peaks(points: FloatArray) -> FloatArray:
 
 
 def distances_to_vertices(
-    points: FloatArray,
-    vertices: FloatArray,
-    low: IntArray,
-    high: IntArray,
+    points: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
     unit: FloatArray | None = None,
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """
     Find the distance between each vertex and a sampled motion.
 

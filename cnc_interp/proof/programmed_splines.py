@@ -70,13 +70,9 @@ def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int
 
 
 def _renumbered(
-    block: Any,
-    position: Any,
-    new: IntArray,
-    curves: dict[tuple[int, int], FloatArray],
-    transform: Transform,
-    height: float,
-) -> Stored:
+    block: Any, position: Any, new: IntArray, curves: dict[tuple[int, int], FloatArray],
+    transform: Transform, height: float,
+) -> Stored:  # fmt: skip
     """Return the new row of each position, from its row and where it is on a curve."""
     rows, reached = Stored.empty(len(block), np.int64), dict.fromkeys(curves, 0)
     for a, b in spans(len(block)):

@@ -152,17 +152,10 @@ class Ledger:
         return texts
 
     def judge(
-        self,
-        what: str,
-        value: FloatArray,
-        limit: FloatArray | float,
-        axis: str = '',
-        allowed: float = 1.0,
-        slack: float = 0.0,
-        rows: IntArray | None = None,
-        first: int = 0,
+        self, what: str, value: FloatArray, limit: FloatArray | float, axis: str = '',
+        allowed: float = 1.0, slack: float = 0.0, rows: IntArray | None = None, first: int = 0,
         quiet: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Record the largest ``value / limit``; above ``allowed`` it is a failure."""
         if not len(value):
             return

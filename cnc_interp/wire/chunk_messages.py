@@ -23,14 +23,9 @@ OF_AXES = tuple(FIELDS)[:4]
 
 
 def chunk_message(
-    chunk: Chunk,
-    lines: list[int],
-    tail_lines: list[int],
-    run_id: RunId,
-    first: int,
-    period: float,
-    joins: bool = False,
-) -> SetpointChunk:
+    chunk: Chunk, lines: list[int], tail_lines: list[int], run_id: RunId, first: int,
+    period: float, joins: bool = False,
+) -> SetpointChunk:  # fmt: skip
     """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
     return SetpointChunk(

@@ -68,14 +68,9 @@ def run_id_of(message: Any) -> RunId:
 
 
 def setup_table(
-    setup: JobSetup,
-    file: str,
-    zero: Mapping[str, float],
-    program_id: str,
-    in_use: Iterable[str],
-    by: str,
-    what: str,
-) -> SetupTable:
+    setup: JobSetup, file: str, zero: Mapping[str, float], program_id: str, in_use: Iterable[str],
+    by: str, what: str,
+) -> SetupTable:  # fmt: skip
     """
     Return the message about the setup of the machine.
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.core.limit_table import BEFORE, limit_shares, limits_along
+from cnc_interp.core.limit_table import limits_along
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.kinematics.axis_path import evaluate
+from cnc_interp.run.setpoints import BEFORE, limit_shares
 
 PERIOD = 1e-3
 
@@ -20,7 +21,7 @@ def share_active(planned: PlannedPiece, limits: AxisLimits, level: float = 0.99)
     s, v, a, j = law.evaluate(time, piece)
     cell = law.cell[piece]
     q, q1, q2, q3 = evaluate(path, s, cell)
-    table = limits_along(limit_table(limits), q)
+    table = limits_along(limits.limit_table, q)
     use = np.maximum.reduce(
         [
             (np.abs(q1 * v[:, None]) / table[0]).max(axis=1),
@@ -39,4 +40,4 @@ def largest_use(planned: PlannedPiece, limits: AxisLimits) -> float:
     """Largest use of any limit by first, second and third differences of the setpoints."""
     time = np.arange(-BEFORE, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
     q = evaluate(planned.path, planned.law.evaluate(time)[0])[0]
-    return float(np.abs(limit_shares(q, limit_table(limits), PERIOD)).max())
+    return float(np.abs(limit_shares(q, limits.limit_table, PERIOD)).max())

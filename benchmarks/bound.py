@@ -24,7 +24,6 @@ from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.limit_table import BEFORE, limit_shares
 from cnc_interp.core.units import MS
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limits import limits_at
@@ -33,7 +32,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chain import LONGEST_STEP
-from cnc_interp.run.setpoints import Interpolator
+from cnc_interp.run.setpoints import BEFORE, Interpolator, limit_shares
 from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
 
 #: How often each path is planned; the shortest time counts.

@@ -13,18 +13,18 @@ from __future__ import annotations
 import sys
 from statistics import median
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from paths import cases
 
 from cnc_interp.core.limit_table import place_table
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import AxisLimits
 
 COULOMB, VISCOUS = 0.1, 0.3
 
 
-def limits_of(limits: AxisLimits, loaded: bool, part: float) -> SimpleNamespace:
+def limits_of(limits: Any, loaded: bool, part: float) -> SimpleNamespace:
     """Return the limits with a part of the acceleration, and with drives if they are loaded."""
     v, a, j = limits.max_velocity, part * limits.max_acceleration, limits.max_jerk
     drives = np.stack([a, COULOMB * a, VISCOUS * a / v], axis=1)

@@ -30,8 +30,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, waves
 
-from cnc_interp.core.limit_table import BEFORE, constant_table, limit_shares
+from cnc_interp.core.limit_table import constant_table
 from cnc_interp.nodes import qos
+from cnc_interp.run.setpoints import BEFORE, limit_shares
 
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90

@@ -33,7 +33,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import PLACE
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     evaluate_cells,
@@ -189,7 +189,7 @@ def solve(
     jerk = np.diff(a) / duration
     scale = np.array([v.max(), np.abs(a).max(), np.abs(jerk).max() / 3])
 
-    table = limit_table(limits)[:PLACE, :, 0]
+    table = limits.limit_table[:PLACE, :, 0]
     feed = np.minimum(grid.cell_feed, 100.0)
     nodes, inside = casadi.MX.sym('nodes', 2, n + 1), casadi.MX.sym('inside', 3, n)
     cells = cell_function(n_axes).map(n)

@@ -17,7 +17,7 @@ from toppra.interpolator import AbstractGeometricPath
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import PLACE, constant_table
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 
@@ -120,7 +120,7 @@ def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float
         good, bad, best = 1e-6, 1.0, math.nan
         while bad / good > 1.02:
             middle = math.sqrt(good * bad)
-            table = limit_table(limits)[:PLACE, :, 0].copy()
+            table = limits.limit_table[:PLACE, :, 0].copy()
             table[1] *= middle
             squared = toppra_law(grid, table)
             kept = False
@@ -155,7 +155,7 @@ def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4)
     import copp_py as copp
 
     total, computing, worst = 0.0, 0.0, -math.inf
-    table = limit_table(limits)[:PLACE, :, 0]
+    table = limits.limit_table[:PLACE, :, 0]
     options = copp.clarabel.ClarabelOptions(allow_insufficient_progress=True)
     for stretch in stretches(path):
         motion = plan_path(stretch, limits).law

@@ -22,7 +22,7 @@ from paths import Case, cases
 from whole_plans import path_of
 
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -55,7 +55,7 @@ def row_of(case: Case) -> str:
         plan_path(case.path, case.limits, PlanOptions(reserve=reserve))
         for reserve in (PlanOptions().reserve, 0.0)
     )
-    law, table = piece.law, limit_table(case.limits)
+    law, table = piece.law, case.limits.limit_table
     times = np.arange(law.time[0], min(law.end_time, law.time[0] + MOST), EVERY)
     states = np.array(law.evaluate(times)[:3]).T.tolist()
     stops, seconds = [], 0.0

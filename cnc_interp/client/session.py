@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.limit_table import excesses, tool_error_text
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.machine_model.machine import error_text
@@ -147,6 +146,8 @@ class RunResult:
             values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
             lines.append(f'{name:<15}{values}')
         if self.tool_error:
+            from cnc_interp.run.plan_figures import tool_error_text
+
             lines.append(tool_error_text(self.tool_error, self.flank_height))
         lines += [
             f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
@@ -162,6 +163,8 @@ class RunResult:
     @property
     def excesses(self) -> list[str]:
         """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
+        from cnc_interp.run.plan_figures import excesses
+
         uses = {
             kind: getattr(self, f'{kind}_use') for kind in ('velocity', 'acceleration', 'jerk')
         }

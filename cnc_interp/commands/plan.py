@@ -107,15 +107,14 @@ def machine_of(options: argparse.Namespace) -> Machine:
 
 def excesses_of(summary: dict[str, Any]) -> list[str]:
     """Name the limits and tolerances that a plan exceeds."""
-    from cnc_interp.core.limit_table import excesses
+    from cnc_interp.run.plan_figures import excesses
 
     return excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])
 
 
 def describe(summary: dict[str, Any]) -> str:
     """Return the summary in words and shop units."""
-    from cnc_interp.core.limit_table import tool_error_text
-    from cnc_interp.run.plan_figures import bound_text, windows_text
+    from cnc_interp.run.plan_figures import bound_text, tool_error_text, windows_text
 
     notes = summary['start']['notes'] if summary['start'] else []
     lines = [

@@ -1,5 +1,4 @@
-"""
-Bezier pieces: their points, derivatives, division, degree elevation and proven bounds.
+"""Bezier pieces: their points, derivatives, division, degree elevation and proven bounds.
 
 ``bspline.py`` converts B-splines to pieces. The NumPy functions work on many pieces at once; the
 compiled ones on one piece, and return jets (``jet.py``). A curve lies in the hull of its points,

@@ -101,8 +101,7 @@ def quintic_basis(
 def quintic_end_coefficients(
     jet: FloatArray, full: FloatArray, known: int, at_end: bool
 ) -> FloatArray:
-    """
-    Return the first or last ``known`` control points of a clamped quintic B-spline.
+    """Return the first or last ``known`` control points of a clamped quintic B-spline.
 
     ``jet`` (known, d): value and derivatives there, each over the factorial of its order.
     """

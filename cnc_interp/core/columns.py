@@ -1,5 +1,4 @@
-"""
-Tables: columns with one row per element, each declared once at its field.
+"""Tables: columns with one row per element, each declared once at its field.
 
 A field says all that is known of a column. ``column`` gives the shape of a row and the default,
 the annotation gives the dtype, the comment gives the meaning and the unit. Slices, joins, checks
@@ -44,7 +43,6 @@ class Column:
         )  # fmt: skip
 
     def shape_text(self, rows: int) -> str:
-        """Return the shape with so many rows for a message."""
         return f'({", ".join(map(str, (rows, *self.tail)))}{"" if self.tail else ","})'
 
 
@@ -88,7 +86,6 @@ class Table:
         return len(getattr(self, self._names[0]))
 
     def __getitem__(self, rows: slice | IntArray | BoolArray) -> Self:
-        """Return some rows."""
         return self._of({name: getattr(self, name)[rows] for name in self._names})
 
     @classmethod
@@ -101,7 +98,6 @@ class Table:
         return made
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns by name."""
         return {name: getattr(self, name) for name in self.declared}
 
     @classmethod
@@ -115,7 +111,6 @@ class Table:
 
     @classmethod
     def none(cls) -> Self:
-        """Return a table without rows."""
         return cls(**{name: declared.filled(0) for name, declared in cls.declared.items()})
 
     @classmethod

@@ -26,7 +26,6 @@ class CompileTime(Listener):  # type: ignore[misc]
 
     @property
     def seconds(self) -> float:
-        """Time so far [s]."""
         total, since, count, _ = self._shared
         return total + (time.monotonic() - since if count else 0.0)
 

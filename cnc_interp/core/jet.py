@@ -1,5 +1,4 @@
-"""
-Jets: truncated Taylor arithmetic with a value and its first three Taylor coefficients.
+"""Jets: truncated Taylor arithmetic with a value and its first three Taylor coefficients.
 
 A jet (c0, c1, c2, c3) is f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4), so a formula that is
 evaluated with jets gives exact derivatives. A vector jet is a tuple of three jets.
@@ -18,19 +17,16 @@ Vector = tuple[float, float, float]
 
 @njit(cache=True, nogil=True, inline='always')
 def constant(a: float) -> Jet:
-    """Return the jet of a constant."""
     return (a, 0.0, 0.0, 0.0)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def add(a: Jet, b: Jet) -> Jet:
-    """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3])
 
 
 @njit(cache=True, nogil=True, inline='always')
 def subtract(a: Jet, b: Jet) -> Jet:
-    """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3])
 
 
@@ -42,7 +38,6 @@ def scale(a: Jet, x: float) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def multiply(a: Jet, b: Jet) -> Jet:
-    """Return a b by the Cauchy product."""
     return (
         a[0] * b[0],
         a[0] * b[1] + a[1] * b[0],
@@ -53,7 +48,6 @@ def multiply(a: Jet, b: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def divide(a: Jet, b: Jet) -> Jet:
-    """Return a / b, where b[0] is not zero."""
     q0 = a[0] / b[0]
     q1 = (a[1] - q0 * b[1]) / b[0]
     q2 = (a[2] - q0 * b[2] - q1 * b[1]) / b[0]
@@ -63,7 +57,6 @@ def divide(a: Jet, b: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def square_root(a: Jet) -> Jet:
-    """Return the square root of a, where a[0] > 0."""
     r0 = sqrt(a[0])
     r1 = a[1] / (2.0 * r0)
     r2 = (a[2] - r1 * r1) / (2.0 * r0)
@@ -73,7 +66,6 @@ def square_root(a: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def sine_cosine(a: Jet) -> tuple[Jet, Jet]:
-    """Return the jets of sin a and cos a."""
     s0, c0 = sin(a[0]), cos(a[0])
     s1, c1 = c0 * a[1], -s0 * a[1]
     s2 = 0.5 * (c1 * a[1]) + c0 * a[2]
@@ -100,14 +92,12 @@ def arctangent(y: Jet, x: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def dot(a: VectorJet, b: VectorJet) -> Jet:
-    """Return the scalar product of two vector jets."""
     found: Jet = add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
     return found
 
 
 @njit(cache=True, nogil=True, inline='always')
 def normalised(a: VectorJet) -> VectorJet:
-    """Return the unit vector a / |a| of a vector jet."""
     length = square_root(dot(a, a))
     return (divide(a[0], length), divide(a[1], length), divide(a[2], length))
 

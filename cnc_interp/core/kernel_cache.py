@@ -1,5 +1,4 @@
-"""
-Where compiled kernels are kept, and when they are compiled again.
+"""Where compiled kernels are kept, and when they are compiled again.
 
 Machine code holds what a kernel calls, and the constants that it reads. numba by itself compares
 only the file of the kernel. Here a kernel is current while no file changes that its own file
@@ -99,11 +98,9 @@ class KernelLocator:
         return cls(path) if path.is_relative_to(PACKAGE) else None
 
     def ensure_cache_path(self) -> None:
-        """Make the folder."""
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def get_cache_path(self) -> str:
-        """Return the folder of the kernels of a room."""
         return str(self._folder)
 
     def get_source_stamp(self) -> str:

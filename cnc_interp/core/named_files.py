@@ -1,5 +1,4 @@
-"""
-Files that a goal or a program names: what may be opened is decided here, and here alone.
+"""Files that a goal or a program names: what may be opened is decided here, and here alone.
 
 A path counts as what it is after all links. Outside the allowed folders the answer is the same
 whether or not there is such a file, and nothing of it is read. Devices and pipes are never opened:
@@ -18,11 +17,7 @@ from cnc_interp.core.errors import InterpError
 
 
 def require_inside(path: Path, folders: Sequence[str]) -> Path:
-    """
-    Return the real path of what is one of some files or folders, or lies below some folders.
-
-    Raises InterpError for every other path.
-    """
+    """Return the real path of one of some files, or of what is in a folder; else InterpError."""
     real = Path(os.path.realpath(path))
     if not any(real.is_relative_to(os.path.realpath(folder)) for folder in folders if folder):
         raise InterpError(
@@ -45,12 +40,9 @@ def require_allowed(path: Path, folders: Sequence[str]) -> Path:
 
 
 def open_named(path: Path, folders: Sequence[str] | None) -> BinaryIO:
-    """
-    Open a file for reading; ``folders`` as for ``require_allowed``.
+    """Open a file for reading; raises OSError, and InterpError as ``require_allowed``.
 
     With None the user of this process names it: all that he may read is allowed, pipes included.
-
-    Raises OSError, and InterpError as ``require_allowed``.
     """
     if folders is None:
         return path.open('rb')

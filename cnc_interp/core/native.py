@@ -100,6 +100,5 @@ class DistinctArrays(CompilerBase):  # type: ignore[misc]
     """Compiler for kernels whose arrays never overlap, so that loops take several elements."""
 
     def define_pipelines(self):  # type: ignore[no-untyped-def]
-        """Return the usual passes."""
         self.state.flags.noalias = True
         return [DefaultPassBuilder.define_nopython_pipeline(self.state)]

@@ -60,7 +60,6 @@ class ProgressBar:
         self._width = 0  # width of the line on the terminal [characters]
 
     def of(self, work: str) -> Callable[[float], None]:
-        """Return a function that shows the progress of one kind of work."""
         return lambda share: self.show(work, share)
 
     def show(self, work: str, share: float, note: str = '', left: float = math.nan) -> None:

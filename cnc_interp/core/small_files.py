@@ -119,6 +119,5 @@ class BoundedMemory:
             resource.setrlimit(kind, (min([most, *known]), limits[1]))
 
     def lift(self) -> None:
-        """Set the limits back."""
         for kind, limits in zip(_KINDS, self._before, strict=True):
             resource.setrlimit(kind, limits)

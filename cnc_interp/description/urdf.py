@@ -1,10 +1,8 @@
-"""
-Links and joints of a machine with simple shapes, and its URDF for RViz, Foxglove and others.
+"""Links and joints of a machine with simple shapes, and its URDF for RViz, Foxglove and others.
 
-The links are one tree from ``base_link``, the machine frame M. One branch is X, Y, Z and the axes
-that carry the tool, down to ``tool_tip``. The other branch is the axes that carry the workpiece,
-down to ``workpiece``, the frame of programs and markers. Joints have the names of the axes. With
-all axes at zero, all frames are parallel to M.
+One tree from ``base_link``, the machine frame M: X, Y, Z and the axes that carry the tool, down to
+``tool_tip``; the axes that carry the workpiece, down to ``workpiece``, the frame of programs and
+markers. Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
 """
 
 from __future__ import annotations
@@ -44,7 +42,6 @@ class Shape:
 
     @property
     def is_box(self) -> bool:
-        """True for a box, false for a cylinder."""
         return len(self.size) == 3
 
     @property
@@ -93,7 +90,6 @@ def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
 
 
 def slide_shapes() -> tuple[tuple[Shape, ...], ...]:
-    """Draw bridge, saddle and ram, one tuple each."""
     bridge = Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE)
     saddle = Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON)
     ram = Shape((0.09, 0.09, 0.75), (0.02, 0.0, 0.63), SLIDE)
@@ -180,13 +176,7 @@ class Description:
     joints: tuple[Joint, ...]  #: Parents before children.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        """
-        Return the pose of a link in the base.
-
-        ``positions``: position of each axis by name; 0 if it is missing [m, rad]. Returns
-        ``rotation`` (3, 3): rotation matrix of the link in the base [-]; ``place`` (3,): origin of
-        the link in the base [m].
-        """
+        """Return rotation (3, 3) and origin (3,) [m] of a link in the base; other axes at 0."""
         rotation, place = np.eye(3), np.zeros(3)
         joint_of = {joint.child: joint for joint in self.joints}
         while link in joint_of:
@@ -276,7 +266,6 @@ def urdf_of(machine: Machine) -> str:
 
 
 def add_links(robot: ElementTree.Element, description: Description) -> None:
-    """Add every link with its shapes."""
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
         for shape in shapes:
@@ -284,7 +273,6 @@ def add_links(robot: ElementTree.Element, description: Description) -> None:
 
 
 def add_shape(part: ElementTree.Element, shape: Shape) -> None:
-    """Add one box or cylinder with its colour."""
     ElementTree.SubElement(part, 'origin', xyz=words(shape.centre), rpy=words(shape.rpy))
     geometry = ElementTree.SubElement(part, 'geometry')
     if shape.is_box:
@@ -313,7 +301,6 @@ def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
 
 
 def words(values: Iterable[float]) -> str:
-    """Write numbers separated by spaces."""
     return ' '.join(word(value) for value in values)
 
 

@@ -1,21 +1,19 @@
-"""
-Drives told more than their setpoints: the inverse of their model, in the velocity feed-forward.
+"""Drives told more than their setpoints: the inverse of their model, in the velocity feed-forward.
 
 The table shall be at r. With the equations of ``drive_model.py`` the motor must then be at
 
     m = r + r'' / omega^2 - 2 zeta / omega^3 r''' + (w / 2) sign,
 
 where the sign is that of the last motion. The loops get it there, for any position setpoint c and
-velocity feed-forward g, if kv (c - m) + f g = m' + tau u with u = m'' + B m' + F. So the positions
-that are sent are the setpoints that were proven, bit for bit, some periods later. All of the
-inverse goes into g:
+velocity feed-forward g, if kv (c - m) + f g = m' + tau u with u = m'' + B m' + F. So the setpoints
+that were proven are sent bit for bit, some periods later, and all of the inverse goes into g:
 
     f g = kv (m - c) + (1 + tau B) m' + tau m'' + tau F.
 
-Derivatives are those of polynomials through some setpoints before and after. To know those
-after, all tables are later by the same ``lead``, so the path stays the path. The setpoints of a
-drive with a longer dead time are sent earlier. The signs at a reversal are smoothed over a few
-milliseconds. Everything that is played is compensated: programs, stop tails, motion by hand.
+Derivatives are those of polynomials through some setpoints before and after. To know those after,
+all tables are later by the same ``lead``, so the path stays the path. Setpoints of a drive with a
+longer dead time are sent earlier. Signs at a reversal are smoothed over a few milliseconds.
+Programs, stop tails and motion by hand are all compensated.
 
 What earlier runs of a program have taught (``learning.py``) is added to g, while the setpoints are
 those of that program, bit for bit. After any other setpoint the added part fades to zero.
@@ -163,11 +161,9 @@ def compensate_all(
 
 
 class Compensation:
-    """
-    What is computed once: the words of all axes, which stand at ``position`` [m, rad].
+    """What is computed once: the words of all axes, which stand at ``position`` [m, rad].
 
-    Drives and loads of ``model`` are inverted. Raises MachineError if a drive takes too little
-    feed-forward of velocity.
+    Raises MachineError if a drive of ``model`` takes too little feed-forward of velocity.
     """
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
@@ -194,6 +190,27 @@ class Compensation:
             _write_weights(columns, drive, load, period, (later, beside, turning))
             columns[STATE] = position[j]
 
+    def memory(
+        self, step: int, memory: FloatArray, period: float,
+        learnt: tuple[FloatArray, FloatArray] | None,
+    ) -> FloatArray:  # fmt: skip
+        """Return the memory of ``compensate_once`` around a step of drives and its memory."""
+        axes, count = self.words.shape
+        head = np.zeros(HEAD, dtype=np.int64)
+        head[[STEP, MEMORY]] = step, memory.ctypes.data
+        head[[COUNT, KNOWN]] = count, self.known
+        if learnt is not None:
+            head[ROWS] = len(learnt[0])
+            head[[SETPOINTS, RATES]] = [rows.ctypes.data for rows in learnt]
+            head[[FADING, LEFT]] = math.ceil(FADE / period - 1e-9)
+        return np.concatenate([head.view(float), self.words.ravel(), np.zeros(2 * axes)])
+
+    def newest(self, memory: FloatArray) -> FloatArray:
+        """Return the last setpoint in that memory, shape (n_axes,) [m, rad]."""
+        axes, count = self.words.shape
+        held: FloatArray = memory[HEAD + FIRST + STATE * self.known :: count][:axes].copy()
+        return held
+
 
 def compensated_model(name: str, machine: Machine) -> Machine:
     """Load the model of the drives, by name or file; MachineError if it has other axes."""
@@ -205,7 +222,6 @@ def compensated_model(name: str, machine: Machine) -> Machine:
 
 
 def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, float]:
-    """Return Coulomb friction and excess at rest over the inertia, and Stribeck's velocity."""
     if load is None:
         return 0.0, 0.0, 1.0
     coulomb = load.coulomb / load.inertia
@@ -268,11 +284,9 @@ def _polynomial(
 
 
 def _bump(edges: FloatArray, width: float, period: float) -> FloatArray:
-    """
-    Return weights of a smoothed column and of its two derivatives by time, shape (3, known).
+    """Return weights of a smoothed column and of its two derivatives by time, shape (3, known).
 
-    A value of the column holds between two ``edges``. It is smoothed by
-    35 / 32 (1 - (t / width)^2)^3, whose integral over the value is exact.
+    A value holds between two ``edges``. It is smoothed by 35 / 32 (1 - (t / width)^2)^3, exactly.
     """
     u = np.clip(edges / width, -1.0, 1.0)
     inside = 1.0 - u**2

@@ -1,5 +1,4 @@
-"""
-The model of the simulated drives: how each axis follows its setpoints.
+"""The model of the simulated drives: how each axis follows its setpoints.
 
 Every axis is a position loop with velocity feed-forward around a velocity loop that answers as a
 first-order lag. With m the motor's position and all forces divided by the inertia,
@@ -71,7 +70,6 @@ def memory_of(period: float, lag: float) -> int:
 
 
 def place(words: FloatArray, position: float) -> None:
-    """Let an axis stand at a position [m or rad]."""
     words[kernels.MOTOR :] = 0.0
     words[[kernels.MOTOR, kernels.PLAY, kernels.TABLE]] = position
     words[kernels.RING :: 2] = position
@@ -128,7 +126,6 @@ def discretise(
 
 
 def _mode(drive: AxisDrive, span: float) -> FloatArray:
-    """Return the step of the mode's error and of its change per step, shape (2, 2)."""
     from scipy.linalg import expm
 
     turn = 2.0 * math.pi * drive.mode_frequency * span

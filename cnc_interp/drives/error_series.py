@@ -1,5 +1,4 @@
-"""
-What an axis is off its setpoints in slow motion, by velocity, acceleration and friction.
+"""What an axis is off its setpoints in slow motion, by velocity, acceleration and friction.
 
 With the equations of ``drive_model.py``, the table follows a setpoint r of slow motion by
 
@@ -98,7 +97,6 @@ def _loops(drive: AxisDrive, load: DriveLoad | None) -> FloatArray:
 
 
 def _mode(drive: AxisDrive) -> FloatArray:
-    """Return the first terms of the flexible mode."""
     if not drive.mode_frequency:
         return np.array([1.0, 0.0, 0.0])
     return np.array([1.0, 0.0, -1.0 / (2.0 * math.pi * drive.mode_frequency) ** 2])

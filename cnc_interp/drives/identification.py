@@ -1,5 +1,4 @@
-"""
-The model of a drive from what it did: a program that shows it, and a least-squares fit.
+"""The model of a drive from what it did: a program that shows it, and a least-squares fit.
 
 The program moves one axis after the other, there and back at several speeds, which shows friction,
 backlash and lags. Then an axis goes on in one direction while its feed alternates faster and
@@ -104,11 +103,9 @@ def identify_axis(
     machine: Machine, axis: int, period: float, setpoints: FloatArray, rates: FloatArray,
     feedback: FloatArray,
 ) -> IdentifiedAxis | None:  # fmt: skip
-    """
-    Fit the model of one axis; None where it did not move.
+    """Fit the model of one axis; None where it did not move.
 
-    ``machine``: gives inertia and viscous friction; ``setpoints``, ``rates``, ``feedback`` (K,
-    n_axes): setpoints, their velocities, and measured positions [m, rad, per s].
+    ``setpoints``, ``rates``, ``feedback`` (K, n_axes): with measured positions [m, rad, per s].
     Raises InterpError if the axis turned too seldom to show its friction and backlash.
     """
     rows = _moving(setpoints[:, axis], period)
@@ -142,7 +139,6 @@ def resolution_of(positions: FloatArray) -> float:
 
 
 def _moving(setpoint: FloatArray, period: float) -> FloatArray:
-    """Return the rows from the first motion of an axis until it has settled."""
     moves = np.flatnonzero(np.abs(np.diff(setpoint)) > STILL)
     if not len(moves):
         return np.zeros(0, dtype=int)
@@ -172,8 +168,7 @@ def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
 def spreads_of(
     jacobian: FloatArray, residual: FloatArray, place: FloatArray, lags: int
 ) -> FloatArray:
-    """
-    Return the standard deviations of numbers fitted by least squares, shape (k,).
+    """Return the standard deviations of numbers fitted by least squares, shape (k,).
 
     With P = (J^T J)^-1 J^T the covariance is P S P^T. S has two parts, whose common diagonal
     counts once: errors near in time, by the autocorrelation of the residual; and errors at one
@@ -302,12 +297,7 @@ def with_drives(
     text: str, machine: Machine, drives: Mapping[int, AxisDrive], loads: Mapping[int, DriveLoad],
     half_widths: Mapping[int, Mapping[str, float]], origin: str,
 ) -> str:  # fmt: skip
-    """
-    Write drives and loads into the text of a machine file.
-
-    ``half_widths``: half of the 95 % intervals by field, see ``IdentifiedAxis`` [SI]; ``origin``:
-    where the values come from, for a comment.
-    """
+    """Write drives, loads and half of the 95 % intervals [SI] into the text of a machine file."""
     parts = [_without_sections(text).rstrip('\n'), '']
     if loads:
         parts += ['# What the drives move and overcome.', 'loads:']
@@ -337,7 +327,6 @@ def with_drives(
 
 
 def _without_sections(text: str) -> str:
-    """Return the text without its sections of loads and drives, and the comments before them."""
     kept: list[str] = []
     inside = False
     for line in text.splitlines():

@@ -1,5 +1,4 @@
-"""
-What is added to the feed-forward of compensated drives after a run of the same program.
+"""What is added to the feed-forward of compensated drives after a run of the same program.
 
 The table was off its late setpoint by e. With the loops of ``drive_model.py`` the velocity
 feed-forward that moves it by e is ``f dg = kv e + (1 + tau B) e' + tau e''``, sent earlier by the
@@ -43,7 +42,6 @@ def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
 
 
 def start_of(setpoints: FloatArray) -> int:
-    """Return the last row before the first motion."""
     differs = np.flatnonzero(np.any(setpoints[1:] != setpoints[0], axis=1))
     return int(differs[0]) if len(differs) else len(setpoints) - 1
 
@@ -52,12 +50,10 @@ def learnt_rates(
     model: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray,
     before: FloatArray | None = None,
 ) -> FloatArray:  # fmt: skip
-    """
-    Return what is added to the velocity feed-forward in the next run, (K, n_axes) [m, rad, per s].
+    """Return what is added to the feed-forward in the next run, (K, n_axes) [m, rad, per s].
 
-    ``lead``: time by which all axes are late [s]; ``setpoints`` (K, n_axes): from ``with_hold``;
-    ``feedback`` (F, n_axes): measured positions; the error is held from there on [m, rad];
-    ``before`` (K, n_axes): what was added in that run. The first and the last row are 0.
+    ``lead``: time by which all axes are late [s]; ``setpoints``: from ``with_hold``; ``feedback``
+    (F, n_axes): the error is held after it; ``before``: what was added in that run.
     """
     errors = late(setpoints, lead / period)[: len(feedback)] - feedback
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
@@ -86,7 +82,6 @@ def late(rows: FloatArray, periods: float) -> FloatArray:
 
 
 def cutoff_of(drive: AxisDrive, period: float) -> float:
-    """Return the cutoff of what an axis learns [Hz]."""
     below = SHARE * drive.mode_frequency if drive.mode_frequency else CUTOFF
     return min(CUTOFF, below, FASTEST / period)
 
@@ -94,12 +89,9 @@ def cutoff_of(drive: AxisDrive, period: float) -> float:
 def measured_error(
     machine: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray
 ) -> FloatArray:
-    """
-    Return the errors of measured positions at the tool, (F, 2), as ``tool_error`` has a model's.
+    """Return the errors of measured positions, (F, 2), as ``tool_error`` has a model's [m, rad].
 
-    ``lead``: time by which all axes are late [s]; ``setpoints``, ``feedback`` (K, n_axes), (F,
-    n_axes): from rest [m, rad]. Distance of the tip from its path [m], angle of the tool axis
-    [rad].
+    ``lead``: time by which all axes are late [s]; ``setpoints``, ``feedback``: from rest [m, rad].
     """
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
@@ -112,7 +104,6 @@ def measured_error(
 
 
 def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:
-    """Return values after a low pass, forwards and backwards."""
     from scipy.signal import butter, sosfiltfilt
 
     cutoff = cutoff_of(drive, period)
@@ -145,7 +136,6 @@ class LearntMotion:
     model: str
 
     def save(self, path: Path) -> None:
-        """Write the file."""
         try:
             with path.open('wb') as file:
                 np.savez_compressed(file, **{name: getattr(self, name) for name in ARRAYS})

@@ -54,7 +54,6 @@ class ToolMotion:
         self._waiting = tuple(np.repeat(x, self.late, axis=0) for x in (tip, axis))
 
     def copy(self) -> ToolMotion:
-        """Return the same state, which moves on by itself."""
         found = copy(self)
         found._words, found._compensation = self._words.copy(), self._compensation.copy()
         return found
@@ -93,12 +92,7 @@ def tool_error(
     machine: Machine, period: float, positions: FloatArray, velocities: FloatArray,
     model: Machine | None = None,
 ) -> ToolError:  # fmt: skip
-    """
-    Simulate the drives of a machine, and measure the error at the tool.
-
-    ``positions``, ``velocities`` (K, n_axes): setpoints [m, rad, per s]. Returns one row for each
-    setpoint, and for the time in which the axes settle.
-    """
+    """Simulate drives on setpoints (K, n_axes) until they settle; return the error at the tool."""
     motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
     parts = motion.push(positions, velocities), motion.settle()
     tip, axis = (np.concatenate([getattr(p, of) for p in parts]) for of in ('tip', 'axis'))
@@ -109,8 +103,7 @@ def tool_error(
 def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
-    """
-    Compare pose i with the ``memory`` commanded chords from chord i on; return its errors.
+    """Compare pose i with the ``memory`` commanded chords from chord i on; return its errors.
 
     Where many chords are as near as the nearest one, the axis most like it counts.
     """

@@ -1,21 +1,19 @@
-"""
-The inequality rows of the jerk stage inside one iteration of the interior point method.
+"""The inequality rows of the jerk stage inside one iteration of the interior point method.
 
-Each row g <= 1 has a slack w and a dual y. A row |g| <= 1 has one of each per side. A row of an
-axis is a constant combination of the three terms of its place (module ``jerk_rows``). Therefore
-sums over the axes are first made in the terms. They are multiplied by the derivatives by m_{i-1},
-m_i, m_{i+1} only once per cell and place. The last two rows are the speed caps of the cell and of
-its left node. A row whose factors are all zero has the dual zero and takes part in nothing.
+Each row g <= 1 has a slack w and a dual y, a row |g| <= 1 one of each per side. A row of an axis
+is a constant combination of the three terms of its place (``jerk_rows``). So sums over the axes
+are first made in the terms, and multiplied by the derivatives by m_{i-1}, m_i, m_{i+1} once per
+cell and place. The last two rows are the speed caps of the cell and of its left node. A row whose
+factors are all zero has the dual zero and takes part in nothing.
 
-Neighbouring cells are neighbours in memory, so that the compiler computes several of them at once.
-Sums over the axes are made for ``CHUNK`` cells at a time, so they stay in the cache. Rounding does
-not depend on how many cells the processor computes at once.
+Neighbouring cells are neighbours in memory, so that the compiler computes several at once. Sums
+over the axes are made for ``CHUNK`` cells at a time, so they stay in the cache.
 
 If a drive has a largest torque, there is a fourth place, again the left node. Its rows have a
 constant: -1 <= g + constant <= 1, because Coulomb friction takes its part of the torque.
 
-Arrays of this module, for n cells, p places and r = 2 p n_axes + 2 rows. The places are q = 0
-(left end), 1 (right end), 2 (left node), and 3 (left node, torque):
+Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left end), 1 (right end),
+2 (left node), and 3 (left node, torque):
 
     rows          (n_axes, 9, n)     row 3 q + f: factor of term f at place q; the limit is 1
                   (n_axes, 13, n)    with four places; row 12 is the constant of place 3
@@ -48,7 +46,6 @@ CHUNK = 256
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def places_of(rows: FloatArray) -> int:
-    """Return the number of places."""
     return 4 if rows.shape[1] > 9 else 3
 
 
@@ -142,12 +139,10 @@ def _time_of_cells(
     br1: FloatArray, h00: FloatArray, h01: FloatArray, h02: FloatArray, h11: FloatArray,
     h12: FloatArray, h22: FloatArray, g0: FloatArray, g1: FloatArray, g2: FloatArray,
 ) -> None:  # fmt: skip
-    """
-    Write gradient g and Hessian h of the time of each cell by m_{i-1}, m_i, m_{i+1}.
+    """Write gradient g and Hessian h of the time t = 2 H/S of each cell, S = v_i + v_{i+1}.
 
-    With S = v_i + v_{i+1} and t = 2 H/S: d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative.
-    ``l`` and ``r`` are the derivatives of v at a node by the coefficients left and right of it,
-    ``bl`` and ``br`` those of v^2, at the left (0) and the right (1) node.
+    d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative. ``l`` and ``r`` are the derivatives of v
+    at a node by the coefficients left and right of it, ``bl`` and ``br`` those of v^2.
     """
     for j in range(len(width)):
         sum_v = v0[j] + v1[j]
@@ -193,7 +188,6 @@ def _sum_caps(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
-    """Add a part, times a factor, to a sum."""
     for j in range(len(total)):
         total[j] += factor * part[j]
 
@@ -204,12 +198,10 @@ def add_rows(
     terms: FloatArray, slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
     d0: FloatArray, d1: FloatArray, d2: FloatArray, residual: FloatArray, rhs: FloatArray,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """
-    Compute the Newton matrix and the right-hand side of the predictor step.
+    """Write Newton matrix ``d0`` to ``d2``, right-hand side of the predictor step and residual.
 
-    ``width`` (n,) has the effective widths [m], ``v`` (n + 1,) s_dot at the nodes [m/s]. ``d0`` to
-    ``rhs`` are output. Returns the sum of dual times slack, the same divided by the cell weights,
-    and the largest violation of a row.
+    ``width`` has the effective widths [m], ``v`` s_dot at the nodes. Returns the sum of dual times
+    slack, the same over the cell weights, and the largest violation of a row.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     total_gap, weighted, most = 0.0, 0.0, 0.0
@@ -275,11 +267,10 @@ def start_rows(
     width: FloatArray, v: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
     warm: bool,
 ) -> int:  # fmt: skip
-    """
-    Set the cell weights by time, and start slacks and duals; return the number of live rows.
+    """Set the cell weights by time, and start slacks and duals; return the number of live rows.
 
-    ``total`` is the time of the starting point [s], ``width`` and ``v`` are as for ``add_rows``. A
-    warm start, from nearly the same problem, keeps larger duals.
+    ``total`` is the time of the starting point [s]. A warm start, from nearly the same problem,
+    keeps larger duals.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)

@@ -1,23 +1,20 @@
-"""
-Planning windows: the feed planner for a path that arrives in parts.
+"""Planning windows: the feed planner for a path that arrives in parts.
 
 Every plan ends at rest at the end of the known path. When a window is full, it is planned, and
-the first part of its plan is committed. Committed motion is never changed. The rest is
-planned again in the next window. Windows depend only on the path, and neither on how it was
-divided into parts nor on when these arrived. So the same path always gives the same bits.
-
-``PlanOptions.law`` chooses what solves a window: the jerk stage, or a module of ``papers``.
+the first part of its plan is committed for good. The rest is planned again in the next window.
+Windows depend only on the path, not on how it was divided or when it arrived. So the same path
+always gives the same bits.
 
 If the solver does not converge, its law keeps the limits but may be far too slow. Then the window
 is divided by a rest where that law is slowest, if this is faster.
 
 A window fails if no law within the limits was found from the committed state. Then half of the
-older plan is committed instead, and after a second failure all of it. The older plan ends at
-rest. If even this is impossible, the path is refused with its block after a stop before it.
+older plan, which ends at rest, is committed instead, and after a second failure all of it. If even
+this is impossible, the path is refused with its block after a stop before it.
 
-Where a window ends, and how much of it is committed, follows from stopping distances. A state is
-committed only if several of them lie between it and the stop at the end of the plan. Then more
-path would hardly have made it faster. One window holds a few such horizons.
+Where a window ends, and how much of it is committed, follows from stopping distances. Several of
+them lie between a committed state and the stop at the end of the plan: then more path would
+hardly have made it faster. One window holds a few such horizons.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds
@@ -72,12 +69,11 @@ def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
 def _window_end(
     s: FloatArray, bounds: FloatArray, ratio: float, most_cells: int, state: FloatArray
 ) -> int:
-    """
-    Continue the search for the window end; return its grid point in ``s``, or -1.
+    """Continue the search for the window end; return its grid point in ``s``, or -1.
 
-    A window is full after ``ratio`` horizons at the fastest speed of an optimistic guess. It is
-    also full after ``most_cells`` cells. ``state`` holds the start of the window [m], the guessed
-    speed [m/s], the longest stopping distance [m] and the number of cells counted.
+    It is full after ``ratio`` horizons at the fastest speed of an optimistic guess, or after
+    ``most_cells``. ``state``: start [m], guessed speed, longest stopping distance [m], cells
+    counted.
     """
     for i in range(len(bounds)):
         # The guess uses twice the jerk and more acceleration: a window may be too long, not short.
@@ -116,7 +112,6 @@ class WindowScan:
 
     @property
     def crowded(self) -> bool:
-        """Whether the window contains its largest number of cells."""
         return bool(self.state[3] >= self.most_cells)
 
     def extend(self, part: AxisPath) -> None:
@@ -146,11 +141,10 @@ class WindowScan:
             self.full = before + found
 
     def end(self, finished: bool) -> tuple[int, bool] | None:
-        """
-        Return the last grid point of the window and whether the motion must rest there.
+        """Return the last grid point of the window and whether the motion must rest there.
 
-        If the window is full exactly at the last known point, the answer is None for now. The
-        next part of the path may declare that point a stop.
+        None if the window is full exactly at the last known point, which may turn out to be a
+        stop.
         """
         full, stop = self.full, self.stop
         if full is not None and full < (self.cells if stop is None else stop):
@@ -196,11 +190,9 @@ def _unsound_cell(path: AxisPath) -> int | None:
 
 
 class FeedPlanner:
-    """
-    Plan the motion along a path that arrives in parts.
+    """Plan the motion along a path that arrives in parts.
 
-    ``start`` has s_dot and s_ddot at the start of the path, else it begins at rest. The state must
-    belong to a law within the same limits and feeds, otherwise no law may exist.
+    ``start``: s_dot and s_ddot there, of a law within the same limits; otherwise no law may exist.
     """
 
     def __init__(
@@ -208,7 +200,7 @@ class FeedPlanner:
         start: tuple[float, float] = AT_REST, time: float = 0.0, tool: ToolLimit | None = None,
     ):  # fmt: skip
         self.options = options or PlanOptions()
-        self._table = limit_table(limits)
+        self._table = limits.limit_table
         self._parts: list[AxisPath] = []
         self._start = start
         self._fastest_sq = start[0] ** 2  # no motion from the start of the path is faster here
@@ -223,11 +215,10 @@ class FeedPlanner:
         self._scan_again(self.options.window_ratio)
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
-        """
-        Add the next part of the path; return the motion of the windows that are now full.
+        """Add the next part of the path; return the motion of the windows that are now full.
 
-        It is often empty. If the path cannot be continued, the motion ends at rest before the
-        faulty block; then the next call raises PlanningError.
+        If the path cannot be continued, the motion ends at rest before the faulty block, and the
+        next call raises PlanningError.
         """
         self.refuse()
         bad = _unsound_cell(path)
@@ -246,11 +237,7 @@ class FeedPlanner:
         return pieces
 
     def finish(self) -> list[PlannedPiece]:
-        """
-        Plan the rest of the path, down to rest at its end; return the motion.
-
-        Raises PlanningError if there is no law. The planner is then ready for another path.
-        """
+        """Plan the rest of the path down to rest, or raise PlanningError; another may follow."""
         self.refuse()
         pieces = self._plan_windows(finished=True)
         self._parts, self._start, self._kept, self._older = [], AT_REST, None, None
@@ -274,7 +261,6 @@ class FeedPlanner:
         self._scanned = 0
 
     def _front(self, cells: int) -> AxisPath:
-        """Join the first parts until they hold this number of cells."""
         count, held = 0, 0
         while held < cells:
             held += len(self._parts[count].s) - 1
@@ -377,7 +363,6 @@ class FeedPlanner:
         return first if divided < stretch.duration.sum() else None
 
     def _impossible(self, block: int) -> PlanningError:
-        """Return the error for a path along which no motion is possible."""
         v, a = self._start
         state = 'rest' if self._start == AT_REST else f's_dot {v:.4g} m/s, s_ddot {a:.4g} m/s2'
         return PlanningError(
@@ -395,11 +380,7 @@ class FeedPlanner:
     def _commit(
         self, stretch: Stretch, cells: int, solved: str, rests: bool = False
     ) -> PlannedPiece:
-        """
-        Commit the first planner cells, and keep the rest of the plan for the next window.
-
-        ``rests`` tells whether any motion must rest at the end of the stretch.
-        """
+        """Commit the first cells, keep the rest; ``rests``: any motion must rest at its end."""
         last = int(stretch.nodes[cells])
         least = self._least_time(stretch, last, rests) if self.options.bound else 0.0
         law = stretch.law(self._time, last)

@@ -1,11 +1,9 @@
-"""
-The grid of the feed planner: cells of constant jerk, few but close to the optimum.
+"""The grid of the feed planner: cells of constant jerk, few but close to the optimum.
 
-A path cell is subdivided evenly in time if it takes longer than the wanted cell time. It is also
-subdivided if the axis derivatives inside it are far from linear. Cells may grow where the speed
-is constant. Consecutive path cells become one planner cell if they are short in time and their
-axis derivatives lie on a line. Cells too short for double precision are always grouped. Before
-all that, a path gets grid points where a limit of an axis has a kink.
+A path cell is subdivided evenly in time if it takes longer than the wanted cell time, or if the
+axis derivatives inside are far from linear. Cells may grow where the speed is constant.
+Consecutive path cells become one if they are short in time and their axis derivatives lie on a
+line; cells too short for double precision always do.
 """
 
 from __future__ import annotations
@@ -42,11 +40,10 @@ NEAR = 1e-6
 def cell_times(
     s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, tau: float
 ) -> FloatArray:
-    """
-    Return the wanted cell time at every grid point [s].
+    """Return the wanted cell time at every grid point [s].
 
-    It grows from ``tau`` only where the programmed feed alone limits the speed. There the law
-    cruises, because the guess brakes earlier and accelerates later than the law.
+    It grows from ``tau`` only where the programmed feed alone limits the speed: there the law
+    cruises.
     """
     n = len(bounds)
     wanted, growth = np.full(n + 1, tau), np.empty(n)
@@ -110,11 +107,9 @@ def cell_nodes(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
-    """
-    Estimate by how much a limit may be exceeded inside a cell whose two ends keep it [-].
+    """Estimate by how much a limit may be exceeded inside a cell whose two ends keep it [-].
 
-    The constraint rows are linear in q_ss and q_sss. The measure is the largest deviation of q_ss
-    and q_sss from the straight line between both ends, at the speed v.
+    The rows are linear in q_ss and q_sss: their largest deviation from a line counts, at speed v.
     """
     worst = 0.0
     c, jet = np.empty(8), np.empty(4)
@@ -210,11 +205,9 @@ def _group_cells(
     table: FloatArray, bounds: FloatArray, v: FloatArray, wanted: FloatArray, most_bend: float,
     given: BoolArray,
 ) -> IntArray:  # fmt: skip
-    """
-    Group the path cells from ``first`` on; return the grid points between the groups.
+    """Group the path cells from ``first`` on; return the grid points between the groups.
 
-    Only grid points of the original path (``given``) may lie inside a group. Otherwise the
-    grouping would undo the refinement.
+    Only ``given`` grid points may lie inside: others would undo the refinement.
     """
     n = len(bounds)
     nodes = np.empty(n + 1, dtype=np.int64)
@@ -274,11 +267,7 @@ def planning_grid(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
-    """
-    Return the path positions inside cells at which an axis passes a kink of its limits [m].
-
-    These are the places of its table, and velocity zero if it has a largest torque.
-    """
+    """Return where in cells a limit has a kink [m]: in its table, or where an axis turns."""
     found = [0.0 for _ in range(0)]
     c, jet = np.empty(8), np.empty(4)
     for i in range(left.shape[1]):
@@ -306,11 +295,9 @@ def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray
 
 
 def with_kinks(path: AxisPath, table: FloatArray) -> AxisPath:
-    """
-    Add grid points where the limits of an axis have a kink, so that they are linear in each cell.
+    """Add grid points where the limits of an axis have a kink: they are linear in each cell then.
 
-    Without the points, a cell as long as a block would hide a low limit in its middle. The torque
-    that Coulomb friction leaves jumps where the axis turns.
+    Else a cell as long as a block would hide a low limit in its middle.
     """
     if (table.shape[2] == 1 and not has_loads(table)) or len(path.s) < 2:
         return path

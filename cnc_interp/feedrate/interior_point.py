@@ -1,5 +1,4 @@
-"""
-A primal-dual interior point method with predictor and corrector, for the jerk stage.
+"""A primal-dual interior point method with predictor and corrector, for the jerk stage.
 
 It needs no feasible starting point. The Hessian is that of the time plus the Gauss-Newton terms of
 the rows; for jerk rows this is the convexification by tangents. The barrier of a cell is weighted
@@ -81,7 +80,6 @@ def _predict_cap(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> None:
-    """Add a part, times a factor of its own for each cell, to a sum."""
     for j in range(len(factor)):
         total[j] += factor[j] * part[j]
 
@@ -92,18 +90,14 @@ def predict(
     slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
     centring: FloatArray, bending: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Compute how far the predictor step may go, and what the corrector needs of it.
+    """Compute how far the predictor step may go, and what the corrector needs of it.
 
-    With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is
-    dy = -y (1 + t), so the dual stays positive up to 1/(1 + t). The corrector wants
-    w dy + y dw = target weight - w y - factor dw dy: two forces on the coefficients.
-
-    ``m_reached, reached`` (n,), (7, n + 1): coefficients and linearised terms after the whole
-    predictor step.
-    ``centring, bending`` (n + 2,): output: forces of ``weight`` and of the products dw dy.
-    Returns ``step, square``: longest step length with positive slacks and duals, at most 1, and
-    the sum of dw dy divided by the cell weights.
+    With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is dy = -y (1
+    + t), so the dual stays positive up to 1/(1 + t). The corrector wants w dy + y dw = target
+    weight - w y - factor dw dy: forces ``centring`` and ``bending`` on the coefficients, both
+    written here. ``m_reached`` and ``reached`` are coefficients and linearised terms after the
+    whole predictor step. Returns the longest step length, at most 1, and the sum of dw dy over the
+    cell weights.
     """
     n, n_axes, places = len(m_reached), rows.shape[0], places_of(rows)
     worst, square = 1.0, 0.0
@@ -181,15 +175,10 @@ def advance(
     weight: FloatArray, m: FloatArray, slack: FloatArray, dual: FloatArray, change: FloatArray,
     next_dual: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Take the corrected step while slacks, duals and coefficients stay positive.
+    """Take the corrected step while slacks, duals and coefficients stay positive.
 
-    ``target``: wanted product of slack and dual, per unit of cell weight.
-    ``second_order``: factor of the products dw dy of the predictor.
-    ``m_predicted, predicted, m_reached, reached`` (n,), (7, n + 1): coefficients and linearised
-    terms after the whole step of predictor and corrector.
-    ``change, next_dual`` (r, n): room for the steps of slacks and duals.
-    Returns ``primal, adjoint``: step lengths of slacks and coefficients, and of duals [-].
+    ``target``: wanted product of slack and dual, per unit of cell weight; ``second_order``: factor
+    of dw dy; then coefficients and terms after predictor and corrector. Returns both step lengths.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
@@ -236,11 +225,9 @@ def advance(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
-    """
-    Factor a symmetric pentadiagonal matrix into L D L^T in place; False if it is not finite.
+    """Factor a symmetric pentadiagonal matrix into L D L^T in place; False if it is not finite.
 
-    ``d0`` becomes 1/D. If rounding makes a pivot too small, a very large one replaces it. Its
-    unknown then does not change in this iteration.
+    ``d0`` becomes 1/D. A pivot too small by rounding becomes very large: its unknown then stays.
     """
     n = len(d0)
     given = d0.copy()
@@ -302,17 +289,13 @@ def solve(
     width: FloatArray, slack: FloatArray, dual: FloatArray, warm: bool, tolerance: float,
     most_iterations: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """
-    Minimise the time over one part of the path; return status, iterations and time [s].
+    """Minimise the time over one part of the path; return status, iterations and time [s].
 
-    ``h`` has the cell widths, ``width`` the effective ones, in and out [m]. ``rows`` has per axis
-    q_s, 3 q_ss, q_sss over the jerk limit at the left ends of the cells; the same at their right
-    ends; then q_s, q_ss, 0 over the acceleration limit at their left nodes. With torques also q_s,
-    q_ss, (B/J) q_s over T/J at these nodes, and sign(q_s) C/T. ``caps`` (n, 2) has the largest
-    coefficient of each cell, and s_dot^2 at its left node [m2/s2]. ``ends`` (4,) has s_dot^2 and
-    s_ddot at the start, then at the end. ``m`` is a positive starting point on entry, the solution
-    on return. With ``warm``, ``m``, ``slack`` and ``dual`` solve the same problem with slightly
-    other limits. ``tolerance`` is the accepted gap to the optimum, relative to the time.
+    ``h`` has the cell widths, ``width`` the effective ones, in and out [m]. ``rows`` are those of
+    ``build_rows``, ``caps`` (n, 2) the largest coefficient of each cell and s_dot^2 at its left
+    node. ``ends`` has s_dot^2 and s_ddot at start and end. ``m`` is a positive starting point,
+    then the solution. With ``warm``, ``m``, ``slack`` and ``dual`` solve the problem with nearly
+    these limits. ``tolerance`` is the accepted gap to the optimum, relative to the time.
     """
     n, n_rows = len(h), len(slack)
     b, a, v = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)

@@ -1,5 +1,4 @@
-"""
-The rows of the jerk stage: time, limits and their gradients as functions of the unknowns.
+"""The rows of the jerk stage: time, limits and their gradients as functions of the unknowns.
 
 The path is cut into n cells of width ``h``. s_dddot is constant in each cell. There is one unknown
 per cell: ``m_i``, the middle Bezier coefficient of b = s_dot^2. With p_i = 1/(H_{i-1} + H_i):
@@ -70,7 +69,6 @@ def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray
 def _nodes_by_coefficients(
     width: FloatArray, al: FloatArray, ar: FloatArray, bl: FloatArray, br: FloatArray
 ) -> None:
-    """Write the derivatives of a and b at the inner nodes by the coefficients beside them."""
     n = len(width)
     for i in range(1, n):
         p = 1.0 / (width[i - 1] + width[i])
@@ -115,13 +113,11 @@ def terms_and_time(
     width: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray, terms: FloatArray,
     slopes: FloatArray,
 ) -> float:  # fmt: skip
-    """
-    Return the time, and write the terms of the rows with their derivatives.
+    """Return the time, and write the terms of the rows with their derivatives.
 
-    ``b, a, v`` (n + 1,) are s_dot^2, s_ddot and s_dot at the nodes. ``terms`` (7, n + 1) are j in
-    cell i; v a, v b, a, b at node i; zero; v at node i. ``slopes`` (14, n + 1) are the derivatives
-    of j by m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v at node i by m_{i-1} and m_i, two rows
-    each; zero. Those by the fixed first and last coefficient are zero.
+    ``terms``: j in cell i; v a, v b, a, b at node i; zero; v. ``slopes``: derivatives of j by
+    m_{i-1}, m_i, m_{i+1}; of v a, v b, a, b and v by m_{i-1} and m_i, two rows each; zero. Those
+    by the fixed first and last coefficient are zero.
     """
     n = len(width)
     e = slopes
@@ -155,14 +151,12 @@ def _linearised_jerk(
     j: FloatArray, left: FloatArray, middle: FloatArray, right: FloatArray, dm: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Write s_dddot of the cells after a step of their three coefficients."""
     for i in range(len(dm) - 2):
         out[i] = j[i] + left[i] * dm[i] + middle[i] * dm[i + 1] + right[i] * dm[i + 2]
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatArray) -> None:
-    """Compute the linearised terms after a step of the coefficients."""
     _linearised_jerk(terms[0], slopes[0], slopes[1], slopes[2], dm, out[0])
     for t in range(1, 5):
         _linearised(terms[t], slopes[2 * t + 1], slopes[2 * t + 2], dm, out[t])
@@ -206,12 +200,7 @@ def slope_rows(
 def build_rows(
     left: FloatArray, right: FloatArray, table: FloatArray, scale: FloatArray, rows: FloatArray
 ) -> None:
-    """
-    Write the rows of the interior point method: derivatives divided by the allowed limits.
-
-    ``scale`` (n, 4, n_axes) are the parts of the limits that each cell may use. ``rows`` is as in
-    ``barrier_rows.py``; zero where no coefficient is free.
-    """
+    """Write the rows of ``barrier_rows.py``: derivatives over limits times ``scale``."""
     n, n_axes = left.shape[1], left.shape[2]
     rows[:] = 0.0
     if n < 3:

@@ -1,18 +1,16 @@
-"""
-The jerk stage: plans one part of the path within all limits and checks it between the nodes.
+"""The jerk stage: plans one part of the path within all limits and checks it between the nodes.
 
 The interior point method applies the limits only at the two ends of each cell. Its law is then
-evaluated on the true curve at several instants of every cell. Where a limit is exceeded inside a
-cell, the limit of this cell is lowered by the excess, and the part is solved again. If only few
-cells are concerned, only the cells around them are solved again, between the states of the last
-law. A law is accepted only if it keeps every limit at all these instants.
+evaluated on the true curve at several instants of every cell. Where a limit is exceeded inside,
+the limit of the cell falls by the excess, and the part is solved again, or only the cells around
+few such ones. A law is accepted only if it keeps every limit at all these instants.
 
 A law must leave something to brake with, too. On a circle of radius r at speed v, the jerk of an
 axis, q_s s_dddot + 3 q_ss s_dot s_ddot + q_sss s_dot^3 [B2013, Eq. 8], is v^3/r^2 by its last term
-alone. A law that spends the whole limit on it, all the way round, has no short stop. The same
-holds for the acceleration. The braking left at a state is the most negative s_dddot (s_ddot) that
-every axis allows, divided by that on a straight line. Short losses do no harm: the machine goes on
-as planned until it can brake. So the mean over ``LASTING`` seconds counts.
+alone. A law that spends the whole limit on it, all the way round, has no short stop; likewise
+with the acceleration. The braking left at a state is the most negative s_dddot (s_ddot) that
+every axis allows, divided by that on a straight line. Short losses do no harm, as the machine goes
+on as planned until it can brake. So the mean over ``LASTING`` seconds counts.
 """
 
 from __future__ import annotations
@@ -116,11 +114,9 @@ def without_braking(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
-    """
-    Return starting coefficients from the guessed speeds: moving minimum, then moving mean.
+    """Return starting coefficients from the guessed speeds: moving minimum, then moving mean.
 
-    No law can follow the corners of the guess. Without smoothing, the interior point method needs
-    a third more iterations.
+    No law can follow the corners of the guess: without smoothing, a third more iterations.
     """
     n = len(h)
     squared, least, m = np.empty(n), np.empty(n), np.empty(n)
@@ -135,7 +131,6 @@ def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Flo
 
 
 def _spans_around(changed: BoolArray) -> list[tuple[int, int]]:
-    """Return first cell and end of the spans around changed cells, with their margins."""
     found: list[tuple[int, int]] = []
     for cell in np.flatnonzero(changed).tolist():
         first, end = max(cell - MARGIN, 0), min(cell + MARGIN + 1, len(changed))
@@ -196,13 +191,10 @@ class StretchProblem:
         return width
 
     def solve(self, m: FloatArray, warm: bool) -> tuple[Stretch | None, bool]:
-        """
-        Solve with the present limits.
+        """Solve from ``m``, which becomes the solution; ``warm``: from the last slacks and duals.
 
-        ``m`` (n,): starting coefficients on entry, the solution on return [m2/s2].
-        ``warm``: whether to start from the slacks and duals of the last solution.
-        Returns ``stretch, converged``: the law with its use of the limits, None if the solver
-        broke down.
+        Returns the law with its use of the limits, None after a breakdown, and whether it
+        converged.
         """
         changed, self.changed = self.changed, np.zeros_like(self.changed)
         spans = _spans_around(changed) if warm else []
@@ -260,12 +252,7 @@ class StretchProblem:
         return replace(stretch, tool=part, tool_use=use), bool(less.any())
 
     def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
-        """
-        Turn coefficients into an exact law and evaluate its use of the limits.
-
-        ``m, width`` (n,): coefficients [m2/s2] and effective widths [m]; the widths are updated.
-        Returns the law, None if the coefficients give none.
-        """
+        """Turn coefficients and widths, which settle, into an exact law; None if there is none."""
         n = len(self.h)
         v, a, duration = np.empty(n + 1), np.empty(n + 1), np.empty(n)
         left = settle_widths(self.h, m, width, self.ends, v, a, duration)
@@ -292,11 +279,9 @@ class StretchProblem:
         return Stretch(path, *fine, nodes, self.scale.copy(), worst)
 
     def lower_limits(self) -> bool:
-        """
-        Lower the limits of the cells in which the last law exceeded them.
+        """Lower limits where the last law exceeded them; tell whether it is still a good start.
 
-        If the ends of such a cell did not use their full limit, the limit is first lowered to the
-        use there. Returns whether the last solution is still a good start.
+        If the ends of such a cell did not use their full limit, it first falls to the use there.
         """
         inside, ends = self.use
         over = inside > self.accepted[:, :, None]

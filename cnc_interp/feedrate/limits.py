@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numba
 import numpy as np
@@ -13,7 +12,6 @@ from cnc_interp.core.limit_table import (
     ACCELERATION,
     JERK,
     VELOCITY,
-    constant_table,
     limit_at,
     limits_along,
     load_use,
@@ -27,68 +25,45 @@ ROOMY = 1.0 * MS
 
 
 class AxisLimits(Protocol):
-    """Velocity, acceleration and jerk limits of the axes; a ``Machine`` has these three arrays."""
+    """Limits of the axes, as a ``Machine`` has them."""
 
     @property
     def max_velocity(self) -> FloatArray:
-        """Velocity limits, shape (n_axes,) [m/s or rad/s]."""
+        """Largest velocities, shape (n_axes,) [m/s or rad/s]."""
 
     @property
-    def max_acceleration(self) -> FloatArray:
-        """Acceleration limits, shape (n_axes,) [m/s2 or rad/s2]."""
-
-    @property
-    def max_jerk(self) -> FloatArray:
-        """Jerk limits, shape (n_axes,) [m/s3 or rad/s3]."""
+    def limit_table(self) -> FloatArray:
+        """All limits over position, shape (7, n_axes, m); see ``core/limit_table.py``."""
 
 
-def limit_table(limits: AxisLimits) -> FloatArray:
-    """Return the limits over position (``core/limit_table.py``): a machine has its own table."""
-    table: FloatArray | None = getattr(limits, 'limit_table', None)
-    if table is not None:
-        return table
-    rows = (limits.max_velocity, limits.max_acceleration, limits.max_jerk)
-    return constant_table(np.array(rows, dtype=np.float64))
-
-
-@dataclass(frozen=True)
-class PlanningLimits:
+class PlanningLimits(NamedTuple):
     """Axis limits for planning, which may be lower than those of the machine."""
 
-    #: (n_axes,): Largest limits [m/s or rad/s, per s, per s2].
     max_velocity: FloatArray
-    max_acceleration: FloatArray
-    max_jerk: FloatArray
-    limit_table: FloatArray  #: (7, n_axes, m): The limits over position.
+    limit_table: FloatArray
 
 
 def limits_at(machine: Machine, period: float) -> AxisLimits:
-    """
-    Return limits for planning, so that differences of setpoints keep the limits of the machine.
+    """Return limits for planning, so that differences of setpoints keep the limits of the machine.
 
-    Neighbouring cells of an AxisPath may differ by up to ``UNSEEN`` on any axis. A step of this
-    size has a third difference of 2 UNSEEN / T^3. From the period ``ROOMY`` on, the slack of the
-    jerk stage covers it. At shorter periods, the jerk limits are reduced.
+    Neighbouring cells of an AxisPath may differ by ``UNSEEN``, a third difference of 2 UNSEEN /
+    T^3. From the period ``ROOMY`` on, the slack of the jerk stage covers it; below, the jerk
+    falls.
     """
     if period >= ROOMY:
         return machine
     step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
-    jerk, table = machine.max_jerk, machine.limit_table.copy()
+    table = machine.limit_table.copy()
     table[JERK] -= np.minimum(step, 0.5 * table[JERK])
-    jerk = jerk - np.minimum(step, 0.5 * jerk)
-    return PlanningLimits(machine.max_velocity, machine.max_acceleration, jerk, table)
+    return PlanningLimits(machine.max_velocity, table)
 
 
 def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
-    """
-    Compute the upper limit of the feed at the grid points [B2013, Eq. 10].
+    """Return the upper limit of s_dot at the grid points, (N,) [m/s] [B2013, Eq. 10].
 
-    The limit is ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over all axes. At a grid
-    point the smaller value of its two neighbouring cells counts.
-
-    Returns (N,): upper limit of s_dot [m/s]. It is attained where s_ddot and s_dddot are zero.
+    It is ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over all axes and both cells beside.
     """
-    table = limit_table(limits)
+    table = limits.limit_table
     out = np.full(len(path.s), np.inf)
     for jets, at in ((path.cell_left, slice(None, -1)), (path.cell_right, slice(1, None))):
         here = limits_along(table, jets[0])
@@ -105,27 +80,17 @@ def limit_use(
     a: FloatArray, jerk: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
     use: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """
-    Compute how much of each limit a motion law uses in every cell of the true path.
+    """Compute how much of each limit a motion law uses in every cell of the true path.
 
-    ``velocity = q_s s_dot``, ``acceleration = q_ss s_dot^2 + q_s s_ddot`` and
-    ``jerk = q_sss s_dot^3 + 3 q_ss s_dot s_ddot + q_s s_dddot`` are divided by their limits.
-    The torque of a drive counts as acceleration, see ``load_use``. The feed use is s_dot / F. A
-    negative s_dot gives a feed use above 1.
+    ``velocity = q_s s_dot``, ``acceleration = q_ss s_dot^2 + q_s s_ddot`` and ``jerk = q_sss
+    s_dot^3 + 3 q_ss s_dot s_ddot + q_s s_dddot`` are divided by their limits; the torque of a
+    drive counts as acceleration, see ``load_use``. The feed use is s_dot / F, above 1 where s_dot
+    is negative.
 
-    ``h`` (n,): cell widths [m].
-    ``left, right`` (4, n, n_axes): q and its derivatives by s at both ends of each cell [m or rad,
-    per m, per m2, per m3].
-    ``feed`` (n,): programmed feedrate in the cells [m/s].
-    ``v, a`` (n + 1,): s_dot and s_ddot at the grid points [m/s, m/s2].
-    ``jerk, duration`` (n,): constant s_dddot in each cell [m/s3], and the time spent in the cell
-    [s].
-    ``table`` (7, n_axes, m): limits of the axes over position; see ``core/limit_table.py``.
-    ``points`` (n,): number of instants to check in each cell, both ends included.
-    ``use`` (2, n, 4, n_axes): output: the largest use [-] of velocity, acceleration, jerk and feed
-    in each cell. ``use[0]`` covers all instants, ``use[1]`` only the two ends of the cell. The
-    feed use stands in column 0 of its row.
-    Returns (4,): largest use of velocity, acceleration, jerk and feed over all cells [-].
+    ``h, feed, jerk, duration`` (n,) of the cells; ``v, a`` (n + 1,) s_dot and s_ddot at the grid
+    points; ``points`` (n,): instants checked in each cell, both ends included. ``use`` (2, n, 4,
+    n_axes) is output: the largest use at all instants, then at the two ends only; the feed use
+    stands in column 0 of its row. Returns the largest over all cells, (4,).
     """
     n, n_axes = len(h), left.shape[2]
     coefficients = np.empty((n_axes, 8))

@@ -9,12 +9,10 @@ from cnc_interp.core.columns import Table, column
 
 
 class MotionLaw(Table):
-    """
-    The motion along the path as K consecutive pieces of constant jerk.
+    """The motion along the path as K consecutive pieces of constant jerk.
 
-    On a piece that starts at ``time``,
-    ``s(t) = s + s_dot dt + s_ddot dt^2 / 2 + jerk dt^3 / 6`` with ``0 <= dt <= duration``.
-    s, s_dot and s_ddot are continuous between pieces. The jerk is not.
+    ``s(t) = s + s_dot dt + s_ddot dt^2 / 2 + jerk dt^3 / 6`` with ``0 <= dt <= duration``. s,
+    s_dot and s_ddot are continuous between pieces.
     """
 
     time: FloatArray = column()  #: Start time of each piece [s].
@@ -28,7 +26,6 @@ class MotionLaw(Table):
 
     @property
     def end_time(self) -> float:
-        """Return the time at the end of the last piece [s]."""
         return float(self.time[-1] + self.duration[-1])
 
     def piece_at(self, time: FloatArray) -> IntArray:
@@ -39,11 +36,7 @@ class MotionLaw(Table):
     def evaluate(
         self, time: FloatArray, piece: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """
-        Return s, s_dot, s_ddot and s_dddot at times [s]; outside the law, the nearest end state.
-
-        ``piece`` has the indices from ``piece_at``, if the caller already knows them.
-        """
+        """Return s and three derivatives at times [s], held outside; ``piece``: ``piece_at``."""
         t = np.asarray(time, dtype=np.float64)
         k = self.piece_at(t) if piece is None else piece
         dt = np.clip(t - self.time[k], 0.0, self.duration[k])

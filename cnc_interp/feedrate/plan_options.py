@@ -39,7 +39,6 @@ class PlanOptions:
     step: float = 1e-3  #: Longest step of 'vpop' [s].
 
     def finer(self) -> PlanOptions:
-        """Return options with half the cell times and a start below the ceiling."""
         return replace(
             self, cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2), share=self.share / 2,
             bend=self.bend / 2, below_ceiling=True, step=self.step / 2,
@@ -58,18 +57,16 @@ class KeptCells:
     tool: FloatArray | None = None
 
     def before(self, s: float) -> KeptCells:
-        """Return the cells that end before a place [m]."""
         count = int(np.searchsorted(self.ends, s))
         tool = None if self.tool is None else self.tool[:, :count]
         return KeptCells(self.ends[:count], self.scale[:count], self.m[:count], tool)
 
 
 def wanted_tool(machine: Machine, settings: Settings) -> ToolLimit | None:
-    """
-    Return the limit on the error at the tool that the settings ask for, None for none.
+    """Return the limit on the error at the tool that the settings ask for, None for none.
 
-    Raises MachineError if the model of the drives does not fit the machine.
-    Raises SettingsError if the law has no such limit.
+    Raises MachineError if the model does not fit the machine, SettingsError if the law has no
+    limit.
     """
     if settings.tool_error is None:
         return None

@@ -1,5 +1,4 @@
-"""
-A first guess of the speed, from one forward and one backward pass.
+"""A first guess of the speed, from one forward and one backward pass.
 
 Under a jerk limit J, v^(3/2) grows at most linearly along the path: from rest s = J t^3/6 and
 v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s. The guess grows at half that slope. It serves two
@@ -21,7 +20,6 @@ FASTEST = 100.0
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: float) -> float:
-    """Return the lowest limit of an axis at three positions."""
     lowest = limit_at(table, row, axis, q0)
     if table.shape[2] > 1:
         lowest = min(lowest, limit_at(table, row, axis, q1), limit_at(table, row, axis, q2))
@@ -32,12 +30,10 @@ def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: fl
 def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
-    """
-    Return six bounds of the motion in each cell, (n, 6), from its two ends and its middle.
+    """Return six bounds of the motion in each cell, (n, 6), from its two ends and its middle.
 
-    These are the speed limit from feed and axis velocities, the speed limit of Eq. 10, the largest
-    tangential acceleration and jerk; then the first one with the velocity limits at the left end
-    and at the right end of the cell.
+    Speed by feed and axis velocities, speed by Eq. 10, largest tangential acceleration and jerk;
+    then the first one with the velocity limits at the left and at the right end.
     """
     n, n_axes = len(h), left.shape[2]
     out = np.empty((n, 6))
@@ -73,22 +69,14 @@ def speed_bounds(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
-    """
-    Guess the speed after a distance [m/s]; v^(3/2) grows at half the slope of full jerk.
-
-    The largest acceleration limits the growth of v^2 in the same way.
-    """
+    """Guess the speed after a distance [m/s]; v^(3/2) grows at half the slope of full jerk."""
     by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
     return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
-    """
-    Guess s_dot at the nodes of a path that ends at rest, from a state at its start [m/s, m/s2].
-
-    The guess stays below 0.9 of Eq. 10 and is reachable from both ends of the path.
-    """
+    """Guess s_dot at the nodes of a path that ends at rest: below 0.9 of Eq. 10, and reachable."""
     n = len(h)
     v = np.empty(n + 1)
     v[0] = v_start
@@ -115,7 +103,6 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
-    """Guess the speed at a position inside a cell."""
     ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
     cap = 0.9 * bound[1]
     return min(ramp, cap), ramp > cap
@@ -123,7 +110,6 @@ def speed_inside(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
-    """Guess the duration of the motion."""
     total = 0.0
     for i in range(len(h)):
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]

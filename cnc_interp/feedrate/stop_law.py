@@ -1,5 +1,4 @@
-"""
-The stop along the path from any state of motion: brake with all that the axes leave.
+"""The stop along the path from any state of motion: brake with all that the axes leave.
 
 With s_dot = v, s_ddot = a and s_dddot = j, the jerk of an axis is
 
@@ -10,11 +9,9 @@ until the deceleration can be brought back to zero together with the speed:
 
     v = a^2 / (2 j)    where j is a part of the jerk that a straight line would allow.
 
-From there j = a^2 / (2 v), which stays constant down to rest. The lower end also keeps the
-acceleration q_ss v^2 + q_s a [Eq. 7] and the torque within their limits. If an axis cannot
-follow, the stop is tried again with an earlier and slower release, then with less braking. If none
-keeps the limits there is no stop from this state, and the motion goes on as planned until there is
-one.
+From there j = a^2 / (2 v) stays constant down to rest. The acceleration q_ss v^2 + q_s a [Eq. 7]
+and the torque are kept, too. If an axis cannot follow, the release is tried earlier and slower,
+then less braking. If none keeps the limits, the motion goes on as planned until there is a stop.
 """
 
 from __future__ import annotations
@@ -58,11 +55,7 @@ FOUND, NO_RELEASE, NO_BRAKING = 0, 1, 2
 def _left_by_axes(
     jet: FloatArray, v: float, a: float, table: FloatArray, leeway: float, out: FloatArray
 ) -> float:
-    """
-    Write what the axes leave at a state, and return the largest use of a limit without j.
-
-    ``out`` is: lowest and highest j, lowest a, highest j on a straight line.
-    """
+    """Write lowest and highest j, lowest a, and highest j if straight; return the largest use."""
     out[0], out[1], out[2], out[3] = -np.inf, np.inf, -np.inf, np.inf
     worst = 0.0
     for i in range(jet.shape[0]):
@@ -87,14 +80,12 @@ def _left_by_axes(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: FloatArray) -> None:
-    """Write the coefficients of a cell, shape (n_axes, 8)."""
     for i in range(left.shape[2]):
         septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _jets_at(septics: FloatArray, u: float, h: float, jet: FloatArray) -> None:
-    """Write q and its derivatives by s inside a cell, shape (n_axes, 4)."""
     for i in range(len(septics)):
         septic_value(septics[i], u, h, jet[i])
 
@@ -123,11 +114,10 @@ def _brake(
     s_grid: FloatArray, left: FloatArray, right: FloatArray, stop: BoolArray, table: FloatArray,
     leeway: float, braking: float, release: float, begin: int, steps: FloatArray,
 ) -> tuple[int, int]:  # fmt: skip
-    """
-    Brake from s, v, a and cell of step ``begin`` to rest; write the columns of ``steps``.
+    """Brake from s, v, a and cell of step ``begin`` to rest; write the columns of ``steps``.
 
-    These are duration, s, v, a, j and cell of each step, and the highest j on a straight line.
-    Returns FOUND and the number of steps, or why there is no such stop and the step that failed.
+    Duration, s, v, a, j, cell, and highest j if straight. Returns FOUND and the number of steps,
+    or why there is no such stop and the step that failed.
     """
     jet, septics = np.empty((left.shape[2], 4)), np.empty((left.shape[2], 8))
     now, halfway, then = np.empty(4), np.empty(4), np.empty(4)
@@ -209,8 +199,7 @@ def _first_stop(
     table: FloatArray, leeway: float, brakings: FloatArray, releases: FloatArray,
     steps: FloatArray,
 ) -> int:  # fmt: skip
-    """
-    Try all ways to brake in order; return the number of steps of the first stop, or 0.
+    """Try all ways to brake in order; return the number of steps of the first stop, or 0.
 
     An earlier release shares all steps before it with the later one that failed.
     """
@@ -239,11 +228,9 @@ def stop_law(
     path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float,
     leeway: float = LEEWAY,
 ) -> PlannedPiece | None:  # fmt: skip
-    """
-    Return a stop from s, s_dot and s_ddot, within all limits; None if none was found.
+    """Return a stop from s, s_dot and s_ddot at ``time``, within all limits; None without one.
 
-    ``time`` is that of the state [s], ``leeway`` the part of every limit that braking leaves free,
-    at least ``LEEWAY`` [-].
+    ``leeway``: the part of every limit that braking leaves free, at least ``LEEWAY`` [-].
     """
     if state[1] <= 0.0:
         return None

@@ -71,11 +71,9 @@ def settle_widths(
     h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
     a: FloatArray, duration: FloatArray,
 ) -> float:  # fmt: skip
-    """
-    Iterate the effective widths to rounding accuracy while the coefficients stay fixed.
+    """Iterate the effective widths to rounding accuracy while the coefficients stay fixed.
 
-    Position, speed and acceleration must be continuous to the last digits. A check by third
-    differences needs this: at a period of 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
+    A check by third differences needs it: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
     """
     b = np.empty(len(v))
     left = 1.0
@@ -116,12 +114,7 @@ def spread_law(
     duration_node: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray,
     duration: FloatArray,
 ) -> None:  # fmt: skip
-    """
-    Spread the law of the n planner cells over the N path cells inside them.
-
-    ``nodes`` are the grid points at which planner cells begin and end. ``v, a`` (N + 1,) and
-    ``jerk, duration`` (N,) are output.
-    """
+    """Spread the law of the planner cells between ``nodes`` over the path cells inside them."""
     for i in range(len(nodes) - 1):
         first, last = nodes[i], nodes[i + 1]
         total = duration_node[i]

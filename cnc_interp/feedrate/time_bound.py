@@ -1,5 +1,4 @@
-"""
-The time that no motion within programmed feed, velocities and accelerations can beat.
+"""The time that no motion within programmed feed, velocities and accelerations can beat.
 
 The jerk is free here, and every limit is applied in a form that each real motion keeps. So the
 squared speed b = s_dot^2 of a real motion stays below the ceiling, and its time above the bound.
@@ -85,8 +84,7 @@ def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> F
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _point_cap(q: FloatArray, q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
-    """
-    Return the largest s_dot^2 at a point: velocities, and accelerations for the best s_ddot.
+    """Return the largest s_dot^2 at a point: velocities, and accelerations for the best s_ddot.
 
     Each axis leaves an interval of s_ddot. All have a common point if any two of them have. Two
     axes i and k have one if b |q_ss_i q_s_k - q_ss_k q_s_i| <= A_i |q_s_k| + A_k |q_s_i|.
@@ -122,7 +120,6 @@ def _point_caps(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _reach(b: float, q_s: float, q_s_there: float, room: float) -> float:
-    """Return the largest b at the other end of a step, for one axis [m2/s2]."""
     there = q_s_there * q_s_there
     return (q_s * q_s * b + room) / there if there > 0.0 else np.inf
 
@@ -161,7 +158,6 @@ def _least_times(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
     b: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Return the least time in each cell below the ceiling b, shape (n,) [s]."""
     n, n_axes = len(h), left.shape[2]
     time = np.empty(n)
     for i in range(n):
@@ -211,11 +207,9 @@ def _last_conflict(
 
 
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
-    """
-    Return the largest squared speeds from which the rest of a path can be driven.
+    """Return the largest squared speeds from which the rest can be driven (TOPP-RA, backwards).
 
-    This is the backward pass of TOPP-RA. Most steps can be driven from their largest speed. Only
-    the others are linear programs, and toppra is loaded only for them.
+    Most steps can be driven from their largest speed; toppra is loaded only for the others.
     """
     found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
     solver = None

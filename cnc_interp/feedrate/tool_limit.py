@@ -1,5 +1,4 @@
-"""
-A limit on the error at the tool that the drives leave: rows for the jerk stage, and its check.
+"""A limit on the error at the tool that the drives leave: rows for the jerk stage, and its check.
 
 In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/error_series.py``),
 and the tip by J e with J = dp/dq. What counts is the part across the path, in the normals n of the
@@ -122,7 +121,6 @@ class ToolLimit:
         return replace(self, motion=motion, wait=0.0)
 
     def motion_from(self, position: FloatArray) -> ToolMotion:
-        """Return the drives at rest at a position, shape (n_axes,) [m, rad]."""
         return ToolMotion(self.machine, self.period, position, self.model)
 
     def afresh(self, path: AxisPath) -> ToolLimit:
@@ -145,13 +143,9 @@ class ToolLimit:
         return self.wait + self.period * np.arange(count)
 
     def rows(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """
-        Compute the rows at the left nodes of cells, for a limit of 1.
+        """Return the rows at the left nodes of cells for a limit of 1: (8, 4, n), tip then axis.
 
-        ``left, right`` (4, n, n_axes): q and its derivatives by s at both ends of each cell [m or
-        rad, per m^order].
-        Returns (8, 4, n): factors of s_ddot, s_dot^2 and s_dot, and the constant. First the
-        normals of the tip, then those of the axis.
+        Factors of s_ddot, s_dot^2 and s_dot, and the constant. ``left, right``: jets at both ends.
         """
         q, q_s, q_ss = left[:3]
         across = self._across(q, q_s)
@@ -209,13 +203,9 @@ class ToolLimit:
         return tip, axis, forward(q)[1]
 
     def use(self, stretch: Stretch, predicted: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Simulate the drives on a law.
+        """Simulate the drives on a law; return simulated and predicted errors, (2, n).
 
-        ``predicted`` (2, n): errors of tip and axis by the rows, at the left nodes of the planner
-        cells [-].
-        Returns ``simulated, predicted`` (2, n): largest errors near each planner cell over the
-        limit [-].
+        Near each cell, over the limit; ``predicted`` (2, n): by the rows, at the left nodes.
         """
         assert self.motion is not None, 'begun is called before'
         cells = len(stretch.duration)
@@ -254,7 +244,6 @@ class ToolRows:
             self.part[:, : kept.shape[1]] = np.minimum(kept + RELAXED, 1.0)
 
     def within_parts(self) -> FloatArray:
-        """Return the rows for their parts of the limit."""
         rows: FloatArray = self.rows / np.repeat(self.part, NORMALS, axis=0)[:, None]
         rows[:, 3] = np.clip(rows[:, 3], -STEADY_PART, STEADY_PART)
         return rows
@@ -275,7 +264,6 @@ class ToolRows:
 
 
 def _sampled(path: AxisPath, law: MotionLaw, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return positions and velocities of the axes at times on the law."""
     piece = law.piece_at(time)
     cell = law.cell[piece]
     along = law.s[piece] - path.s[cell] + law.moved(time, piece)
@@ -295,6 +283,5 @@ def _normals(direction: FloatArray) -> FloatArray:
 
 
 def _everywhere(n: int) -> FloatArray:
-    """Return four directions in space for tips that stand, shape (4, n, 3)."""
     found = np.concatenate([np.eye(3), np.full((1, 3), np.sqrt(1.0 / 3.0))])
     return np.repeat(found[:, None], n, axis=1)

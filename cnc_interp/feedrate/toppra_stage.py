@@ -1,9 +1,7 @@
-"""
-The toppra stage: the squared speed from which a path can be driven on, node by node.
+"""The squared speed from which a path can be driven on, node by node: linear programs of toppra.
 
-It is the backward pass of TOPP-RA [PP2018, Algorithm 1]; the linear programs are solved by
-toppra's ``seidel``. The unknowns of a step are b = s_dot^2 at its start and the change of b over
-it, both divided by the largest b. So they lie between -1 and 1, whatever the unit of length is.
+The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns of a step are
+b = s_dot^2 at its start and its change, over the largest b: within 1, whatever the unit of length.
 """
 
 from __future__ import annotations
@@ -36,7 +34,6 @@ class _Steps(AbstractGeometricPath):  # type: ignore[misc]
 
     @property
     def path_interval(self) -> FloatArray:
-        """Return the interval of the path variable: half a unit for each step."""
         return np.array([0.0, 0.5 * self.n])
 
 

@@ -65,8 +65,7 @@ class AxisPath:
 
 @numba.njit(cache=True, nogil=True)
 def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: FloatArray) -> None:
-    """
-    Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
+    """Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
 
     The first four are the Taylor cubic of the left end; the others close its misfits d0..d3 (of
     value, h q_s, h^2 q_ss, h^3 q_sss) at the right end. A misfit off the smoothest course by less
@@ -139,11 +138,7 @@ def evaluate_cells(
 def evaluate(
     path: AxisPath, s: FloatArray, cell: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """
-    Return the axes and three derivatives by s at path positions [m], (M, n_axes) each.
-
-    Outside the path its ends are held. Without ``cell``, a grid point has the cell on its right.
-    """
+    """Return the axes and three derivatives by s at positions [m], (M, n_axes); held outside."""
     s = np.asarray(s, dtype=np.float64)
     if cell is None:
         found = np.searchsorted(path.s, s, side='right') - 1
@@ -154,8 +149,7 @@ def evaluate(
 def evaluate_along(
     path: AxisPath, along: FloatArray, cell: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """
-    Return what ``evaluate`` does, at distances [m] from the starts of cells; held at their ends.
+    """Return what ``evaluate`` does, at distances [m] from the starts of cells; held outside.
 
     Where an axis moves much farther than s, the rounding of a path position would show.
     """

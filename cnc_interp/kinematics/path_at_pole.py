@@ -1,5 +1,4 @@
-"""
-Segments of which the passages of the pole are not decided yet, and what is known of each.
+"""Segments of which the passages of the pole are not decided yet, and what is known of each.
 
 Places on them are given by path length [m] or by segment and parameter u. Two questions are
 answered by proven bounds: where a segment is near the pole, and how far the tool axis deviates
@@ -139,7 +138,6 @@ def _parameter_bounds(spans: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def pole_sine(packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, u: float) -> float:
-    """Return the sine of the angle between tool axis and pole at one point of a segment."""
     o = pose_jets(kind, shape, f, u, u)[1]
     pole = vector_at(packed, SECONDARY if packed[OUTER] > 0.5 else PRIMARY)
     x = o[1][0] * pole[2] - o[2][0] * pole[1]
@@ -153,8 +151,7 @@ def way_to_pole(
     packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, turn: float, limit: float,
     back: bool,
 ) -> float:  # fmt: skip
-    """
-    Return how far from an end of a segment it is first near the pole, in u; 2 if it nowhere is.
+    """Return how far in u from an end a segment is first near the pole; 2 if it nowhere is.
 
     ``turn`` bounds |o_u|, ``limit`` is the sine that counts as near; ``back`` starts at u = 1.
     """
@@ -174,11 +171,9 @@ def near_pole(
     packed: FloatArray, kinds: IntArray, shapes: FloatArray, f: FloatArray, turns: FloatArray,
     limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """
-    Find where segments are near the pole.
+    """Return first and last parameter where the sine is within ``limits``, and the sine at u = 0.
 
-    Returns first and last parameter where the sine is at most that of ``limits``, (n, 2), 2 and
-    -1 without one; and the sine at the start of each segment, (n,).
+    They are 2 and -1 where a segment is not near the pole.
     """
     near, start = np.empty((len(kinds), 2)), np.empty(len(kinds))
     for i in range(len(kinds)):
@@ -194,8 +189,7 @@ def near_pole(
 
 @njit(cache=True, nogil=True)
 def way_to(kind, shape, beside, length, u):  # type: ignore[no-untyped-def]
-    """
-    Return the path length from the start of a segment of poses to u [m].
+    """Return the path length from the start of a segment of poses to u [m].
 
     Each half is divided until the sum no longer changes: where the outer axis turns fast, a
     millionth of a micrometre would show as a jump.
@@ -249,11 +243,10 @@ def gap_bounds(
     lengths: FloatArray, guides: FloatArray, rates: FloatArray, turning: FloatArray,
     allowed: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """
-    Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
+    """Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
 
-    ``rates`` are those of ``rates_of``, ``turning`` bounds both derivatives of the outer axis by
-    path length, ``allowed`` says how exact each bound should be [rad]; others as in ``sample``.
+    ``turning`` bounds both derivatives of the outer axis by path length, ``allowed`` says how
+    exact each bound should be [rad]; ``rates`` as ``rates_of``, others as in ``sample``.
     """
     bounds = np.zeros(len(kinds))
     w = vector_at(packed, PRIMARY if packed[OUTER] > 0.5 else SECONDARY)
@@ -368,7 +361,6 @@ class PathAtPole:
         return replace(self, segments=self.segments[rows], **columns)
 
     def and_more(self, more: PathAtPole) -> PathAtPole:
-        """Append further segments."""
         parts = (self, more)
         columns = {name: np.concatenate([getattr(x, name) for x in parts]) for name in COLUMNS}
         segments = PathSegments.concatenate([x.segments for x in parts])
@@ -386,12 +378,10 @@ class PathAtPole:
     # Places ----------------------------------------------------------------------------------
 
     def way(self, i: int, u: float) -> float:
-        """Return the path length from the start of a segment to u [m]."""
         kind, length = self.segments.kind[i], self.segments.length[i]
         return float(way_to(kind, self.shapes[i], self.beside[i], length, u))
 
     def sine_at(self, i: int, u: float) -> float:
-        """Return the sine of the angle from the pole [-]."""
         kind, span = self.segments.kind[i], self.segments.parametrization[i]
         return float(pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
 

@@ -1,10 +1,8 @@
-"""
-Build the AxisPath of a stream of segments: branch, whole turns, travel, singular poses.
+"""Build the AxisPath of a stream of segments: branch, whole turns, travel, singular poses.
 
 The branch is chosen at the first pose and kept. Rotary axes are never wrapped. They rest where the
 tool axis rests, so a 3-axis path on the pole is no singularity. Nearer to the pole than the
-tolerance, the outer axis is given (``pole_passage.py``). If a path leaves the pole after a stop,
-the outer axis turns before, about the resting tip.
+tolerance, the outer axis is given (``pole_passage.py``), or turns first, about the resting tip.
 """
 
 from __future__ import annotations
@@ -73,18 +71,13 @@ class Cells:
 
 
 def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegments:
-    """Return a segment whose rotary axes run linearly between two positions [rad]."""
     rotary = no_rotary(1)
     rotary[0, :2] = start, end
     return replace(one, rotary=rotary)
 
 
 class AxisPathBuilder:
-    """
-    Turn segments into machine axes, batch by batch.
-
-    The flank height h measures inserted rotations [m]. Within the period a kink shows as jerk [s].
-    """
+    """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk."""
 
     def __init__(self, transform: Transform, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
@@ -111,11 +104,9 @@ class AxisPathBuilder:
         return self._rotary
 
     def push(self, segments: PathSegments) -> AxisPath | None:
-        """
-        Take further segments and return their axes; None when there are none.
+        """Take further segments and return their axes; None when there are none.
 
-        Raises TravelError, SingularityError or BlockError, with line, axis and value, if an axis
-        would leave its travel, or an orientation is out of reach or too close to the pole.
+        Raises TravelError, SingularityError or BlockError, with line, axis and value.
         """
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
@@ -208,7 +199,6 @@ class AxisPathBuilder:
         return parts
 
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
-        """Turn the rotary axes about the resting tip before a segment."""
         assert self._rotary is not None
         turn = target - self._rotary
         still = replace(
@@ -307,11 +297,10 @@ class AxisPathBuilder:
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray
     ) -> BoolArray:
-        """
-        Tell at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
+        """Tell at which grid points q_s or q_ss jump so far that the tool must rest, shape (n,).
 
-        Within one period a jump of q_s at speed v is a jerk of |jump| v / T^2, one of q_ss a jerk
-        of |jump| v^2 / T. Exact corners jump by rounding only; ``linear`` and ``paper`` do not.
+        In a period a jump of q_s at speed v is a jerk of |jump| v / T^2, one of q_ss |jump| v^2 /
+        T. Exact corners jump by rounding only; ``linear`` and ``paper`` do not.
         """
         speed = np.minimum(feed_left, feed_right)[:, None]
         speed = np.minimum(speed, self.machine.max_velocity / np.maximum(np.abs(left[1]), 1e-12))

@@ -98,14 +98,11 @@ def refuse(machine: Machine, outer: int, status: int, line: int) -> NoReturn:
 def check_travel(
     machine: Machine, steps: FloatArray, left: FloatArray, right: FloatArray, lines: IntArray
 ) -> None:
-    """
-    Refuse cells on which an axis leaves its travel, at their ends or between them.
+    """Refuse cells on which an axis leaves its travel, at their ends or between them.
 
-    A septic lies between its Bezier values. Where these reach beyond the travel, the cell is
-    divided until they do not, or the axis is outside at an end of a part. Bezier values approach
-    the curve with the square of the length, and half of ``TRAVEL_SLACK`` lies between both
-    decisions, so the division ends. The error names the first line, the axis, and how far it
-    would have to go in this line.
+    A septic lies between its Bezier values. A cell is divided until these lie within the travel,
+    or an end of a part does not. They approach the curve with the square of the length, and half
+    of ``TRAVEL_SLACK`` lies between both decisions, so the division ends.
     """
     powers = steps[:, None, None] ** np.arange(4.0)[:, None]
     values = np.concatenate(

@@ -18,14 +18,11 @@ DEGREE = 5
 def axis_path_from(
     q: FloatArray, s: FloatArray, machine: Machine, feedrate: float = np.inf
 ) -> AxisPath:
-    """
-    Return the smooth path through axis positions, from rest to rest.
+    """Return the smooth path from rest to rest through axis positions, by quintic splines.
 
-    Every axis is the quintic spline through its positions, with four continuous derivatives. Its
-    error is of the sixth order in the distance of the points; at corners it overshoots.
-    ``q`` (N, n_axes): axis positions, N >= 6 [m, rad]; ``s`` (N,): path parameter, increasing,
-    usually the tool tip's path length [m]; ``feedrate``: largest ds/dt [m/s].
-    Raises InterpError if the arrays do not fit each other or the machine, or s does not increase.
+    Its error is of the sixth order in the distance of the points; at corners it overshoots. ``q``
+    (N, n_axes): positions, N >= 6 [m, rad]; ``s`` (N,): increasing, usually the tool tip's path
+    length [m]; ``feedrate``: largest ds/dt. Raises InterpError if the arrays do not fit.
     """
     q, s = np.array(q, dtype=float), np.array(s, dtype=float)
     axes = len(machine.axis_names)

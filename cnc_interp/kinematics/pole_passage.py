@@ -1,5 +1,4 @@
-"""
-Passages of the pole: where a path of poses comes to the pole nearer than its tolerance.
+"""Passages of the pole: where a path of poses comes to the pole nearer than its tolerance.
 
 Near the pole a turn of the outer rotary axis C hardly moves the tool axis, but a tool axis that
 passes beside the pole asks C for almost half a turn. Here C is given instead. On a stretch of the
@@ -143,7 +142,6 @@ class PolePassages:
         return Released(segments, path.motion, path.guides, path.turn_first)
 
     def _step_over(self, path: PathAtPole, i: int) -> None:
-        """Take note of where a segment with linear rotary axes ends."""
         one = path.segments
         words = one.rotary[i, 4 if one.kind[i] == CORNER else 1]
         self._turn, self._branch = float(words[self._outer]), branch_at(self._transform, words)
@@ -201,7 +199,6 @@ class PolePassages:
         return best
 
     def _arrive(self, path: PathAtPole, i: int, total: float) -> None:
-        """Take note of where the outer axis is at the end of the last segment before others."""
         guided = path.guides[i]
         given = guided[GUIDE_FROM] < 1.0 <= guided[GUIDE_TO]
         moves_on = path.lengths[i] > 0.0  # else the builder refuses it

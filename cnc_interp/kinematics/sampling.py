@@ -1,8 +1,7 @@
-"""
-Segments -> cells of the AxisPath: q and its exact derivatives by path length.
+"""Segments -> cells of the AxisPath: q and its exact derivatives by path length.
 
-A segment is cut until the septics between the cells' ends meet the exact axes inside. Cells break
-where the third derivative may jump: at joins and at u = 0.5 of corners.
+A segment is cut until the septics between the ends of cells meet the exact axes inside. Cells
+break where the third derivative may jump: at joins and at u = 0.5 of corners.
 """
 
 from __future__ import annotations
@@ -95,7 +94,6 @@ def first_grid(kind: int, f: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def roomier(array: FloatArray, cells: int) -> FloatArray:
-    """Return the array with room for ``cells`` rows."""
     larger = np.empty((cells, *array.shape[1:]))
     larger[: len(array)] = array
     return larger
@@ -108,14 +106,12 @@ def sample_segments(
     rotary: FloatArray, ) -> tuple[ int, IntArray, IntArray, FloatArray, FloatArray, FloatArray,
     FloatArray, FloatArray,
 ]:  # fmt: skip
-    """
-    Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
+    """Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
 
-    ``axes`` are the machine's own among X Y Z, first and second rotary axis, extra axes.
-    ``rotary`` holds the positions at the end of the last segment on return. Returns FINE, or why
-    the segment after the last one counted cannot be cut; how many cells each segment has, and how
-    many of them lie before u = 0.5; path lengths of the cells [m]; axes and three derivatives at
-    their left and right ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
+    ``axes`` are the machine's own among X Y Z, rotary and extra axes; ``rotary`` has the positions
+    at the end on return. Returns FINE, or why the segment after the last one counted cannot be
+    cut; cells of each segment, and those before u = 0.5; path lengths of the cells [m]; axes and
+    three derivatives at both ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
     """
     n, n_axes = len(kinds), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)

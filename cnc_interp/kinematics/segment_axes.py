@@ -74,16 +74,13 @@ def sample(
     f: FloatArray, length: float, rotary: FloatArray, guide: FloatArray, way: float, u: float,
     inside: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
-    """
-    Return the axes at one point of a segment.
+    """Return the axes at one point of a segment.
 
-    ``motion`` is RESTING to ALL_AXES. ``beside`` (6, 2 + k): control values of rotary axes [rad]
-    and k extra axes [m], on the basis of the bottom curve. ``rotary``, ``guide``: laid out as
-    above; axes that follow keep the branch and the whole turns nearest to ``rotary``. ``way``:
-    path length from the start of the segment to u [m]. Returns the axes with three derivatives by
-    path length (4, 5 + k); tool tip and tool axis, of no meaning where the rotary axes are
-    coordinates; and the squared sine of the tilt from the pole, negative when unreachable, 1
-    unless it is solved.
+    ``beside`` (6, 2 + k): control values of rotary axes [rad] and k extra axes [m]; ``way``: path
+    length from the start to u [m]. Axes that follow keep the branch and the whole turns nearest to
+    ``rotary``. Returns the axes with three derivatives by path length (4, 5 + k); tool tip and
+    axis, of no meaning where the rotary axes are coordinates; and the squared sine of the tilt
+    from the pole, negative when unreachable, 1 unless it is solved.
     """
     if kind == CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)

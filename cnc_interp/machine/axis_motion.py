@@ -10,12 +10,12 @@ from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
-from cnc_interp.core.limit_table import BEFORE, limit_shares, torque_shares
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
 # Differences of valid setpoints exceed a limit by rounding at most.
 ROUNDING = 1.01
@@ -37,11 +37,10 @@ def beyond_travel(machine: Machine, positions: FloatArray) -> str:
 def refuse_setpoints(
     machine: Machine, period: float, before: FloatArray, positions: FloatArray
 ) -> None:
-    """
-    Refuse setpoints that leave the travel or break a limit; StreamError with axis and value.
+    """Refuse setpoints that leave the travel or break a limit; StreamError with axis and value.
 
-    ``before`` (3, n_axes): setpoints before them; ``positions`` (K, n_axes): must end at rest
-    [m, rad].
+    ``before`` (3, n_axes): those before them; ``positions`` (K, n_axes): must end at rest [m,
+    rad].
     """
     beyond = beyond_travel(machine, positions)
     if beyond:
@@ -165,7 +164,6 @@ class AxisMotion:
         )
 
     def forget_use(self) -> None:
-        """Start the largest use of the limits anew."""
         self.largest_use = np.zeros_like(self.largest_use)
 
     def take_recent_use(self) -> FloatArray:

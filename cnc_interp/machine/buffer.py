@@ -13,7 +13,7 @@ from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 
 @dataclass(frozen=True)
-class Rows:
+class SourcedSetpoints:
     """Consecutive setpoints and the source line of each."""
 
     samples: Setpoints
@@ -22,9 +22,8 @@ class Rows:
     def __len__(self) -> int:
         return len(self.samples)
 
-    def part(self, first: int, last: int) -> Rows:
-        """Return the rows from ``first`` to the one before ``last``."""
-        return Rows(self.samples[first:last], self.lines[first:last])
+    def part(self, first: int, last: int) -> SourcedSetpoints:
+        return SourcedSetpoints(self.samples[first:last], self.lines[first:last])
 
 
 @dataclass(frozen=True)
@@ -36,14 +35,14 @@ class BufferedChunk:
     first: int  #: Number of its first setpoint since the last rest by a stop.
     chunk: Chunk  #: Setpoints, stop tail, and what comes after.
     #: Setpoints and stop tail with their lines.
-    rows: Rows
-    tail: Rows
+    rows: SourcedSetpoints
+    tail: SourcedSetpoints
 
     def head(self, count: int, serial: int) -> BufferedChunk:
         """Return its first setpoints as a chunk with another serial number."""
         chunk, lines = self.chunk.head(count), self.rows.lines
-        tail = Rows(chunk.tail, lines[count:] + self.tail.lines)
-        rows = Rows(chunk.samples, lines[:count])
+        tail = SourcedSetpoints(chunk.tail, lines[count:] + self.tail.lines)
+        rows = SourcedSetpoints(chunk.samples, lines[:count])
         return BufferedChunk(serial, self.run_id, self.first, chunk, rows, tail)
 
     @property
@@ -68,7 +67,6 @@ class Buffer:
         self.newest: FloatArray = np.tile(stands, (3, 1))  # the last three setpoints
 
     def push(self, chunk: BufferedChunk) -> None:
-        """Append a chunk."""
         self.chunks.append(chunk)
         self.count += len(chunk.rows)
         self.rests += chunk.chunk.wait is not Wait.NOTHING
@@ -84,7 +82,6 @@ class Buffer:
         self.newest = newest
 
     def pop(self) -> BufferedChunk:
-        """Remove the next chunk and return it."""
         chunk = self.chunks.popleft()
         self.count -= len(chunk.rows)
         self.rests -= chunk.chunk.wait is not Wait.NOTHING

@@ -1,14 +1,12 @@
-"""
-The cycle of the machine: one compiled call without the interpreter's lock.
+"""The cycle of the machine: one compiled call without the interpreter's lock.
 
 It wakes at absolute deadlines, takes one setpoint, steps the drives and records what it did. After
 a hold, an emergency stop, and where the next chunk is late, it plays the stop tail of the current
 chunk. So no thread of Python lies between clock and stop.
 
-Chunks stand in a ring of descriptors with the addresses of their arrays; ``Cycle`` keeps the
-arrays alive. A chunk is linked to the one before it after all of it is written; another link lets
-a new plan join in the middle of the ring. Records of what was played stand in a second ring. Each
-ring has one writer and one reader.
+Chunks stand in a ring of descriptors with the addresses of their arrays, which ``Cycle`` keeps
+alive. A chunk is linked to the one before it once it is whole; another link lets a new plan join.
+Records of what was played stand in a second ring. Each ring has one writer and one reader.
 """
 
 from __future__ import annotations
@@ -74,7 +72,6 @@ class Records(NamedTuple):
     answered: FloatArray
 
     def part(self, first: int, last: int) -> Records:
-        """Return the periods from ``first`` to the one before ``last``."""
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
 
 
@@ -132,12 +129,10 @@ class Cycle:
         publish(descriptors[after % len(descriptors)], NEXT, serial)
 
     def relink(self, after: int, serial: int) -> bool:
-        """
-        Let one chunk come after another, in place of those between; False where it is too late.
+        """Let one chunk come after another, in place of those between; False where it is too late.
 
-        The cycle reads the link when it leaves the last row of a chunk. Where it is there just
-        after the link was written, only its next period tells which link it took. Raises
-        StreamError if the clock stands: then the drives get no further setpoint.
+        The cycle reads the link when it leaves the last row of a chunk: then only its next period
+        tells which link it took. Raises StreamError if the clock stands.
         """
         control = self._control
         if control[SOURCE] != REST and control[SERIAL] >= after:
@@ -153,7 +148,6 @@ class Cycle:
         return bool(control[SOURCE] == REST or not after < control[SERIAL] < serial)
 
     def start(self, serial: int) -> None:
-        """Start from rest with a chunk."""
         self._control[LEAVE], self._control[FIRST] = 0, serial
         publish(self._control, START, self._control[START] + 1)
 
@@ -191,11 +185,9 @@ class Cycle:
         return Records(source, serial, row, events, *measured.transpose(1, 0, 2))
 
     def lateness(self) -> Lateness:
-        """Return how late the clock woke up."""
         return Lateness(self._memory.late.copy())
 
     def forget_lateness(self) -> None:
-        """Reset the figures of the clock."""
         self._control[FORGET] += 1
 
 
@@ -209,13 +201,11 @@ class MachineClock:
         self.scheduling = ''
 
     def start(self) -> None:
-        """Start the thread."""
         self._cycle.quit(False)
         self._thread = threading.Thread(target=self._run, name='drives', daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, if it runs."""
         self._cycle.quit()
         if self._thread is not None:
             self._thread.join()

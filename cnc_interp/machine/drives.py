@@ -1,5 +1,4 @@
-"""
-The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
+"""The port to the drives: what a drive must be able to do. The rest of the machine knows no more.
 
 Drives come in two kinds. ``CycleDrives`` bring a compiled step, which the cycle of the machine
 calls itself (``simulated_drives.py``, ``hal_drives.py``). ``DelayedDrives`` are told in Python
@@ -31,7 +30,6 @@ class AxisRows(Table):
 
     @staticmethod
     def held(position: FloatArray, count: int) -> AxisRows:
-        """Return rows of axes that stand still."""
         still = np.zeros((count, len(position)))
         return AxisRows(np.tile(position, (count, 1)), still, still)
 
@@ -74,8 +72,7 @@ class Drives(Protocol):
 
 @runtime_checkable
 class CycleDrives(Drives, Protocol):
-    """
-    Drives with a compiled step that the cycle calls once per period.
+    """Drives with a compiled step that the cycle calls once per period.
 
     The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
     int64 n_axes)``, made by ``numba.cfunc`` or by any other compiler. ``setpoint`` holds n_axes

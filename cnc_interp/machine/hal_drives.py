@@ -57,12 +57,10 @@ class HalStream:
 
     @property
     def reference(self) -> ctypes._CArgObject:
-        """The stream as an argument of the library."""
         return ctypes.byref(self._stream)
 
     @property
     def address(self) -> int:
-        """Address of the stream, for compiled code."""
         return ctypes.addressof(self._stream)
 
     @property
@@ -76,7 +74,6 @@ class HalStream:
         return int(self._library.hal_stream_depth(self.reference))
 
     def detach(self) -> None:
-        """Let the FIFO go."""
         self._library.hal_stream_detach(self.reference)
 
 
@@ -104,13 +101,11 @@ class HalSession:
         self.library.hal_ready(self.component)
 
     def address_of(self, function: str) -> int:
-        """Return the address of a function of the library."""
         address = ctypes.cast(getattr(self.library, function), ctypes.c_void_p).value
         assert address is not None
         return address
 
     def end(self) -> None:
-        """Leave the session."""
         self.library.hal_exit(self.component)
 
 
@@ -164,13 +159,11 @@ CAUSES = {
 
 
 class HalDrives:
-    """
-    Drives behind a running session of HAL; see ``drives.CycleDrives``.
+    """Drives behind a running session of HAL; see ``drives.CycleDrives``.
 
-    ``period``: that of HAL's thread [s]; ``depth``: setpoints that wait in HAL's FIFO;
-    ``limits``: largest following error of linear [m] and rotary axes [rad].
-    Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's thread stands or has
-    another period.
+    ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of linear [m]
+    and rotary axes [rad]. Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's
+    thread stands or has another period.
     """
 
     #: What drives with a following error of about that lag by [s].
@@ -274,7 +267,6 @@ class HalDrives:
             raise DriveFaultError(self.fault(alarm or hal_step.SWITCHED_OFF))
 
     def _wait(self, done: Callable[[], bool]) -> None:
-        """Wait until the step has done something, but not for ever."""
         deadline = time.monotonic() + POWER_UP
         while not done() and time.monotonic() < deadline:
             time.sleep(1e-9 * self._block.words[hal_step.PERIOD])

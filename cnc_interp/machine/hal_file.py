@@ -47,12 +47,10 @@ start"""
 
 
 def hal_file(text: str, axes: Sequence[str], joints: str) -> tuple[str, list[str]]:
-    """
-    Put cnc_interp in the place of LinuxCNC's motion controller.
+    """Put cnc_interp in the place of LinuxCNC's motion controller, in the text of all HAL files.
 
-    ``text``: all HAL files of the configuration, in their order; ``axes``: those of the machine
-    file; ``joints``: letter of the axis of each joint, as ``XYZ``. Returns the new file, and the
-    lines that connect what is not there any more. Raises InterpError where an axis would not move.
+    ``joints``: letter of the axis of each joint, as ``XYZ``. Returns the new file, and the lines
+    that connect what is not there any more. Raises InterpError where an axis would not move.
     """
     if sorted(joints) != sorted(axes):
         raise InterpError(
@@ -99,7 +97,6 @@ def hal_file(text: str, axes: Sequence[str], joints: str) -> tuple[str, list[str
 
 
 def _places(axes: Sequence[str], joints: str) -> dict[str, str]:
-    """Return the pins that take the place of those of each joint."""
     found: dict[str, str] = {}
     for joint, letter in enumerate(joints):
         i, n = axes.index(letter), len(axes)
@@ -113,7 +110,6 @@ def _places(axes: Sequence[str], joints: str) -> dict[str, str]:
 
 
 def _pins(words: Sequence[str]) -> list[str]:
-    """Return the pins of a line, without arrows."""
     return [word for word in words[2:] if '=' not in word]
 
 

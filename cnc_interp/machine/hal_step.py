@@ -1,5 +1,4 @@
-"""
-One period of drives in LinuxCNC's HAL, compiled: a row into the stream, samples out of it.
+"""One period of drives in LinuxCNC's HAL, compiled: a row into the stream, samples out of it.
 
 ``streamer`` takes one row a period from a FIFO, ``sampler`` puts a row of pins into another one.
 Rows are counted on both sides, so each sample is compared with the very row that HAL has played.
@@ -66,7 +65,6 @@ class Block(NamedTuple):
 
 
 def block_size(n: int) -> int:
-    """Return how many words of 8 bytes the memory has for ``n`` axes."""
     return WORDS + 5 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1
 
 

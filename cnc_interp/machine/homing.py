@@ -20,7 +20,7 @@ SEARCH, BACK = 0.1, 0.01
 AT_END = 1e-6
 
 
-class Stage(Enum):
+class AxisHoming(Enum):
     """What an axis does."""
 
     SEARCHES = 'moves towards its switch'
@@ -38,17 +38,11 @@ class SimulatedSwitches:
         self.towards = np.where(self._at - low >= high - self._at, 1.0, -1.0)
 
     def pressed(self, q: FloatArray) -> BoolArray:
-        """Return which switches are pressed at axis positions, shape (n_axes,)."""
         return np.asarray((q - self._at) * self.towards >= 0.0)
 
 
 class Homing:
-    """
-    The homing of a machine.
-
-    ``pressed``: tells which switches are pressed, as ``SimulatedSwitches``; ``towards`` (n_axes,):
-    direction to each switch, 1 or -1.
-    """
+    """The homing of a machine; ``pressed`` and ``towards`` as ``SimulatedSwitches`` has them."""
 
     def __init__(
         self, playback: Playback, jog: Jog, pressed: Callable[[FloatArray], BoolArray],
@@ -58,13 +52,14 @@ class Homing:
         self._machine = playback.axes.machine
         self._names = self._machine.axis_names
         self._groups: list[tuple[str, ...]] = []
-        self._stages: dict[str, Stage] = {}  # of the axes of a group; empty while none is homed
+        self._stages: dict[
+            str, AxisHoming
+        ] = {}  # of the axes of a group; empty while none is homed
         self._unknown = set(self._machine.homing.switches)
         self._seen = playback.state
 
     @property
     def active(self) -> bool:
-        """Tell whether axes are being homed."""
         return bool(self._stages)
 
     @property
@@ -110,7 +105,7 @@ class Homing:
 
     def _next(self) -> None:
         group = self._groups.pop(0) if self._groups else ()
-        self._stages = dict.fromkeys(group, Stage.SEARCHES)
+        self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
 
     def stop(self, now: float) -> None:
         """End homing; the axes come to rest."""
@@ -131,23 +126,22 @@ class Homing:
         pressed = self._pressed(q)
         for name, stage in self._stages.items():
             i = self._names.index(name)
-            if stage is Stage.SEARCHES and pressed[i]:
-                self._stages[name] = Stage.LEAVES
-            elif stage is Stage.LEAVES and not pressed[i]:
-                self._stages[name] = Stage.DONE
+            if stage is AxisHoming.SEARCHES and pressed[i]:
+                self._stages[name] = AxisHoming.LEAVES
+            elif stage is AxisHoming.LEAVES and not pressed[i]:
+                self._stages[name] = AxisHoming.DONE
                 self._unknown.discard(name)
             end = self._machine.travel[i][int(self._towards[i] > 0.0)]
-            if stage is Stage.SEARCHES and not pressed[i] and abs(q[i] - end) < AT_END:
+            if stage is AxisHoming.SEARCHES and not pressed[i] and abs(q[i] - end) < AT_END:
                 self.stop(now)
                 raise StreamError(f'{name} has reached its end of travel without a switch')
         self._jog.beat(self._shares(), 0.0, now)
         rests = state.state is State.IDLE
-        if rests and all(stage is Stage.DONE for stage in self._stages.values()):
+        if rests and all(stage is AxisHoming.DONE for stage in self._stages.values()):
             self._next()
 
     def _shares(self) -> dict[str, float]:
-        """Return the velocity of each axis that moves, as a share of its limit [-]."""
-        share = {Stage.SEARCHES: SEARCH, Stage.LEAVES: -BACK}
+        share = {AxisHoming.SEARCHES: SEARCH, AxisHoming.LEAVES: -BACK}
         return {
             name: share[stage] * float(self._towards[self._names.index(name)])
             for name, stage in self._stages.items()

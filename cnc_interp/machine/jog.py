@@ -70,12 +70,10 @@ class Jog:
     # What the operator asks for -----------------------------------------------------------------
 
     def beat(self, shares: Mapping[str, float], tool: float, now: float) -> float:
-        """
-        Take a beat; raise StreamError if it cannot be followed.
+        """Take a beat at a time of any steady clock; raise StreamError if it cannot be followed.
 
-        ``shares``: velocity of each axis that moves, over its limit, -1 to 1 [-]; ``tool``: the
-        same along the tool, away from the workpiece; ``now``: time of any steady clock [s].
-        Returns the silence before it, where the motion of a held key ended in that, else 0 [s].
+        ``shares``: velocity of each axis over its limit, -1 to 1; ``tool``: the same along the
+        tool.
         """
         wanted = np.array([tool]) if tool else self._of_axes(shares, 0.0)
         self._check(shares, tool)
@@ -103,13 +101,11 @@ class Jog:
     def move(
         self, values: Mapping[str, float], relative: bool, tool: float, speed: float
     ) -> FloatArray:
-        """
-        Take a move; return where the axes will rest, (n_axes,) [m, rad].
+        """Take a move; return where the axes will rest, (n_axes,) [m, rad], or raise StreamError.
 
-        ``values``: position of each axis that moves, or its distance [m, rad]; ``relative``: true
-        for distances: from the target of the move that is under way, or from where the axes stand;
-        ``tool``: distance along the tool [m]; ``speed``: share of the velocity limits; 0 means 1
-        [-]. Raises StreamError if it cannot be followed.
+        ``values``: position of each axis that moves, or if ``relative`` its distance from the
+        target of the move under way, else from where it stands; ``tool``: distance along the tool
+        [m]; ``speed``: share of the velocity limits; 0 means 1 [-].
         """
         wanted = np.array([tool]) if tool else self._of_axes(values, math.nan)
         self._check(values, tool)
@@ -221,5 +217,4 @@ class Jog:
             self._wish = None
 
     def _setpoints(self, time: float) -> int:
-        """Return the number of setpoints in a time [s], at least one."""
         return max(1, round(time / self._period))

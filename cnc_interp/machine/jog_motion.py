@@ -1,12 +1,9 @@
-"""
-Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
+"""Motion by hand: any number of axes, with a velocity or to a target, from any state of motion.
 
 ruckig (Berscheid and Kroeger, 2021) gives the fastest motion within velocity, acceleration and
-jerk limits. The setpoints are samples of it, so their differences keep the limits, too. A motion
-with a velocity towards an end of travel is one to that end with this velocity as its largest.
-
-A piece is handed out only if it, and the stop after it, stay within the travel. Else the motion
-stops before the piece, which is always possible: the piece before had a stop.
+jerk limits. The setpoints are samples of it, so their differences keep the limits, too. A velocity
+towards an end of travel is a motion to that end. A piece is handed out only if it, and the stop
+after it, stay within the travel; else the motion stops before it, as the piece before can.
 """
 
 from __future__ import annotations
@@ -47,7 +44,6 @@ class Slides:
     travel: FloatArray  #: (m, 2): Smallest and largest coordinate [m, rad].
 
     def positions(self, x: FloatArray) -> FloatArray:
-        """Return the axis positions, shape (K, n) [m, rad], at coordinates, shape (K, m)."""
         q: FloatArray = self.origin + x @ self.direction
         return q
 
@@ -180,7 +176,6 @@ class JogMotion:
         return math.ceil(float(planned.duration) / self._period - 1e-9)
 
     def _next_rows(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the states of the next periods and of the stop after them, (K, 3, m) each."""
         last = min(self._next + count, self._last)
         rows = self._rows(self._planned, self._next, int(last), self._last)
         stop = self._stop(rows[-1])
@@ -188,7 +183,6 @@ class JogMotion:
         return rows, self._rows(stop, 0, length, length)
 
     def _rows(self, planned: ruckig.Trajectory, first: int, last: int, end: float) -> FloatArray:
-        """Return the states at the ends of the periods ``first`` to ``last - 1``."""
         longest = planned.duration if math.isfinite(end) else math.inf
         times = [min(k * self._period, longest) for k in range(first + 1, last + 1)]
         rows = np.array([planned.at_time(t) for t in times])

@@ -1,8 +1,6 @@
-"""
-The machine's buffer and the state of its run, around the cycle that plays the setpoints.
+"""The machine's buffer and the state of its run, around the cycle that plays the setpoints.
 
-The cycle follows the stop tail of a chunk when the next one is late and when the operator wants to
-stop. Then the plan is over; the next one begins where the machine rests.
+When a stop tail was followed, the plan is over; the next one begins where the machine rests.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints
-from cnc_interp.machine.buffer import Buffer, BufferedChunk, Rows
+from cnc_interp.machine.buffer import Buffer, BufferedChunk, SourcedSetpoints
 from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import (
     ALARM_SHIFT,
@@ -67,7 +65,7 @@ class Executed(NamedTuple):
 
     run_id: RunId  #: The plan.
     number: int  #: Of the first in the run.
-    rows: Rows
+    rows: SourcedSetpoints
     actual: FloatArray
     ends: bool  #: Whether the program ends with them.
 
@@ -81,11 +79,7 @@ class Reached(NamedTuple):
 
 
 class Playback:
-    """
-    The machine's buffer, the state and the figures of the run; no thread.
-
-    ``full``: setpoints in a full buffer. The machine starts only then, unless it must rest before.
-    """
+    """The machine's buffer, the state and the figures of the run; it starts when ``full``."""
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
@@ -121,7 +115,6 @@ class Playback:
         self._empty()
 
     def _power_on(self) -> None:
-        """Switch the power of the drives on; the axes stand where they are then."""
         self._drives.switch_on()
         self._powered = True
         self._place(self._drives.position)
@@ -136,7 +129,6 @@ class Playback:
         self._power_off()
 
     def close(self) -> None:
-        """Let the drives go, after the clock has stopped."""
         self._drives.close()
 
     # Runs and plans -----------------------------------------------------------------------------
@@ -252,12 +244,10 @@ class Playback:
         self.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
 
     def is_void(self, run_id: RunId, begins: FloatArray | None) -> bool:
-        """
-        Tell whether setpoints are not needed, because the machine has left their plan.
+        """Tell whether setpoints are not needed, because the machine has left their plan.
 
-        Also a plan that would begin where the axes do not stand any more, as they were moved by
-        hand, is left at once. ``begins`` (n_axes,): first setpoint of a plan from rest [m, rad],
-        or None.
+        Also a plan whose first setpoint, ``begins``, is not where the axes stand, moved by hand,
+        is left.
         """
         away = self.state.state is State.AWAY
         if begins is not None and len(self.away) and run_id.continues(self.run_id):
@@ -280,7 +270,10 @@ class Playback:
         self, chunk: Chunk, lines: list[int], tail_lines: list[int], first: int
     ) -> BufferedChunk:
         """Write a chunk into the ring of the cycle, not linked."""
-        rows, tail = Rows(chunk.samples, lines), Rows(chunk.tail, tail_lines)
+        rows, tail = (
+            SourcedSetpoints(chunk.samples, lines),
+            SourcedSetpoints(chunk.tail, tail_lines),
+        )
         return BufferedChunk(self.cycle.push(chunk), self.run_id, first, chunk, rows, tail)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
@@ -368,7 +361,6 @@ class Playback:
         self._forget_run(NO_RUN)
 
     def _handle(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> None:
-        """Change the state and stop the cycle if needed. A fault at rest empties the buffer."""
         self.state = self.state.after(event, reason, detail)
         if self.state.leaves_plan:
             self.cycle.leave()
@@ -436,7 +428,7 @@ class Playback:
             self._current, self._row = self.buffer.pop(), -1
 
     @property
-    def _played(self) -> Rows:
+    def _played(self) -> SourcedSetpoints:
         assert self._current is not None
         return self._current.tail if self._on_tail else self._current.rows
 
@@ -497,7 +489,7 @@ class Playback:
         self.feedback = self.axes.measure(wanted.position, x, v, answered)
         return follow
 
-    def _play(self, rows: Rows, records: Records) -> None:
+    def _play(self, rows: SourcedSetpoints, records: Records) -> None:
         current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
         assert current is not None
         if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):

@@ -33,7 +33,6 @@ def ask_for_priority(priority: int) -> str:
 
 
 def niceness() -> str:
-    """Return how the calling thread is scheduled without real time, in words."""
     return f'ordinary scheduling, niceness {os.getpriority(os.PRIO_PROCESS, 0)}'
 
 
@@ -64,11 +63,7 @@ def note_catching_up(record: IntArray, late: int) -> None:
 
 
 class Lateness:
-    """
-    Histogram of how late a periodic thread woke up; its memory does not grow.
-
-    Periods that are due after a late wake-up begin at once. They are counted, and are no wake-ups.
-    """
+    """Histogram of how late a periodic thread woke up; periods caught up are no wake-ups."""
 
     def __init__(self, record: IntArray):
         self._counts = record[:CLASSES]

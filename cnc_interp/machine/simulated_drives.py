@@ -2,29 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.drives.compensation import (
-    COUNT,
-    FADE,
-    FADING,
-    FIRST,
-    HEAD,
-    KNOWN,
-    LEFT,
-    MEMORY,
-    RATES,
-    ROWS,
-    SETPOINTS,
-    STATE,
-    STEP,
-    Compensation,
-    compensate_all,
-    compensate_once,
-)
+from cnc_interp.drives.compensation import Compensation, compensate_all, compensate_once
 from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of
 from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine.axis_motion import AxisMotion, ContourErrors, Recording
@@ -66,12 +47,11 @@ def simulate(
     machine: Machine, period: float, positions: FloatArray, velocities: FloatArray | None = None,
     model: Machine | None = None,
 ) -> Recording:  # fmt: skip
-    """
-    Run simulated drives through all setpoints, from rest at the first one.
+    """Run simulated drives through all setpoints (K, n_axes), from rest at the first one.
 
-    The bits are those of ``Cycle`` with ``SimulatedDrives``. ``positions``, ``velocities``
-    (K, n_axes): setpoints [m, rad, per s]; without velocities, central differences; ``model``:
-    compensate its drives. All axes are then later by ``Compensation.lead``.
+    The bits are those of ``Cycle`` with ``SimulatedDrives``. Without velocities, central
+    differences; ``model``: compensate its drives; all axes are then later by
+    ``Compensation.lead``.
     """
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities
@@ -91,27 +71,18 @@ class CompensatedDrives:
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
     ):
-        compensation = Compensation(model, period, inner.position)
-        self._shape = compensation.words.shape
+        self._compensation = Compensation(model, period, inner.position)
         self.switch_on, self.switch_off = inner.switch_on, inner.switch_off
         self.close, self.fault = inner.close, inner.fault
-        self.lag, self.step = compensation.lead, int(compensate_once.address)
-        head, told = np.zeros(HEAD, dtype=np.int64), np.zeros(2 * self._shape[0])
-        head[[STEP, MEMORY]] = inner.step, inner.memory.ctypes.data
-        head[[COUNT, KNOWN]] = self._shape[1], compensation.known
+        self.lag, self.step = self._compensation.lead, int(compensate_once.address)
         self._learnt = learnt  # its arrays must stay where they are
-        if learnt is not None:
-            head[ROWS] = len(learnt.setpoint)
-            head[[SETPOINTS, RATES]] = learnt.setpoint.ctypes.data, learnt.rate.ctypes.data
-            head[[FADING, LEFT]] = math.ceil(FADE / period - 1e-9)
-        self.memory = np.concatenate([head.view(float), compensation.words.ravel(), told])
-        self._newest = HEAD + FIRST + STATE * compensation.known
+        taught = None if learnt is None else (learnt.setpoint, learnt.rate)
+        self.memory = self._compensation.memory(inner.step, inner.memory, period, taught)
 
     @property
     def position(self) -> FloatArray:
         """The last setpoint, where the axes stand or settle [m, rad]."""
-        held: FloatArray = self.memory[self._newest :: self._shape[1]][: self._shape[0]].copy()
-        return held
+        return self._compensation.newest(self.memory)
 
 
 class Uncompensated:

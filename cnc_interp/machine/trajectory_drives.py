@@ -82,12 +82,10 @@ class Controller(Protocol):
 
 
 class TrajectoryDrives:
-    """
-    Drives behind a trajectory controller; see ``drives.DelayedDrives``.
+    """Drives behind a trajectory controller; see ``drives.DelayedDrives``.
 
-    ``delay``: time from a setpoint in the cycle to its execution [s]; ``limits``: largest
-    following error of linear [m] and rotary axes [rad]; ``silence``: of the controller, after
-    which its feedback counts as lost [s].
+    ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following errors of
+    linear [m] and rotary axes [rad]; ``silence`` after which the feedback counts as lost [s].
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
@@ -166,7 +164,6 @@ class TrajectoryDrives:
         self._on, self.alarm = False, ''
 
     def close(self) -> None:
-        """Let the controller go; it comes to rest on the path."""
         self._controller.close()
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
@@ -192,7 +189,6 @@ class TrajectoryDrives:
             self._told, self._told_from = self._rows[-1:], self._played - 1
 
     def _time_of(self, number: int) -> int:
-        """Return when the controller shall reach a row [ns]."""
         return self._zero + number * self._period + self._delay
 
     def _news(self, stop: AxisRows) -> int | None:
@@ -275,5 +271,4 @@ class TrajectoryDrives:
 
 
 def padded(rows: FloatArray, count: int) -> FloatArray:
-    """Repeat the last row until there are so many."""
     return np.concatenate([rows, np.repeat(rows[-1:], count - len(rows), axis=0)])

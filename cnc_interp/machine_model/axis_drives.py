@@ -41,7 +41,6 @@ class DriveLoad:
 def drive_loads(
     content: dict[str, Any], names: list[str], linear: list[bool], velocities: FloatArray
 ) -> dict[int, DriveLoad]:
-    """Read the drives that have a largest torque."""
     found = {}
     given = entries_by_axis(content, 'loads', names, 'inertia, torque and friction')
     for j, where, values in given:
@@ -62,7 +61,6 @@ def drive_loads(
 
 
 def _friction(value: Any, key: str) -> float:
-    """Check a friction, which may be zero."""
     friction = numbers([value], 1, key)[0]
     if friction < 0.0:
         raise MachineError(f'must not be negative, not {value}', key)
@@ -130,7 +128,6 @@ NEEDED = 3
 
 
 def key_and_unit(entry: Entry, linear: bool) -> tuple[str, float]:
-    """Return the key of a value in the file, and its unit in SI."""
     if linear:
         return entry.linear, entry.linear_unit
     return entry.rotary, entry.rotary_unit
@@ -139,7 +136,6 @@ def key_and_unit(entry: Entry, linear: bool) -> tuple[str, float]:
 def axis_drives(
     content: dict[str, Any], names: list[str], linear: list[bool], loads: dict[int, DriveLoad]
 ) -> dict[int, AxisDrive]:
-    """Read the drives that are not ideal."""
     given = entries_by_axis(content, 'drives', names, 'the values of its drive')
     return {j: _drive(values, where, linear[j], loads.get(j)) for j, where, values in given}
 

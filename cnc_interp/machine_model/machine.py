@@ -22,7 +22,7 @@ from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad, axis_drives, drive_loads
 from cnc_interp.machine_model.machine_entries import (
     LOCKED_LIMITS,
-    Homing,
+    ReferenceSwitches,
     axis_limits,
     control,
     entry,
@@ -65,7 +65,6 @@ class Axis:
 
     @property
     def shown_size(self) -> float:
-        """Size of that unit [m or rad]."""
         return MM if self.linear else DEG
 
     def position_text(self, position: float) -> str:
@@ -88,8 +87,7 @@ def error_text(error: float, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Machine:
-    """
-    A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
+    """A machine tool: linear axes X Y Z, then the rotary axes, primary first, then extra axes.
 
     An extra axis is a linear axis U, V or W that carries the tool beside X Y Z, such as the quill
     W of a boring mill along Z: the tool stands at X Y Z plus the sum of ``w_k d_k``, with w_k its
@@ -135,7 +133,7 @@ class Machine:
     #: For axes whose drives are not ideal: how they follow their setpoints.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
-    homing: Homing = field(default_factory=Homing)
+    homing: ReferenceSwitches = field(default_factory=ReferenceSwitches)
     #: What its control means by a program: choices of the reader, by name.
     control: dict[str, Any] = field(default_factory=dict)
     file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
@@ -183,7 +181,6 @@ class Machine:
         )
 
     def axis(self, name: str) -> Axis:
-        """Return the axis of that name."""
         return self.axes[self.axis_names.index(name)]
 
     @property
@@ -288,16 +285,14 @@ DIGITS = 9
 def placed_machine(
     name: str, shift: tuple[float, float, float], turn: float, file: Path
 ) -> Machine:
-    """
-    Write the file of a machine whose workpiece is shifted, and turned about its zero; read it.
+    """Write the file of a machine whose workpiece is shifted, and turned about its zero; read it.
 
     With the C axis next to the workpiece, a turn by an angle w needs no turned program:
 
         R_C(C) (R_z(w) p + m) = R_C(C + w) (p + R_z(-w) m)
 
-    So C counts from the turned workpiece, and only the offset m is another one.
-    ``shift``: of the workpiece zero, along the table at rest [mm]; ``turn`` [deg]; ``file``: is
-    written, its folder made. Raises MachineError if no table of the machine turns about Z.
+    So C counts from the turned workpiece, and only the offset m is another one. ``shift`` [mm],
+    ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
     if turn and not _has_turntable(machine):

@@ -56,7 +56,6 @@ def control(content: dict[str, Any]) -> dict[str, str]:
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
-    """Read letters and directions of the extra axes, in the order of the file."""
     given = content.get('extra') or {}
     if not isinstance(given, dict):
         raise MachineError('must name axes U, V or W, each with along: X, Y or Z', 'extra')
@@ -72,7 +71,6 @@ def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
 
 
 def is_locked(rotary: dict[str, Any], name: str) -> bool:
-    """Tell whether a rotary axis is locked, as the second one of a 4-axis machine."""
     axes = (rotary[key] for key in ('primary', 'secondary'))
     return any(axis.get('name') == name and axis.get('locked') is True for axis in axes)
 
@@ -85,7 +83,6 @@ def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
 
 
 def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
-    """Read where the workpiece zero of a machine without rotary axes lies."""
     offsets = np.zeros((3, 3))
     offsets[0] = vector(content, 'workpiece_zero_mm', optional=True)
     return {
@@ -98,7 +95,6 @@ def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
-    """Read directions, carriers and offsets of the rotary axes."""
     directions, on_head = [], []
     for key in ('primary', 'secondary'):
         direction = entry(rotary, key, 'rotary', 'about')
@@ -141,7 +137,7 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Homing:
+class ReferenceSwitches:
     """The reference switches of a machine."""
 
     #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
@@ -152,11 +148,12 @@ class Homing:
     required: bool = False  #: Whether no program may start before all these axes are homed.
 
 
-def homing(content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]]) -> Homing:
-    """Read the reference switches."""
+def homing(
+    content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]]
+) -> ReferenceSwitches:
     given = content.get('homing')
     if given is None:
-        return Homing()
+        return ReferenceSwitches()
     if not isinstance(given, dict) or set(given) - {'switches', 'order', 'required'}:
         raise MachineError('must hold switches, order, and required: true or false', 'homing')
     switches, order = given.get('switches'), given.get('order')
@@ -179,7 +176,7 @@ def homing(content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]])
     if not lists or sorted(str(name) for group in groups for name in group) != sorted(found):
         why = 'must name each axis of switches once, as [[Z], [X, Y]]'
         raise MachineError(why, 'homing.order')
-    return Homing(found, tuple(map(tuple, groups)), required)
+    return ReferenceSwitches(found, tuple(map(tuple, groups)), required)
 
 
 def axis_limits(
@@ -235,7 +232,6 @@ def entries_by_axis(
 def _places(
     values: Any, where: str, linear: bool, largest: list[float], travel: list[float]
 ) -> FloatArray:
-    """Read the limits of one axis over its positions, shape (4, k)."""
     units = LINEAR_KEYS if linear else ROTARY_KEYS
     *limit_keys, travel_key = units
     place_key = travel_key.replace('travel', 'at')
@@ -282,7 +278,6 @@ def number(value: Any, key: str, low: float, high: float) -> float:
 
 
 def numbers(value: Any, count: int, key: str) -> list[float]:
-    """Check a list of finite numbers."""
     if not isinstance(value, list) or len(value) != count:
         raise MachineError(f'must be a list of {count} numbers', key)
     for x in value:

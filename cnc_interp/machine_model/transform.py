@@ -1,5 +1,4 @@
-"""
-The five-axis transformation: tool tip and tool axis in W <-> machine axes.
+"""The five-axis transformation: tool tip and tool axis in W <-> machine axes.
 
 With T the product of the rotary axes that carry the workpiece and H of those that carry the tool,
 
@@ -18,10 +17,9 @@ from |o x u|, which keeps full relative accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -75,26 +73,6 @@ class Transform:
         return Transform(machine, np.concatenate([packed, machine.extra_direction.ravel()]))
 
     @property
-    def axis_names(self) -> tuple[str, ...]:
-        """Letters of the machine's axes."""
-        return self.machine.axis_names
-
-    @property
-    def control(self) -> Mapping[str, Any]:
-        """What the control of the machine means by a program: choices of the reader."""
-        return self.machine.control
-
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Letters of the machine's extra axes."""
-        return self.machine.extra_names
-
-    @property
-    def extra_direction(self) -> FloatArray:
-        """Unit vectors in M along which the extra axes move the tool, shape (k, 3)."""
-        return self.machine.extra_direction
-
-    @property
     def outer(self) -> int:
         """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
         return int(self.packed[OUTER])
@@ -104,22 +82,11 @@ class Transform:
         """Direction in W at which the outer rotary axis is undefined, shape (3,)."""
         return np.asarray(self.machine.rotary_direction[self.outer])
 
-    @property
-    def rotary_travel(self) -> FloatArray:
-        """Lowest and highest positions of the rotary axes, shape (2, 2) [rad]."""
-        return np.asarray(self.machine.travel[3:5].T)
-
-    @property
-    def pole_cone(self) -> float:
-        """Angle around the pole in which a direction does not give rotary positions [rad]."""
-        return self.machine.singular_cone
-
     def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """
-        Return the smallest angle to the pole, (n,) [rad], while the rotary axes run linearly.
+        """Return the smallest angle to the pole, (n,) [rad], while the rotary axes run linearly.
 
-        ``start``, ``end`` (n, 2): rotary positions [rad]. ``o . u = c0 + R cos(b - b0)`` (module
-        docstring) has its extremes at the ends or where b - b0 is a multiple of 180 deg.
+        ``o . u = c0 + R cos(b - b0)`` has its extremes at the ends or where b - b0 is a multiple
+        of pi.
         """
         inner = 1 - self.outer
         u, w = self.machine.rotary_direction[[self.outer, inner]]
@@ -135,11 +102,10 @@ class Transform:
         return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
 
     def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
-        """
-        Return how far a point on the tool axis moves in W per radian, (n, 2) [m].
+        """Return how far a point on the tool axis moves in W per radian, (n, 2) [m].
 
-        ``stands`` (n, 3): X Y Z plus the extra axes along their directions [m]; ``rotary`` (n, 2):
-        rotary positions [rad]; ``height``: height of the point above the tip [m].
+        ``stands`` (n, 3): X Y Z plus the extra axes along their directions; ``height``: above the
+        tip.
         """
         machine = self.machine
         u1, u2 = machine.rotary_direction
@@ -175,7 +141,7 @@ class Transform:
         q = np.asarray(q, float)
         own = 5 if self.machine.has_rotary else 3
         if q.shape[1] > own:
-            stands = q[:, :3] + q[:, own:] @ self.extra_direction
+            stands = q[:, :3] + q[:, own:] @ self.machine.extra_direction
             q = np.concatenate([stands, q[:, 3:own]], axis=1)
         if own == 3:
             q = np.concatenate([q, np.zeros((len(q), 2))], axis=1)
@@ -201,7 +167,6 @@ class Transform:
 
 
 def norm_of(rows: FloatArray) -> FloatArray:
-    """Return the lengths of the rows of an array, shape (n,)."""
     return np.asarray(np.sqrt((rows**2).sum(axis=1)))
 
 
@@ -256,12 +221,10 @@ def branch_at(transform: Transform, rotary: FloatArray) -> float:
 def start_positions(
     transform: Transform, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
 ) -> tuple[FloatArray, float]:
-    """
-    Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
+    """Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
 
-    ``axis`` (3,): its tool axis; ``rotary`` (2,): positions that the program names, else NaN;
-    ``near`` (2,): the solution nearest to these counts then [rad]. Zeros without rotary axes.
-    Raises BlockError if the orientation cannot be reached within the travel.
+    ``rotary`` (2,): positions that the program names, else NaN: then the solution nearest to
+    ``near`` counts. Raises BlockError if the orientation cannot be reached within the travel.
     """
     machine = transform.machine
     if not machine.has_rotary:
@@ -296,13 +259,11 @@ LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9
 def positions_of_pose(
     transform: Transform, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
 ) -> FloatArray:
-    """
-    Return the axis positions of a tool pose, (n_axes,) [m, rad].
+    """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 
-    ``tip`` (3,): in W, NaN keeps a coordinate [m]; ``axis`` (3,): direction in W of any length,
-    None keeps the rotary axes; ``stands`` (n_axes,): the nearest solution counts, extra axes stay.
-    Raises BlockError if the direction is out of travel, ValueError if it has no length or the
-    tool cannot turn to it.
+    NaN in ``tip`` and no ``axis``, of any length, keep what there is; the solution nearest to
+    ``stands`` counts. Raises BlockError if the direction is out of travel, ValueError if it has no
+    length or the tool cannot turn to it.
     """
     here, present = (found[0] for found in transform.forward(stands[None, :]))
     tip = np.where(np.isnan(tip), here, tip)
@@ -320,5 +281,5 @@ def positions_of_pose(
     linear = transform.linear(tip[None, :], rotary[None, :])[0]
     extra = stands[own:]
     if len(extra):
-        linear = linear - extra @ transform.extra_direction
+        linear = linear - extra @ transform.machine.extra_direction
     return np.concatenate([linear, rotary[: own - 3], extra])

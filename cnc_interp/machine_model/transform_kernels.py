@@ -34,7 +34,6 @@ def near(angle: float, reference: float) -> float:
 
 @njit(cache=True, nogil=True, inline='always')
 def crossed(a: VectorJet, u: Vector) -> VectorJet:
-    """Return a x u of a vector jet and a constant vector."""
     return (
         jet.subtract(jet.scale(a[1], u[2]), jet.scale(a[2], u[1])),
         jet.subtract(jet.scale(a[2], u[0]), jet.scale(a[0], u[2])),
@@ -46,12 +45,10 @@ def crossed(a: VectorJet, u: Vector) -> VectorJet:
 def rotary_jets(
     packed: FloatArray, o: VectorJet, branch: float, tilt_near: float, turn_near: float
 ) -> tuple[Jet, Jet, float]:
-    """
-    Solve the rotary axes for a unit tool axis ``o`` in W.
+    """Solve the rotary axes for a unit tool axis ``o`` in W, nearest to given positions.
 
-    ``packed`` (29 + 3 k,): geometry of the machine; ``tilt_near``, ``turn_near``: positions that
-    select the whole turns [rad]. Returns inner and outer axis [rad], and the squared sine of the
-    tilt: negative out of reach; zero at the pole, where the jets are not finite.
+    Returns inner and outer axis [rad], and the squared sine of the tilt: negative out of reach;
+    zero at the pole, where the jets are not finite.
     """
     outer = int(packed[OUTER])
     u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
@@ -103,8 +100,7 @@ def rotary_jets(
 def guided_jets(
     packed: FloatArray, o: VectorJet, turn: Jet, tilt_near: float, turn_near: float
 ) -> tuple[Jet, Jet]:
-    """
-    Return the jets of tilt and turn for a tool axis, where the turn is given [rad].
+    """Return the jets of tilt and turn for a tool axis, where the turn is given [rad].
 
     With the outer axis at a, the tool can reach the small circle of ``Rot(w, b) e_z`` about w.
     The nearest point to o' = Rot(u, -a) o on it has the azimuth of o' about w. So the tool axis
@@ -140,7 +136,6 @@ def guided_gap(packed: FloatArray, o: VectorJet, turn: float) -> float:
 
 @njit(cache=True, nogil=True, inline='always')
 def moved(v: VectorJet, packed: FloatArray, place: int) -> VectorJet:
-    """Add the vector at a place of the packed geometry to a vector jet."""
     x, y, z = v
     return (
         (x[0] + packed[place], x[1], x[2], x[3]),

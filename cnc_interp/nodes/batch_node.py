@@ -89,7 +89,6 @@ class BatchNode(Node):
         end_goal(handle, result, result.success)
 
     def _planned(self, goal: PlanBatch.Goal) -> PlanBatch.Result:
-        """Carry out a batch; in a thread of its own."""
         folder = self._values['batch_folder']
         if not folder:
             raise InterpError('batch_node was started without batch_folder; give it one')

@@ -68,10 +68,9 @@ SPIN_TIMEOUT = 0.1
 
 
 class ControllerLink:
-    """
-    The controller on its topics; see ``trajectory_drives.Controller``.
+    """The controller on its topics; see ``trajectory_drives.Controller``.
 
-    A node of its own: its topics are heard while the machine node waits for the controller.
+    A node of its own: it is heard while the machine node waits for the controller.
     """
 
     def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):
@@ -103,23 +102,18 @@ class ControllerLink:
             self._reports.append(report)
 
     def now(self) -> int:
-        """Return the time of ROS [ns]."""
         return int(self._clock.now().nanoseconds)
 
     def listens(self) -> bool:
-        """Tell whether somebody takes trajectories."""
         return bool(self._trajectories.get_subscription_count())
 
     def send(self, trajectory: Trajectory) -> None:
-        """Send a trajectory that replaces the one before."""
         self._trajectories.publish(joint_trajectory(trajectory, self._joints))
 
     def take_reports(self) -> list[JointReport]:
-        """Return what was reported since the last call."""
         return [self._reports.popleft() for _ in range(len(self._reports))]
 
     def close(self) -> None:
-        """End the thread and the node."""
         self._ends.set()
         self._thread.join()
         self._node.destroy_node()

@@ -102,7 +102,7 @@ class Controls:
             q = positions_of_pose(self._transform, point, np.array(axis) if axis else None, stands)
         except (BlockError, ValueError) as problem:
             raise StreamError(str(problem)) from None
-        return dict(zip(self._transform.axis_names, q.tolist(), strict=True))
+        return dict(zip(self._transform.machine.axis_names, q.tolist(), strict=True))
 
     def _home(self, request: Home.Request, _response: Any) -> str:
         self._wake()

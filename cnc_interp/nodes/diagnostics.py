@@ -46,7 +46,6 @@ class Diagnostics:
             self._node.get_logger().warning(message)
 
     def publish(self) -> None:
-        """Publish all parts."""
         if not self._parts or not self._node.context.ok():
             return
         array = DiagnosticArray(status=list(self._parts.values()))

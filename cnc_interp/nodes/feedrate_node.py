@@ -71,7 +71,6 @@ class PlanningThread:
             Thread(target=import_module, args=[rest], daemon=True).start()
 
     def submit(self, task: PlanningTask) -> None:
-        """Submit a task, which is done after those submitted before."""
         self._job = task, self._executor.submit(task.work), time.monotonic()
 
     def done(self) -> tuple[PlanningTask, Callable[[], Any]] | None:
@@ -84,7 +83,6 @@ class PlanningThread:
         return task, future.result
 
     def close(self) -> None:
-        """Start no further task."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
@@ -142,7 +140,6 @@ class FeedrateNode(LifecycleNode):
         self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
-        """Begin to accept programs."""
         self._active = True
         return super().on_activate(state)
 
@@ -165,7 +162,7 @@ class FeedrateNode(LifecycleNode):
             name = self.get_name()
             text = f'{name} is not active; activate it, then run the program again'
             raise StreamError(text, Refusal.NOT_READY)
-        check_segment(segment, len(self._transform.extra_names))
+        check_segment(segment, len(self._transform.machine.extra_names))
 
     def _take(self, segment: PathSegment) -> None:
         self._pace.wake()
@@ -216,7 +213,6 @@ class FeedrateNode(LifecycleNode):
 
     @property
     def sender(self) -> ChunkSender:
-        """The sending end of the setpoints."""
         return self._outlet.sender
 
     def make_planner(
@@ -236,15 +232,12 @@ class FeedrateNode(LifecycleNode):
         return segments_from(segments), self._inputs.pauses_after(segments)
 
     def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan that joins the plan being sent, from a number on."""
         self._outlet.join(run_id, first)
 
     def take_back(self) -> None:
-        """Continue with the plan before the one that was to join."""
         self._outlet.take_back()
 
     def consumed(self, count: int) -> None:
-        """Open the window of the segments."""
         self._inlet.receiver.consume(count)
 
     def refuse(self, kind: Refusal, reason: str) -> None:

@@ -62,7 +62,6 @@ class JoyJogNode(Node):
         self._beats.publish(beat)
 
     def _share(self, joy: Joy, name: str) -> float:
-        """Return the share of an axis, or of the tool, that a deflection asks for."""
         number, deadband = self._values[f'axis.{name}'], self._values['deadband']
         if not 0 <= number < len(joy.axes):
             return 0.0

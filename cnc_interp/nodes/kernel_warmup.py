@@ -13,7 +13,6 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
-from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -55,7 +54,7 @@ def tiny_program(transform: Transform) -> Blocks:
         contour_tolerance=np.full(4, 0.02 * MM),
         orientation_tolerance=np.full(4, 0.02 * MM),
         line_number=np.arange(4),
-        extra=np.outer(np.arange(4), np.full(len(transform.extra_names), 1.0 * MM)),
+        extra=np.outer(np.arange(4), np.full(len(transform.machine.extra_names), 1.0 * MM)),
     )
 
 
@@ -83,7 +82,6 @@ def pole_program(transform: Transform) -> Blocks:
 
 
 def _endless(transform: Transform) -> Transform:
-    """Return the transformation of the machine without ends of travel."""
     endless = np.tile([-np.inf, np.inf], (len(transform.machine.axis_names), 1))
     return Transform.of(replace(transform.machine, travel=endless))
 
@@ -135,7 +133,7 @@ def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
     stream.revision(handed_out - 1, OperatorSettings(0.5))
     state = stream.current.state_at(handed_out - 1)
     assert state is not None
-    stop_law(path, state[1], limit_table(machine), 0.0)
+    stop_law(path, state[1], machine.limit_table, 0.0)
 
 
 def path_without_kernels(machine: Machine) -> AxisPath:

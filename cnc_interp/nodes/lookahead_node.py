@@ -47,11 +47,9 @@ class SmoothingRun:
 
     @property
     def can_smooth(self) -> bool:
-        """Tell whether there are blocks to smooth."""
         return self._smoother is not None and bool(self.blocks)
 
     def take(self, block: G1Block) -> None:
-        """Queue a block."""
         self.blocks.append(block)
         if block.program_stop:
             self._program_stops[block.sequence] = block.program_stop
@@ -131,7 +129,7 @@ class LookaheadNode(Node):
             self, 'segments', PathSegmentBatch, values['resend_after'],
             lambda segments, _: PathSegmentBatch(segments=segments),
         )  # fmt: skip
-        check = partial(check_block, extra_count=len(self._transform.extra_names))
+        check = partial(check_block, extra_count=len(self._transform.machine.extra_names))
         self._inlet = Inlet(
             self, WindowedReceiver('blocks', values['block_window']),
             {'blocks': G1Block, 'block_batches': G1BlockBatch}, check,

@@ -92,7 +92,6 @@ class MachineNode(LifecycleNode):
         return ControllerLink(self.get_namespace(), controller, feedback, joints)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
-        """Start the clock and switch the drives on."""
         assert self._clock_of_drives is not None
         self._clock_of_drives.start()
         done = transition(self, self._playback.switch_on)
@@ -200,7 +199,6 @@ class MachineNode(LifecycleNode):
         return playback.state.resting
 
     def publish_rest(self) -> None:
-        """Publish the executed setpoints that are not published yet, and the state."""
         self._playback.read()
         self._topics.publish_executed()
         self._topics.publish_state()
@@ -210,7 +208,6 @@ class MachineNode(LifecycleNode):
             self._clock_of_drives.stop()
 
     def close(self) -> None:
-        """Stop the clock and let the drives go."""
         if self._clock_of_drives is not None:
             self._stop_clock()
             self._clock_of_drives = None

@@ -69,7 +69,6 @@ class MachineTopics:
         return self._node.get_clock().now().to_msg()
 
     def publish_state(self) -> None:
-        """Publish the state now."""
         self._playback.read()
         message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()

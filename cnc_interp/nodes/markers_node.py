@@ -41,7 +41,6 @@ class MarkerLine:
         self._first_changed = 0
 
     def clear(self) -> None:
-        """Forget all points."""
         self._markers, self._last, self._first_changed = [], None, 0
 
     def add(self, place: Iterable[float]) -> None:
@@ -68,7 +67,6 @@ class MarkerLine:
         return marker
 
     def news(self, everything: bool) -> list[Marker]:
-        """Return the markers that have changed since the last call, or all."""
         first = 0 if everything else self._first_changed
         self._first_changed = len(self._markers)
         return [marker for marker in self._markers[first:] if len(marker.points) > 1]

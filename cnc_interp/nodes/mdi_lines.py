@@ -46,7 +46,6 @@ class Mdi:
         return why_not(missing, machine)
 
     def prepare(self, run: ProgramRun, goal: Any) -> Prepared:
-        """Read and check the line of a goal."""
         assert run.stands is not None
         return prepare_line(
             goal, self._reader, self._of_machine(), run.stands, self._transform, self._settings,

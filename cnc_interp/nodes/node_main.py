@@ -103,11 +103,9 @@ def answering(act: Callable[[Any, Any], str]) -> Callable[[Any, Any], Any]:
 
 
 def end_goal(handle: Any, result: Any, succeeded: bool, cancelled: bool = True) -> None:
-    """
-    End a goal of an action with its result; ``cancelled``: whether a client may be the cause.
+    """End a goal of an action with its result; ``cancelled``: whether a client may be the cause.
 
-    rclpy polls an awaiting execute callback without pause, at most of a core. So a goal is only
-    handed to ``execute`` when its result is there.
+    rclpy polls an awaiting execute callback at most of a core, so the result is there before.
     """
 
     def execute(goal: Any) -> Any:

@@ -107,7 +107,6 @@ class Peers:
         return Refusal.NONE, ''
 
     def knows(self, stream: str, run_id: RunId) -> bool:
-        """Tell whether the receiver of a stream is on this attempt of a run."""
         status = self._status.get(stream)
         return status is not None and run_id_of(status).same_attempt(run_id)
 
@@ -130,7 +129,6 @@ class SenderWatch:
             self.hear()
 
     def hear(self) -> None:
-        """Record that the sender was heard."""
         self._silence.hear(time.monotonic())
         if self._lost:
             self._lost = False

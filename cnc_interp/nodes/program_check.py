@@ -55,7 +55,6 @@ class Prepared:
     line: MdiLine | None = None
 
     def __getitem__(self, rows: slice) -> Blocks:
-        """Return consecutive rows, their corners decided."""
         blocks = self.blocks[rows]
         first, after = np.searchsorted(self.stops, [rows.start, rows.start + len(blocks)])
         corner = np.full(len(blocks), ROUND_CORNER)
@@ -95,7 +94,6 @@ def prepare_line(
     goal: Any, reader: MdiReader, setup: JobSetup, stands: FloatArray, transform: Transform,
     settings: Settings, told: Callable[[float], None],
 ) -> Prepared:  # fmt: skip
-    """Read and check a line by hand."""
     if settings_of_goal(goal, settings) != settings:
         raise InterpError('a line by hand has the settings of program_node; leave out others')
     line = reader.line(goal.text, stands, setup)
@@ -192,13 +190,11 @@ class Preparation:
         return None
 
     def again(self, future: Future[Prepared]) -> None:
-        """Drop the result and wait for another check."""
         if self.prepared is not None:
             self.prepared.blocks.close()
         self.prepared, self.future, self.checked = None, future, 0.0
 
     def close(self) -> None:
-        """Drop the program and end a check that is under way."""
         self.cancelled = True
         if self.prepared is not None:
             self.prepared.blocks.close()

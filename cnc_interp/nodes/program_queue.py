@@ -26,7 +26,6 @@ class Waiting(NamedTuple):
 
 
 def answer(handle: Any, result: RunProgram.Result) -> None:
-    """End a goal with its result."""
     end_goal(handle, result, result.code == Code.SUCCEEDED, result.code == Code.CANCELED)
 
 
@@ -46,12 +45,10 @@ class ProgramQueue:
         self._end(Waiting(run, handle), Outcome(Code.BUSY, full))
 
     def next(self) -> Waiting | None:
-        """Remove the next goal and return it."""
         return self._entries.popleft() if self._entries else None
 
     @property
     def names(self) -> list[str]:
-        """The programs that wait, the next one first."""
         return [entry.run.name for entry in self._entries]
 
     def watch(self) -> None:

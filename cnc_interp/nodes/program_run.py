@@ -151,7 +151,6 @@ class ProgramRun:
         )  # fmt: skip
 
     def _ended(self, machine: MachineReport | None, kind: Refusal, reason: str) -> Outcome | None:
-        """Return the outcome where the machine has ended the run, or a node has refused it."""
         if machine is not None and machine.state is State.FAULT:
             return Outcome(Code.STOPPED, machine.message)
         incomplete = kind in (Refusal.BAD_MESSAGE, Refusal.BAD_PATH)
@@ -182,7 +181,6 @@ class ProgramRun:
 
     @property
     def rests(self) -> bool:
-        """Tell whether the machine rests on the path of this run."""
         return self._machine is not None and self._machine.rests_on_path
 
     @property
@@ -228,7 +226,6 @@ class ProgramRun:
         )
 
     def check_again(self, future: Future[Prepared], now: float) -> None:
-        """Wait for another check, with the setup as it is now."""
         self.preparation.again(future)
         self._change(Step.STALE, now)
 
@@ -283,13 +280,11 @@ class BlockFeed:
     def begin(
         self, prepared: Prepared, run_id: RunId, continue_at: float, sender: WindowedSender[slice]
     ) -> None:
-        """Begin a run, or begin it again."""
         self._prepared, self._run_id, self._continue_at = prepared, run_id, continue_at
         self._queued = 0
         sender.begin(run_id)
 
     def fill(self, sender: WindowedSender[slice]) -> None:
-        """Queue the next rows."""
         rows = 0 if self._prepared is None else len(self._prepared.blocks)
         while self._queued < rows and sender.unsent < MOST_QUEUED:
             after = min(self._queued + MOST_TOGETHER, rows)

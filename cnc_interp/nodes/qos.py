@@ -1,5 +1,4 @@
-"""
-Quality of service of every topic, in one table.
+"""Quality of service of every topic, in one table.
 
 | topic | reliability | durability | history | why |
 |---|---|---|---|---|

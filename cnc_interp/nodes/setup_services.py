@@ -61,12 +61,10 @@ class SetupServices:
         )  # fmt: skip
 
     def use(self, program: str, program_id: str, in_use: frozenset[str]) -> None:
-        """Protect what a program uses from now on."""
         self._program, self._program_id, self._in_use = program, program_id, in_use
         self._publisher.publish(self._message())
 
     def release(self) -> None:
-        """Protect nothing any more, because the program has ended."""
         self.use('', '', frozenset())
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:

@@ -237,7 +237,6 @@ class Outlet:
         self.sender.begin(run_id, first, self._before.limit)
 
     def take_back(self) -> None:
-        """Continue with the plan before the one that was to join."""
         self.sender, self.turned_away = self._before, False
 
     @property

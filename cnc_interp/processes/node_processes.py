@@ -108,8 +108,7 @@ class Children:
                 raise InterpError(f'{node.name} ended: {node.last_words}')
 
     def revive(self) -> dict[str, str]:
-        """
-        Restart nodes that were killed, or ended by a fault of ours; return why, by name.
+        """Restart nodes that were killed, or ended by a fault of ours; return why, by name.
 
         Raises InterpError when a node has ended by itself, or again by the same fault: it would do
         so for ever.

@@ -1,10 +1,8 @@
-"""
-What DDS keeps in shared memory, removed after processes that could not do so.
+"""What DDS keeps in shared memory, removed after processes that could not do so.
 
-A process that ends in order leaves nothing. One that was killed leaves its segment of half a
-megabyte, and the ports that it had open last. A port has a number, and another process may be
-about to open the same one. If the file were removed after that, whoever opens the port later would
-get another file, and its messages would never arrive. So Fast DDS's own lock is held meanwhile.
+A killed process leaves its segment of half a megabyte, and the ports that it had open last.
+Another process may be about to open the same port. If its file were removed after that, whoever
+opens it later would get another file, and no message. So Fast DDS's own lock is held meanwhile.
 """
 
 from __future__ import annotations

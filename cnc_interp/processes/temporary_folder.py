@@ -22,7 +22,6 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
         fcntl.flock(self._lock, fcntl.LOCK_EX)
 
     def cleanup(self) -> None:
-        """Remove the folder."""
         super().cleanup()
         if self._lock >= 0:
             os.close(self._lock)

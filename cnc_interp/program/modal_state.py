@@ -116,9 +116,9 @@ class ModalState:
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
-        self.extra_letters = tuple(geometry.extra_names)
-        own = len(geometry.axis_names) - len(self.extra_letters)
-        self.rotary_letters = tuple(geometry.axis_names[3:own])
+        self.extra_letters = tuple(geometry.machine.extra_names)
+        own = len(geometry.machine.axis_names) - len(self.extra_letters)
+        self.rotary_letters = tuple(geometry.machine.axis_names[3:own])
         # Modal settings, with the names of codes.SETTINGS.
         self.dialect = PLAIN
         self.motion: int | None = None
@@ -164,7 +164,9 @@ class ModalState:
         #: Positions of the extra axes U V W, which count from their machine zero [m].
         self.extra = np.zeros(3)
         self._along = np.zeros((3, 3))
-        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
+        for letter, direction in zip(
+            geometry.machine.extra_names, geometry.machine.extra_direction, strict=True
+        ):
             self._along[EXTRA_LETTERS.index(letter)] = direction
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None

@@ -182,10 +182,9 @@ class Mover(ModalState):
         """Tell whether the block has axis words; raise for an axis that does not exist."""
         for letter in 'ABC':
             if letter in words.values and letter not in self.rotary_letters:
-                raise self.fault(
-                    f'the machine has no axis {letter}, only {" ".join(self.geometry.axis_names)}',
-                    words.texts[letter],
-                )
+                axes = ' '.join(self.geometry.machine.axis_names)
+                text = f'the machine has no axis {letter}, only {axes}'
+                raise self.fault(text, words.texts[letter])
         letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
         return any(letter in words.values for letter in letters)
 

@@ -85,7 +85,9 @@ class Moves:
         self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
         self.axis_before = before[:, AXIS]
         self._along = np.zeros((3, 3))
-        for letter, direction in zip(geometry.extra_names, geometry.extra_direction, strict=True):
+        for letter, direction in zip(
+            geometry.machine.extra_names, geometry.machine.extra_direction, strict=True
+        ):
             self._along[EXTRA_LETTERS.index(letter)] = direction
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, SWEEP])
@@ -167,7 +169,7 @@ class Moves:
         """Return which motions come so near to the pole that words must rule, shape (m,)."""
         cone = POLE_TOLERANCES * self.rows[row, ORIENTATION] / height
         near = self._geometry.nearest_to_pole(self._before[row, ROTARY], self.rows[row, ROTARY])
-        return np.asarray(near < np.maximum(cone, self._geometry.pole_cone))
+        return np.asarray(near < np.maximum(cone, self._geometry.machine.singular_cone))
 
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
         """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""

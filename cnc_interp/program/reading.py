@@ -59,7 +59,9 @@ class ProgramStream:
         self.dialect = form_of(source)
         self._notices = Notices()
         self._reader: ClReader | GcodeReader
-        control = {k: v for k, v in geometry.control.items() if getattr(settings, k) == 'auto'}
+        control = {
+            k: v for k, v in geometry.machine.control.items() if getattr(settings, k) == 'auto'
+        }
         settings = replace(settings, **control)
         self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
         if self.dialect == 'cl':

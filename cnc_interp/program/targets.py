@@ -86,7 +86,7 @@ class TargetColumns:
         )  # what goes before the next motion (``Moves``)
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         first = EXTRA.start
-        self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.extra_names]
+        self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.machine.extra_names]
 
     def add(self, row: tuple[float, ...]) -> None:
         """

@@ -250,11 +250,14 @@ class TiltedPlane:
                     'the tool cannot be turned; this machine has no rotary axes', code
                 )
             return mover.rotary
-        geometry, low, high = mover.geometry, *mover.geometry.rotary_travel
+        geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer
         found = []
         for pair in geometry.rotary_solutions(normal):
-            if np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0)) < geometry.pole_cone:
+            if (
+                np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0))
+                < geometry.machine.singular_cone
+            ):
                 pair[geometry.outer] = mover.rotary[geometry.outer]  # any position does
             near = pair + 2.0 * pi * np.round((mover.rotary - pair) / (2.0 * pi))
             near = near - 2.0 * pi * np.ceil(np.maximum(near - high, 0.0) / (2.0 * pi) - SMALL)

@@ -13,7 +13,6 @@ AT_REST = 1e-12
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    """Return one kind of limit of every axis at many positions."""
     limits = np.tile(machine.limits[order - 1], (len(q), 1))
     for j, of in machine.places.items():
         limits[:, j] = np.interp(q[:, j], of[-1], of[order - 1])
@@ -36,11 +35,9 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
 
 
 def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
-    """
-    Compute the torque that an axis needs around each sample but the first and the last.
+    """Return the torque |J a + B v + C sign(v)| of an axis around each sample but first and last.
 
-    It is |J a + B v + C sign(v)| with the second difference a and the central one v. If the axis
-    turns at the sample, the sign is free, and the smaller torque counts.
+    If the axis turns at the sample, the sign is free, and the smaller torque counts.
     """
     load = machine.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]

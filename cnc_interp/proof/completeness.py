@@ -95,15 +95,13 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
 
 
 def _rests(position: FloatArray, crawl: FloatArray) -> bool:
-    """Tell whether no axis moves more than ``crawl`` in one of the periods."""
     return bool((np.abs(np.diff(position, axis=0)) <= crawl).all(axis=1).any())
 
 
 def _prove_rotary_words(
     ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
-    """
-    Check that rotary axes pass their words, each on its own branch and whole turn.
+    """Check that rotary axes pass their words, each on its own branch and whole turn.
 
     A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
     may miss its word by this angle over the sine of the angle between itself and the tool axis.
@@ -153,7 +151,6 @@ def _prove_rotary_words(
 def _prove_extra_words(
     ledger: Ledger, plan: PlanFiles, program: ProgramShapes, search: VertexSearch, where: IntArray
 ) -> None:
-    """Demand that extra axes end on their words, within the contour tolerance as the tip does."""
     words, machine = plan.blocks['extra_axes'], program.machine
     if words.shape[1] != len(machine.extra_names):
         ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
@@ -190,13 +187,11 @@ class VertexSearch:
         self, points_of: Callable[[FloatArray], FloatArray], vertices: FloatArray,
         tolerance: FloatArray, unit: FloatArray | None = None,
     ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-        """
-        Search each vertex among the samples of its rows; if it is missed, among more samples.
+        """Return the distance of each vertex from the motion, and the sample before that place.
 
-        ``points_of``: points, shape (k, 3), of axis positions, shape (k, n); ``vertices`` (M, 3);
-        ``tolerance`` (M,): largest distance; ``unit`` (M, 3): units in which the distance counts;
-        then the tolerance is 1 of them. Returns the distance of each vertex from the motion, and
-        the sample before the nearest point.
+        Searched among the samples of its rows; if missed, among more. ``points_of``: points of
+        axis positions; ``unit`` (M, 3): units in which the distance counts; then the tolerance is
+        1 of them.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))
@@ -234,7 +229,6 @@ class VertexSearch:
         self, first: IntArray, last: IntArray, points_of: Callable[[FloatArray], FloatArray],
         vertices: FloatArray, unit: FloatArray,
     ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-        """Search vertices among the samples of rows, with one sample more on each side."""
         end = len(self.starts) - 1
         low = np.clip(self.starts[np.clip(first, 0, end)] - 1, 0, self.count - 2)
         high = np.clip(self.starts[np.clip(last + 1, 0, end)], 1, self.count - 1)

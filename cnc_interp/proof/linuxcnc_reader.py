@@ -1,5 +1,4 @@
-"""
-LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
+"""LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
 
 It prints what it would tell a machine to do, with four decimals of the unit of the program, less
 the offsets. It runs in a process of its own, with bounds on time, memory and output. Comments are
@@ -197,7 +196,6 @@ class _Printed:
         self.tcp = word in TCP_ON
 
     def sized(self, numbers: list[float]) -> FloatArray:
-        """Return printed X Y Z A B C in m and rad."""
         return np.asarray(np.array(numbers) * np.repeat([self.unit, DEG], 3))
 
     def absolute(self, numbers: list[float]) -> FloatArray:
@@ -230,7 +228,6 @@ class _Printed:
         )  # fmt: skip
 
     def arc(self, numbers: list[float]) -> ReadMove:
-        """Return the motion of an arc: first and second end, centres, turns, axial end, A B C."""
         a, b, across = self.plane
         end = np.zeros(6)
         end[[a, b, across]] = numbers[0], numbers[1], numbers[5]

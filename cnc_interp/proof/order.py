@@ -1,16 +1,12 @@
-"""
-The motion follows the program in order: every vertex once, none left out, none twice.
+"""The motion follows the program in order: every vertex once, none left out, none twice.
 
-Motion and program are polygons. The motion follows the program if both can be run through at the
-same time, each without going back, so that the two points are never further apart than the
-tolerance. This is the decision problem of the Frechet distance. It is decided from sample to
-sample by the part of every piece of the program that can be reached [Alt and Godau, Computing the
-Frechet distance between two polygonal curves, 1995].
-
-It is decided for the tool tip, for the point at flank height, and for the rotary and extra axes
-where the program says how these move. Between vertices ``ROOM`` times the tolerance is enough,
-because the distance there is judged elsewhere. Row numbers are compared with the rows that are
-possible. This module shares no code with the planner.
+Motion and program are polygons. The motion follows if both can be run through at the same time,
+without going back, and never further apart than the tolerance: the decision problem of the
+Frechet distance. It is decided from sample to sample by the part of every piece of the program
+that can be reached [Alt and Godau, Computing the Frechet distance between two polygonal curves,
+1995]: for the tool tip, for the point at flank height, and for rotary and extra axes where the
+program says how these move. Between vertices ``ROOM`` times the tolerance is enough, because the
+distance there is judged elsewhere.
 """
 
 from __future__ import annotations
@@ -53,14 +49,12 @@ class Pieces:
     vertex_room: FloatArray
 
     def backwards(self) -> Pieces:
-        """Return the pieces of the same program, run from its end to its start."""
         return Pieces(
             self.row[::-1], self.end[::-1], self.start[::-1], self.room[::-1], self.vertex[::-1],
             self.vertex_room[::-1],
         )  # fmt: skip
 
     def pursuit(self) -> Pursuit:
-        """Begin to follow the pieces."""
         low = np.full(len(self.row), np.inf)
         low[0] = 0.0
         pieces = (
@@ -85,13 +79,11 @@ class Pursuit:
     lost: int = -1  #: Sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
-        """
-        Follow the pieces with further samples of the motion.
+        """Follow the pieces with k samples; return first and last piece each can have reached.
 
-        ``points`` (k + 3, D): the next k samples, with two before them and one after them,
-        repeated beyond the ends; ``first``, ``count``: number of the first of the k samples, and
-        of all samples. Returns first and last piece that the motion can have reached at each
-        sample, (k,); -1 where none.
+        ``points`` (k + 3, D) has two samples before and one after, repeated beyond the ends;
+        ``first`` and ``count`` are the number of the first and of all samples. -1 where no piece
+        can be reached.
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
         bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)
@@ -302,8 +294,7 @@ def _follow(
     end: FloatArray, end_room: FloatArray, low: FloatArray, begin: int, stop: int, furthest: int,
     ends: bool, reached: IntArray,
 ) -> tuple[int, int, int, int]:  # fmt: skip
-    """
-    Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
+    """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
     The first of the points is the one before. ``low`` is changed, and ``reached`` is filled.
     ``passed`` is the earliest part of the present chord of the motion at which the end of the

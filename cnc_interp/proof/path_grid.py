@@ -122,11 +122,10 @@ def _prove_feeds(
 
 
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
-    """
-    Return the rows that the path names, and the highest feed of the blocks around each [m/s].
+    """Return the rows that the path names, and the highest feed of the blocks around each [m/s].
 
-    A curve names one row for each of its halves, so the rows up to the next ones that are named
-    count. Rapids, durations, turns about a resting tip and linear rotary axes have no bound.
+    A curve names one row for each half, so the rows up to the next named ones count. Rapids,
+    durations, turns about a resting tip and linear rotary axes have no bound.
     """
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
@@ -144,11 +143,9 @@ def _prove_programmed_feed(
     ledger: Ledger, plan: PlanFiles, rows: IntArray, part: tuple[int, int],
     written: tuple[IntArray, FloatArray],
 ) -> None:  # fmt: skip
-    """
-    Demand that the path has no higher programmed feed than its blocks, at some grid points.
+    """Demand that the path has no higher programmed feed than its blocks, at some grid points.
 
-    The path length may count more than the way of the tip; then the speed is higher by as much.
-    Where the tip rests, as in a turn at the pole, no speed of the path is too high for it.
+    Where the path length counts more than the way of the tip, the speed is higher by as much.
     """
     (a, b), path, (named, feed) = part, plan.path, written
     way = np.linalg.norm(np.diff(held(path['tip'], a, b, 1, 1), axis=0), axis=1)
@@ -206,7 +203,6 @@ def _prove_setpoints(ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: In
 
 
 def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
-    """Divide samples so that each part lies within as many cells as are read at a time."""
     first = 0
     while first < len(cell):
         far = np.abs(cell[first:] - cell[first]) > stored_columns.CHUNK
@@ -218,7 +214,6 @@ def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
 def _prove_speeds(
     ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray, part: tuple[int, int]
 ) -> None:
-    """Check feed and stops of the path at the grid points that some samples pass."""
     (a, b), s, path = part, plan.setpoints['s'], plan.path
     last = b == len(s)
     # A grid point belongs to the period in which it is passed.
@@ -252,7 +247,6 @@ def _speeds_around(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _septic(
     left: FloatArray, right: FloatArray, width: FloatArray, share: FloatArray
 ) -> FloatArray:
-    """Return the septic polynomials that have these jets at both ends, shape (k, n)."""
     scale = width[None, :, None] ** np.arange(4.0)[:, None, None]
     factorial = np.array([1.0, 1.0, 2.0, 6.0])
     start, end = left * scale, right * scale

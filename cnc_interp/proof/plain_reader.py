@@ -1,5 +1,4 @@
-"""
-A second reader of part programs, for plain words only; it shares no code with the first one.
+"""A second reader of part programs, for plain words only; it shares no code with the first one.
 
 G-code: G0 to G3 (I J K or R), G17 to G19, G20, G21, G90, G91, G93, G94, F, axis words, contact
 normals (G41.2 D R Q P, I J K), and words that move nothing. CL data: GOTO, FEDRAT, RAPID, UNITS,
@@ -245,7 +244,6 @@ class _State:
     def centre(
         self, words: dict[str, float], start: FloatArray, end: FloatArray, sweep: int
     ) -> FloatArray:
-        """Return the centre of an arc in its plane [m]."""
         a, b, _ = self.plane
         if 'R' not in words:
             away = np.array([words.get('IJK'[k], 0.0) * self.unit for k in (a, b)])

@@ -78,7 +78,6 @@ class PlanFiles:
     summary: Mapping[str, Any]  #: Contents of ``summary.json``.
 
     def in_memory(self) -> PlanFiles:
-        """Return the plan with all columns as arrays."""
         setpoints, path = (
             {name: np.asarray(column) for name, column in columns.items()}
             for columns in (self.setpoints, self.path)
@@ -86,7 +85,6 @@ class PlanFiles:
         return replace(self, setpoints=setpoints, path=path)
 
     def part(self, first: int, last: int) -> PlanFiles:
-        """Return the plan with the setpoints ``first`` to ``last`` (exclusive) alone."""
         columns = {name: column[first:last] for name, column in self.setpoints.items()}
         return replace(self, setpoints=columns)
 
@@ -97,7 +95,6 @@ class PlanFiles:
 
     @property
     def position(self) -> FloatArray:
-        """Return the axis positions, shape (K, n) [m, rad]."""
         position: FloatArray = self.setpoints['position']
         return position
 
@@ -109,7 +106,6 @@ class PlanFiles:
 
     @property
     def period(self) -> float:
-        """Return the interpolation period [s]."""
         return float(self.summary['interpolation_period'])
 
     @property
@@ -215,7 +211,6 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
 
 
 def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
-    """Open the columns of one file and check each against its declaration."""
     try:
         _check_lengths(file)
         with np.load(file, allow_pickle=False) as archive:

@@ -292,7 +292,6 @@ class _Comparison:
             )
 
     def chord_error(self, move: ReadMove, rows: IntArray) -> float:
-        """Return the largest distance of an arc from the lines of its rows [m]."""
         if len(move.extra) and not move.tcp:
             return 0.0
         arms = _arms(move, self.points(move)[rows[0] - 1 : rows[-1] + 1])
@@ -320,7 +319,6 @@ class _Comparison:
             self.fault(move, 'its rows are not on the arc')
 
     def turn_of(self, move: ReadMove, start: FloatArray) -> float:
-        """Return the angle that an arc turns by [rad]."""
         first, last = _arms(move, start), _arms(move, move.end)
         turn = move.sweep * float(np.arctan2(last[1], last[0]) - np.arctan2(first[1], first[0]))
         # A chord of one digit is a short arc; both ends printed alike are a whole turn.
@@ -418,7 +416,6 @@ class _FollowPlaces(_Comparison):
         return np.asarray((away <= _place(move)) & ~turning)
 
     def swept(self, move: ReadMove, first: int, some: int) -> BoolArray:
-        """Return at which of some rows an arc has turned by its angle."""
         points = self.points(move)[first - 1 : first + some]
         arms = _arms(move, points)
         turned = np.unwrap(np.arctan2(arms[:, 1], arms[:, 0]))
@@ -455,6 +452,5 @@ def _blur(move: ReadMove, start: FloatArray) -> float:
 
 
 def _arms(move: ReadMove, points: FloatArray) -> FloatArray:
-    """Return the way from the centre of an arc to points, in its plane [m]."""
     assert move.centre is not None
     return np.asarray(points[..., list(move.plane[:2])] - move.centre)

@@ -1,11 +1,9 @@
-"""
-Rows of the program whose rotary axes run linearly, and the distance of axis positions from them.
+"""Rows of the program whose rotary axes run linearly, and how far axis positions are from them.
 
 In such a row all machine axes move linearly (AXES_LINEAR), or the tool tip and the rotary axes do
-(ROTARY_LINEAR). A position is compared with one point of a row: the axes themselves, the tool tip
-and the point at flank height. Each difference is an upper bound of the distance from the path,
-because the point is on it. The point is searched for which the largest use of a tolerance is
-least. This module shares no code with the planner.
+(ROTARY_LINEAR). A position is compared with one point of a row in the axes, tip and point at flank
+height. Each difference bounds the distance from above, because the point is on the path. The point
+is searched for which the largest use of a tolerance is least.
 """
 
 from __future__ import annotations
@@ -137,7 +135,6 @@ class ProgrammedAxes:
 
     @property
     def lengths(self) -> FloatArray:
-        """Return the lengths of the lines, shape (M,) [m]."""
         return np.asarray(np.linalg.norm(self.step * self.scale, axis=1))
 
     def speeds(

@@ -1,11 +1,9 @@
-"""
-The programmed path of the proof, and the distance of a pose from it.
+"""The programmed path of the proof, and the distance of a pose from it.
 
 In a program row the tool tip moves along a straight line. The tool axis turns on the great circle
-between both orientations, in proportion to the distance [B2013, Eq. 4]. The point at flank height
-h therefore moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)`` with 0 <= x <= 1. The contour error
-is the distance of the tip from the lines. The orientation error is the distance of ``tip + h
-axis`` from T. This module shares no code with the planner.
+between both orientations, in proportion to the distance [B2013, Eq. 4]. So the point at flank
+height h moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``. The contour error is the distance of
+the tip from the lines, the orientation error that of ``tip + h axis`` from T.
 """
 
 from __future__ import annotations
@@ -64,13 +62,10 @@ class ProgrammedPath:
         tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float,
         linear: BoolArray | None = None,
     ) -> ProgrammedPath:  # fmt: skip
-        """
-        Build the path from the vertices of the program, one line and one great circle per row.
+        """Build the path from tips, tool axes and rotary words (or NaN) at the ends of M rows.
 
-        ``tip``, ``axis`` (M, 3): tool tip [m] and unit tool axis [-] at the end of each row; row 0
-        is the start pose; ``rotary`` (M, 2): programmed rotary positions [rad], NaN without words;
-        ``height``: flank height [m]; ``linear`` (M,): rows whose rotary axes run linearly; no pose
-        is near to them (``programmed_axes.py``).
+        ``linear`` (M,): rows whose rotary axes run linearly; no pose is near
+        (``programmed_axes.py``).
         """
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
@@ -102,12 +97,9 @@ class ProgrammedPath:
     def deviation(
         self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
     ) -> Deviation:
-        """
-        Return the deviation of poses from the program rows near those being executed.
+        """Return the deviation of poses from the program rows near ``block``, which they execute.
 
-        ``tip``, ``axis`` (K, 3): tool tips [m] and unit tool axes [-]; ``block`` (K,): row that
-        each pose executes; ``reach`` (K,): search all rows within this distance at flank height
-        [m].
+        ``reach`` (K,): search all rows within this distance at flank height [m].
         """
         low = np.maximum(block - WINDOW, 0)
         high = np.minimum(block + WINDOW, len(self.start) - 1)
@@ -126,8 +118,7 @@ class ProgrammedPath:
 
 
 def peaks(points: FloatArray) -> FloatArray:
-    """
-    Bound by how much more than an eighth of its second difference a motion bulges over a chord.
+    """Bound by how much more than an eighth of its second difference a motion bulges over a chord.
 
     That eighth takes the acceleration from both samples. A peak between them is larger by at most
     half of what it changes in a period nearby: half a third difference.
@@ -139,12 +130,10 @@ def distances_to_vertices(
     points: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
     unit: FloatArray | None = None,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """
-    Find the distance between each vertex and a sampled motion.
+    """Return the distance of each vertex from a sampled motion, and the sample before that place.
 
-    Between two samples the motion deviates from its chord by up to an eighth of the second
-    difference, and by the ``peaks``. The distance is reduced by the former, because a vertex lies
-    outside its rounding.
+    A motion bulges over its chord by up to an eighth of the second difference, and the ``peaks``.
+    The former is taken off, because a vertex lies outside its rounding.
     """
     bulge = np.zeros(points.shape)
     bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
@@ -159,7 +148,6 @@ def distances_to_vertices(
 
 @njit(cache=True, nogil=True)
 def _foot(x: FloatArray, a: FloatArray, d: FloatArray) -> float:
-    """Return the position of the foot of x on the line a + part d, limited to 0 ... 1."""
     length_sq = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if length_sq == 0.0:
         return 0.0
@@ -169,7 +157,6 @@ def _foot(x: FloatArray, a: FloatArray, d: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def _line_distance(x: FloatArray, a: FloatArray, d: FloatArray, part: float) -> float:
-    """Return the distance between x and the point a + part d."""
     total = 0.0
     for i in range(3):
         total += (x[i] - a[i] - part * d[i]) ** 2
@@ -251,7 +238,6 @@ def _deviation(
     chord: FloatArray, first: FloatArray, sideways: FloatArray, turn: FloatArray,
     by_axes: BoolArray, h: float,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Measure each pose against the rows low to high; the results are those of `Deviation`."""
     count = len(tip)
     contour, part = np.empty(count), np.empty(count)
     row = np.empty(count, dtype=np.int64)

@@ -1,9 +1,7 @@
-"""
-Native splines as many short linear rows, so that the proof has one rule for all programs.
+"""Native splines as many short linear rows, so that the proof has one rule for all programs.
 
-SciPy evaluates the curve of the control points. Rows on it are so close that tip and point at
-flank height stay within ``CHORD`` of chord and great circle. Samples and grid points get the
-number of the row that they have reached. This module shares no code with the planner.
+SciPy evaluates the curve. Rows on it are so close that tip and point at flank height stay within
+``CHORD`` of chord and great circle. Samples get the number of the row that they have reached.
 """
 
 from __future__ import annotations
@@ -94,12 +92,9 @@ def _renumbered(
 def chords(
     blocks: Columns, first: int, last: int, height: float, chord: float = CHORD
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """
-    Replace one native spline by n linear rows; return their columns and poses.
+    """Replace a native spline, rows ``first`` to ``last``, by n linear rows and poses (n, 6).
 
-    ``blocks``: columns of ``blocks.npz``; ``first``, ``last``: rows of the control points, the
-    last exclusive; ``height``: flank height [m]; ``chord``: largest distance of tip and point at
-    flank height from the curve [m]. Poses (n, 6) are tips and points at flank height [m]. Raises
+    Poses are tips and points at flank height, within ``chord`` of the curve [m]. Raises
     InterpError if the control points do not form a clamped curve.
     """
     line = int(blocks['line'][first])
@@ -133,7 +128,6 @@ def chords(
 
 
 def _poses(curve: BSpline, u: FloatArray, height: float) -> FloatArray:
-    """Return tip and point at flank height at parameters u, shape (n, 6) [m]."""
     both = curve(u)
     tool = both[:, 3:] - both[:, :3]
     tool *= height / np.linalg.norm(tool, axis=1)[:, None]

@@ -66,11 +66,9 @@ class Proof:
 
     @property
     def ok(self) -> bool:
-        """Return whether everything is proven."""
         return not self.failures
 
     def largest(self, what: str, axis: str = '') -> Finding:
-        """Return the finding of a quantity and an axis."""
         return next(f for f in self.findings if f.what == what and f.axis == axis)
 
     @property
@@ -190,12 +188,10 @@ class Ledger:
     check = partialmethod(judge, quiet=True)
 
     def require(self, holds: bool | np.bool_, fault: str) -> None:
-        """Record a failure unless the condition holds."""
         if not holds:
             self._faults.append(fault)
 
     def close(self) -> Proof:
-        """Return the proof with everything recorded so far."""
         plan, machine = self.plan, self.machine
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
@@ -257,7 +253,6 @@ class Given:
     sha256: str = ''  #: First digits of the hash of its content, or ''.
 
     def text(self) -> str:
-        """Return it as one line."""
         end = f' (sha256 {self.sha256})' if self.sha256 else ''
         return f'{self.what:<15}{self.value}, from {self.source}{end}'
 

@@ -1,19 +1,15 @@
-"""
-The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
+"""The proof: every emitted setpoint is checked against limits, tolerances, feed and program.
 
 It starts from the plan files alone. The only code shared with the planner reads the machine file,
 computes the forward kinematics, and simulates the drives where the error at the tool is limited.
 
 - Limits: first, second and third differences of the positions, at rest before and after.
-- Tolerances: distance of the tip and of the point at flank height from the programmed lines and
-  great circles. At a corner, the smaller tolerance of its two blocks counts.
-  Where the rotary axes run linearly, the axes are compared with their lines, too.
+- Tolerances: distance of tip and point at flank height from the programmed lines and great
+  circles, of axes from lines of axes. At a corner, the smaller of both blocks' counts.
 - Order: the motion follows the program from vertex to vertex (``order.py``).
 - Completeness: the motion passes every vertex, and every axis its words (``completeness.py``).
 - The error that simulated drives leave at the tool, if the plan limits it (``beside.py``).
 - The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
-
-Native splines are first replaced by chords (``programmed_splines.py``).
 """
 
 from __future__ import annotations
@@ -90,7 +86,6 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
 
 
 def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
-    """Judge the travel of the axes, and their differences with both ends at rest."""
     count, names = len(plan.position), machine.axis_names
     outermost = dict.fromkeys(names, (-np.inf, 0))
     for a, b in spans(count):
@@ -130,7 +125,6 @@ def _size(place: tuple[float, int]) -> float:
 
 
 def _first(numbers: IntArray) -> int:
-    """Return the first number as an int for a message, or -1 if there is none."""
     return int(numbers[0]) if len(numbers) else -1
 
 
@@ -200,7 +194,6 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
-    """Judge contour and orientation errors of all samples, and the axes beside their lines."""
     twist = 0.0
     for a, b in spans(len(plan.position)):
         position, block = plan.position[a:b], plan.block[a:b]
@@ -274,7 +267,6 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
 
 
 def longest_block(plan: PlanFiles) -> float:
-    """Return the length up to which blocks of a plan may become curves [m]."""
     settings = plan.summary.get('settings')
     length = settings.get('longest_block') if isinstance(settings, dict) else None
     return float(length) if isinstance(length, int | float) else LONGEST_BLOCK

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.limit_table import BEFORE, limit_shares, limits_along, torque_shares
+from cnc_interp.core.limit_table import limits_along
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import ProgramShapes, measure
 from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
 KINDS = ('velocity', 'acceleration', 'jerk')
 

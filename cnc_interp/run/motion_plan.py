@@ -14,7 +14,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, LegEnd, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
@@ -43,7 +43,6 @@ class PlanContext:
     """The data that all plans of one run share."""
 
     limits: AxisLimits  #: Limits of the axes.
-    table: FloatArray  #: (7, n_axes, m): The same limits as ``limit_table`` returns them.
     period: float  #: Interpolation period [s].
     chunk_size: int  #: Most setpoints in a chunk.
     #: Returns the source line of a block; single block stops where it changes.
@@ -73,7 +72,8 @@ class MotionPlan:
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
         self._cutter = ChunkCutter(context.chunk_size, number)
         joins_at = None if leg is None else number
-        self._search = StopSearch(context.course, context.table, context.period, joins_at)
+        table = context.limits.limit_table
+        self._search = StopSearch(context.course, table, context.period, joins_at)
         self._last = rests  # the last setpoint
         self._block_before = -1
 
@@ -217,7 +217,7 @@ class MotionPlan:
         begin = (number - leg.number_of_zero) * self._context.period
         sampled = [piece for of_leg, piece in self._history if of_leg is leg]
         ahead = self._context.course.ahead(state[0])
-        return way_down([*sampled, *leg.slices], begin, ahead, self._context.table)
+        return way_down([*sampled, *leg.slices], begin, ahead, self._context.limits.limit_table)
 
 
 class MotionStream:
@@ -233,8 +233,7 @@ class MotionStream:
         line_of: Callable[[int], int] = int, settings: OperatorSettings | None = None,
         tool: ToolLimit | None = None,
     ):  # fmt: skip
-        table = limit_table(limits)
-        self._context = PlanContext(limits, table, period, chunk_size, line_of, tool=tool)
+        self._context = PlanContext(limits, period, chunk_size, line_of, tool=tool)
         self._course = self._context.course
         self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
 

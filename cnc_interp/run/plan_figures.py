@@ -12,13 +12,12 @@ import numpy as np
 from cnc_interp import __version__
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import BlockError
-from cnc_interp.core.limit_table import BEFORE, ROUNDING, limit_shares, torque_shares
-from cnc_interp.core.units import UM
+from cnc_interp.core.units import MM, UM
 from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.run.setpoints import BEFORE, Setpoints, limit_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.texts import values_of
@@ -267,3 +266,35 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+#: An excess of up to 0.1 % of a limit or a tolerance is rounding.
+ROUNDING = 1.001
+
+
+def excesses(
+    uses: Mapping[str, Mapping[str, float]],
+    tolerances: Mapping[str, float],
+    tool_error: Mapping[str, float] | None = None,
+) -> list[str]:
+    """Name limits and tolerances, and a limited error at the tool, that are exceeded."""
+    shares = [(f'{kind} of {axis}', use) for kind, of in uses.items() for axis, use in of.items()]
+    shares += [(f'{kind} tolerance', use) for kind, use in tolerances.items()]
+    found = [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]
+    if tool_error:
+        limit = tool_error['limit']
+        share = max(tool_error['tip'], tool_error['axis']) / limit
+        if not share <= ROUNDING:
+            found.append(
+                f'error at the tool {share:.2%}: friction and backlash may need more than '
+                f'{limit / MM:g} mm at any speed; raise --tool-error, or --compensate'
+            )
+    return found
+
+
+def tool_error_text(error: Mapping[str, float], height: float) -> str:
+    """Return the largest errors at the tool in words; the height is that of the flank [m]."""
+    return (
+        f'tool error     tip {error["tip"] / MM:.4f} mm, axis {error["axis"] / MM:.4f} mm at '
+        f'{height / MM:g} mm; limit {error["limit"] / MM:g} mm, by the drives of the machine file'
+    )

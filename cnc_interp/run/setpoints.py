@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate_along
 
@@ -121,3 +123,50 @@ class Chunk:
         rest = self.samples[count:]
         tail = Setpoints.concatenate([rest, self.tail])
         return Chunk(self.samples[:count], tail, Wait.NOTHING)
+
+
+#: Setpoints that must be known before the first one whose differences are taken.
+BEFORE = 3
+#: Steps of an axis below this are rest [m, rad].
+STILL = 1e-12
+
+
+def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+    """Divide the first, second and third differences of setpoints by the largest allowed.
+
+    They are means of derivatives, so the largest limit between the setpoints counts.
+    ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
+    ``table`` (7, n_axes, m): see ``limit_table.py``. ``period``: interpolation period T [s].
+    Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
+    """
+    constant = table.shape[2] == 1
+    shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
+    for row, order in enumerate((1, 2, 3)):
+        held = positions[BEFORE - order :]
+        if constant:
+            limit = table[row, :, 0]
+        else:
+            around = sliding_window_view(held, order + 1, axis=0)
+            limit = largest_between(table, around.min(axis=-1), around.max(axis=-1))[row]
+        shares[row] = np.diff(held, order, axis=0) / (limit * period**order)
+    return shares
+
+
+def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+    """
+    Divide the torques that three setpoints in a row ask for by the largest ones, (K, n_axes) [-].
+
+    Arguments as in ``limit_shares``; zero for axes without a largest torque. Where an axis turns,
+    Coulomb friction has both signs, so the smaller torque counts.
+    """
+    steps = np.diff(positions[BEFORE - 2 :], axis=0)
+    sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))
+    asked = np.diff(steps, axis=0) / period**2
+    asked += table[VISCOUS, :, 0] * (steps[1:] + steps[:-1]) / (2.0 * period)
+    friction, way = table[COULOMB, :, 0], np.sign(sign[1:] + sign[:-1])
+    turns = sign[1:] * sign[:-1] < 0.0
+    torque = np.where(
+        turns, np.maximum(np.abs(asked) - friction, 0.0), np.abs(asked + way * friction)
+    )
+    shares: FloatArray = torque / table[DRIVE, :, 0]
+    return shares

@@ -48,7 +48,6 @@ def _reader(choice: Choice) -> Callable[[str], Any]:
 
 
 def settings_from(options: argparse.Namespace) -> Settings:
-    """Return the settings given on the command line."""
     offered = (choice.name for choice in choices(Settings) if hasattr(options, choice.name))
     return Settings(**{name: getattr(options, name) for name in offered})
 

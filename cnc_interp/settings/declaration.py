@@ -1,5 +1,4 @@
-"""
-How one choice of the user is declared: its value, its range, its unit and its sentence.
+"""How one choice of the user is declared: its value, its range, its unit and its sentence.
 
 ``Settings`` holds the choices. The command line, ROS parameters, goals, bags, plan files and the
 operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
@@ -198,13 +197,11 @@ def number(
 def whole_number(
     default: int, bounds: tuple[int, int], stage: Stage, sentence: str, **more: Any
 ) -> Any:
-    """Declare a whole number with its bounds."""
     declared = {'low': bounds[0], 'high': bounds[1], 'metavar': 'N'}
     return _declare(int, default, stage, sentence, **declared | more)
 
 
 def switch(default: bool, stage: Stage, sentence: str, **more: Any) -> Any:
-    """Declare a choice between on and off."""
     return _declare(bool, default, stage, sentence, **more)
 
 
@@ -241,7 +238,6 @@ def _choice(declared: Field[Any]) -> Choice:
 
 
 def is_number(text: str) -> bool:
-    """Tell whether a text is a number alone."""
     try:
         float(text)
     except ValueError:

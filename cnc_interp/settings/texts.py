@@ -12,12 +12,10 @@ from cnc_interp.settings.declaration import Choice, Stage, Value, choices
 
 
 def texts_of(settings: Settings) -> dict[str, str]:
-    """Return every choice as exact text."""
     return {c.name: c.text(getattr(settings, c.name)) for c in choices(settings)}
 
 
 def changed(settings: Settings) -> list[str]:
-    """Return the names of the choices that differ from their defaults."""
     return [c.name for c in choices(settings) if getattr(settings, c.name) != c.default]
 
 
@@ -30,11 +28,9 @@ def values_of(settings: Settings) -> dict[str, Value]:
 def with_texts(
     settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
 ) -> Settings:
-    """
-    Return settings with some choices replaced by texts; a number without a unit is in SI.
+    """Return settings with some choices replaced by texts; a number without a unit is in SI.
 
-    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError if a name
-    is unknown or given twice, or a value is not possible.
+    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError.
     """
     known = {choice.name: choice for choice in choices(settings)}
     given: dict[str, Any] = {}

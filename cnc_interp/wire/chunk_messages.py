@@ -44,7 +44,6 @@ def chunk_message(
 
 
 def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:
-    """Return setpoints as fields of a message."""
     found = {prefix + field: packed(getattr(rows, name)) for field, name in FIELDS.items()}
     counts = rows.block.astype(np.uint64).tobytes()
     return found | {f'{prefix}sequences': array('Q', counts)}
@@ -56,7 +55,6 @@ def setpoints_from(message: SetpointChunk) -> Setpoints:
 
 
 def chunk_from(message: SetpointChunk) -> Chunk:
-    """Return the chunk of a checked message."""
     samples = setpoints_from(message)
     tail = _setpoints(message, 'tail_', message.first_sample + len(samples))
     return Chunk(samples, tail, Wait(message.wait))
@@ -76,11 +74,9 @@ def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:
 
 
 class JoinGate:
-    """
-    Keeps the first chunks of a plan that joins until there are enough of them.
+    """Keeps the first chunks of a plan that joins until there are enough of them.
 
-    Such a plan takes the place of buffered setpoints. With its first chunk alone the machine would
-    run out of setpoints if the next ones were late. So the plan before counts until then.
+    With its first chunk alone the machine would run out of setpoints if the next ones were late.
     """
 
     def __init__(self, enough: int):
@@ -90,11 +86,9 @@ class JoinGate:
         self._count = self._next = 0
 
     def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
-        """
-        Take a chunk and return the chunks that may pass, in order.
+        """Take a chunk; return the chunks that may pass, in order: those of ``current`` at once.
 
-        ``current``: the plan that is being received, whose chunks go on at once; ``limit``: number
-        of the first setpoint that must not be sent yet. Lost chunks are repeated by the sender.
+        ``limit``: number of the first setpoint that must not be sent yet.
         """
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):

@@ -50,7 +50,6 @@ def block_messages(
 
 
 def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:
-    """Return the blocks of a message, one or a batch."""
     return message.blocks if isinstance(message, G1BlockBatch) else [message]
 
 
@@ -112,7 +111,6 @@ def _segment_message(
 
 
 def _spline(points: FloatArray, kind: int) -> BSpline:
-    """Describe the control points that a kind of segment uses as a clamped B-spline."""
     degree, knots, count = CURVES.get(kind, LINE_CURVE)
     return BSpline(degree=degree, dimension=3, knots=knots, control_points=packed(points[:count]))
 

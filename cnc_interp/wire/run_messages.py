@@ -20,7 +20,6 @@ from cnc_interp.run.run_state import State
 
 
 def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> RunProgram.Result:
-    """Make the result of a run that moved nothing."""
     return RunProgram.Result(
         code=outcome.code, message=outcome.message, program_id=program_id, notices=list(notices)
     )
@@ -58,7 +57,6 @@ def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback
 
 
 def modal_state(modes: ActiveModes, program_id: str = '') -> ModalState:
-    """Make the message about a modal state: of the lines by hand, or of a run."""
     return ModalState(**asdict(modes), program_id=program_id)
 
 
@@ -71,11 +69,10 @@ def setup_table(
     setup: JobSetup, file: str, zero: Mapping[str, float], program_id: str, in_use: Iterable[str],
     by: str, what: str,
 ) -> SetupTable:  # fmt: skip
-    """
-    Return the message about the setup of the machine.
+    """Return the message about the setup of the machine.
 
-    ``zero``: workpiece zero of the machine file by axis letter [m, rad]; ``program_id``: the run
-    that began with it, or empty; ``by``, ``what``: who made the last change, and what it was.
+    ``zero``: workpiece zero of the machine file; ``program_id``: the run that began with the
+    setup; ``by``, ``what``: the last change.
     """
     return SetupTable(
         file=file,
@@ -139,7 +136,6 @@ def state_of(message: MachineState) -> State:
 
 
 def machine_report(message: MachineState) -> MachineReport:
-    """Read a message of the machine."""
     stamp = message.header.stamp
     return MachineReport(
         run_id=run_id_of(message),

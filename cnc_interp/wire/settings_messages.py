@@ -40,12 +40,10 @@ def goal_of(
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
-    """
-    Return the settings that a goal asks for.
+    """Return the settings that a goal asks for: its fields unless 0 or empty, then its list.
 
-    Fields with the name of a choice count unless 0 or empty; the list of settings counts before
-    them. Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and
-    differs from theirs, or is only for `plan`.
+    Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and differs
+    from theirs, or is only for `plan`.
     """
     fields = goal.get_fields_and_field_types()
     given = {

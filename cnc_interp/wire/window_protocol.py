@@ -1,9 +1,8 @@
-"""
-Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
+"""Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
 
-Items carry gap-free numbers within a program. The receiver says what it expects next and how far
-it may be sent. The sender keeps every item until it is acknowledged, and begins again at the first
-one that was not after a while. An item may count for several numbers (a chunk of setpoints).
+Items carry gap-free numbers within a program; one may count for several (a chunk of setpoints).
+The receiver says what it expects next and how far it may be sent. The sender keeps every item
+until it is acknowledged, and begins again at the first one that was not after a while.
 """
 
 from __future__ import annotations
@@ -35,16 +34,13 @@ class Numbered(Generic[Item]):
 
     @property
     def after(self) -> int:
-        """Number that follows the item."""
         return self.first + self.count
 
 
 class WindowedSender(Generic[Item]):
-    """
-    The sending end.
+    """The sending end; without an acknowledgement for ``resend_after`` [s], sending starts again.
 
-    ``resend_after``: time without an acknowledgement after which sending starts again [s]; twice
-    as long after each time in vain, so that a slow receiver is not buried in repeats.
+    Twice as long after each time in vain, so that a slow receiver is not buried in repeats.
     """
 
     def __init__(self, resend_after: float):
@@ -70,7 +66,6 @@ class WindowedSender(Generic[Item]):
         self._begin(first, limit)
 
     def put(self, item: Item, count: int = 1) -> None:
-        """Queue the next item."""
         self._items.append(Numbered(self.next_number, count, item))
         self.next_number += count
 
@@ -121,7 +116,6 @@ class WindowedSender(Generic[Item]):
         self.open(window_limit)
 
     def open(self, window_limit: int) -> None:
-        """Move the window forward."""
         self.limit = max(self.limit, window_limit)
 
 
@@ -139,7 +133,6 @@ class WindowedReceiver:
 
     @property
     def active(self) -> bool:
-        """Tell whether a program is being received."""
         return bool(self.run_id) and not self.complete and not self.refused
 
     @property
@@ -229,7 +222,6 @@ class Silence:
         self._waits_since = math.inf
 
     def hear(self, now: float) -> None:
-        """Record that the other node was heard."""
         self._heard = now
 
     def waited(self, waits: bool, now: float) -> float:

@@ -197,7 +197,7 @@ def other_branch(transform, q):
     other[:, 3:5] = np.unwrap(rotary, axis=0)
     other[:, :3] = transform.linear(tip, other[:, 3:5])
     if q.shape[1] > 5:
-        other[:, :3] -= q[:, 5:] @ transform.extra_direction
+        other[:, :3] -= q[:, 5:] @ transform.machine.extra_direction
     return other
 
 

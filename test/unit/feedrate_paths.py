@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.limit_table import constant_table
 from cnc_interp.core.units import M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 
@@ -20,6 +21,10 @@ class Limits:
     max_velocity: FloatArray
     max_acceleration: FloatArray
     max_jerk: FloatArray
+
+    @property
+    def limit_table(self) -> FloatArray:
+        return constant_table(np.stack([self.max_velocity, self.max_acceleration, self.max_jerk]))
 
 
 XYZAC = Limits(

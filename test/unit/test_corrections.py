@@ -8,7 +8,6 @@ from whole_plans import path_of
 
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate import jerk_stage
-from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.choices import Settings
@@ -32,7 +31,7 @@ def test_spans_hold_the_margins_and_are_joined():
 def test_solving_few_cells_again_gives_the_law_of_solving_all(seed, monkeypatch):
     blocks = zigzag(seed, count=40, step=1 * MM)
     path = path_of(blocks, Transform.of(XYZAC), Settings(compress=False))
-    table, solved = limit_table(XYZAC), []
+    table, solved = XYZAC.limit_table, []
     solve_cells = jerk_stage.StretchProblem._solve_cells
 
     def noted(self, first, end, *rest):

@@ -3,15 +3,8 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.limit_table import (
-    BEFORE,
-    COULOMB,
-    DRIVE,
-    VISCOUS,
-    constant_table,
-    limit_shares,
-    torque_shares,
-)
+from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, constant_table
+from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
 T = 2e-3
 LIMITS = np.array([[0.5, 2.0], [3.0, 5.0], [40.0, 80.0]])

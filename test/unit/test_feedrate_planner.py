@@ -19,7 +19,6 @@ from feedrate_paths import (
 
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.jerk_stage import plan
-from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
@@ -180,7 +179,7 @@ def test_some_limit_is_always_at_work():
 def test_doubling_the_grid_gains_little():
     for seed in (1, 2, 7):
         path = polyline_path(random_polyline(np.random.default_rng(seed), 4), 0.08)
-        table = limit_table(XYZAC)
+        table = XYZAC.limit_table
         coarse, fine = plan(path, table), plan(path, table, options=PlanOptions().finer())
         assert coarse is not None and fine is not None
         assert coarse.duration.sum() <= 1.005 * fine.duration.sum()
@@ -188,7 +187,7 @@ def test_doubling_the_grid_gains_little():
 
 def test_windows_lose_next_to_nothing():
     path = spiral(300)
-    whole = plan(path, limit_table(XYZAC))
+    whole = plan(path, XYZAC.limit_table)
     assert whole is not None
     piece = plan_path(path, XYZAC)
     assert_within_limits(piece, XYZAC)

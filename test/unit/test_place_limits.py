@@ -17,7 +17,7 @@ from cnc_interp.core.errors import MachineError, StreamError
 from cnc_interp.core.limit_table import largest_between, limits_along, place_table
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limits import AxisLimits, limit_table
+from cnc_interp.feedrate.limits import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
@@ -102,7 +102,7 @@ def test_a_table_that_says_the_same_everywhere_changes_no_bit():
 
 
 def test_limits_without_places_are_constants():
-    table = limit_table(Machine.load('xyzac'))
+    table = Machine.load('xyzac').limit_table
     assert table.shape == (7, 5, 1)
     assert np.array_equal(
         limits_along(table, np.zeros((1, 5)))[:, 0], Machine.load('xyzac').limits
@@ -119,7 +119,7 @@ def test_a_stop_from_any_moment_keeps_the_limits_of_every_place(kind):
     for s, v, a, _ in np.array(law.evaluate(moments)).T.tolist():
         if s > 0.4:
             break
-        stop = stop_law(piece.path, (s, v, a), limit_table(limits), 0.0)
+        stop = stop_law(piece.path, (s, v, a), limits.limit_table, 0.0)
         # where none is found the motion goes on as planned to the next moment
         missing = missing + 1 if stop is None else 0
         assert missing <= 1

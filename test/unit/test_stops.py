@@ -9,7 +9,6 @@ from tiers import few_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
@@ -79,7 +78,7 @@ def longer_than_straight(piece: PlannedPiece, limits: Limits) -> FloatArray:
 
     From a moment without a stop the motion goes on as planned to the next one.
     """
-    law, table = piece.law, limit_table(limits)
+    law, table = piece.law, limits.limit_table
     times = np.arange(0.0, law.end_time, EVERY)
     states = np.array(law.evaluate(times)[:3]).T
     rest, longer = law.end_time, []
@@ -104,7 +103,7 @@ def longer_than_straight(piece: PlannedPiece, limits: Limits) -> FloatArray:
 def test_on_a_line_a_stop_takes_the_time_of_ruckig(speed, acceleration):
     path = line_path(1.0)
     state = (0.0, speed, acceleration)
-    stop = stop_law(path, state, limit_table(XYZAC), 0.0)
+    stop = stop_law(path, state, XYZAC.limit_table, 0.0)
     assert use_of_limits(stop, XYZAC) < 1.0
     best = straight_stop(path, state, XYZAC)
     assert best < stop.law.end_time < 1.05 * best
@@ -158,7 +157,7 @@ def test_the_reserve_costs_nothing_where_braking_is_possible(seed):
 
 def test_a_stop_that_ends_within_rounding_of_a_border_has_no_cell_after_it():
     """In the smallest motions a border may lie anywhere in the last picometres of a stop."""
-    table, plain, late = limit_table(XYZAC), line_path(0.2, 0.05), 0
+    table, plain, late = XYZAC.limit_table, line_path(0.2, 0.05), 0
     for v in np.geomspace(1e-8, 1e-6, 12):
         state = (0.1, float(v), 0.0)
         whole = stop_law(plain, state, table, 0.0)

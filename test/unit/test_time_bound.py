@@ -13,12 +13,11 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array, vstack
 
 from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
-from cnc_interp.feedrate.limits import limit_table
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import cut, evaluate_cells, refine
 
-TABLE = limit_table(XYZAC)
+TABLE = XYZAC.limit_table
 
 
 def bound_of(path):

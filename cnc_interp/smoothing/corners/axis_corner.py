@@ -74,7 +74,7 @@ class AxisLegs:
 def positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
     """Return X Y Z for tips, rotary axes and extra axes, shape (n, 5 + k), as (n, 3) [m]."""
     stands = machine.linear(coordinates[:, POINT], coordinates[:, TURN]).reshape(-1, 3)
-    return np.asarray(stands - coordinates[:, EXTRA] @ machine.extra_direction)
+    return np.asarray(stands - coordinates[:, EXTRA] @ machine.machine.extra_direction)
 
 
 def size_of(step: FloatArray, height: float) -> FloatArray:
@@ -141,7 +141,7 @@ class AxisCorners:
             axis=1,
         )
         levers = np.zeros((len(rows), 2, 2))
-        stands = point[:, POINT] + point[:, EXTRA] @ machine.extra_direction
+        stands = point[:, POINT] + point[:, EXTRA] @ machine.machine.extra_direction
         for k, above in enumerate((0.0, height)):
             levers[:, k] = machine.levers(stands, point[:, TURN], above)
         return AxisCorners(rows, joined, in_axes, point, legs, tolerances, levers, height)

@@ -92,8 +92,7 @@ def arctangent(y: Jet, x: Jet) -> Jet:
 
 @njit(cache=True, nogil=True, inline='always')
 def dot(a: VectorJet, b: VectorJet) -> Jet:
-    found: Jet = add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
-    return found
+    return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]))
 
 
 @njit(cache=True, nogil=True, inline='always')

@@ -24,8 +24,7 @@ from cnc_interp.core.arrays import FloatArray
 
 VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 
-#: Beyond every position; infinite positions would give no difference [m or rad].
-FAR = 1e300
+FAR = 1e300  #: Beyond every position; infinite positions would give no difference [m or rad].
 
 
 def constant_table(limits: FloatArray) -> FloatArray:
@@ -109,8 +108,7 @@ def limits_along(table: FloatArray, q: FloatArray) -> FloatArray:
     """Return all limits at positions (K, n_axes): (3, K, n_axes), or (3, 1, n_axes)."""
     if table.shape[2] == 1:
         return np.ascontiguousarray(table[:PLACE].transpose(0, 2, 1))
-    along: FloatArray = _along(table, np.ascontiguousarray(q))
-    return along
+    return _along(table, np.ascontiguousarray(q))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -9,14 +9,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import TextIO
 
-#: Length of the bar [characters].
-BAR = 30
-#: No progress is shown for work that takes less time than this [s].
-PATIENCE = 1.0
-#: Smallest part of the work from which the remaining time is estimated [-].
-ESTIMATED_FROM = 0.05
-#: Largest part that is shown while time is left [-].
-BEFORE_THE_END = 0.99
+BAR = 30  #: Length of the bar [characters].
+PATIENCE = 1.0  #: No progress is shown for work that takes less time than this [s].
+ESTIMATED_FROM = 0.05  #: Smallest part of the work from which the remaining time is estimated [-].
+BEFORE_THE_END = 0.99  #: Largest part that is shown while time is left [-].
 
 
 def redraws(stream: TextIO) -> bool:

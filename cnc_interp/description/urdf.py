@@ -148,8 +148,7 @@ def stock_shapes(machine: Machine) -> tuple[Shape, ...]:
 BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
 
 
-#: Travel of a linear axis without limits, because URDF requires numbers [m].
-UNLIMITED = 10.0
+UNLIMITED = 10.0  #: Travel of a linear axis without limits, because URDF requires numbers [m].
 
 
 @dataclass(frozen=True)

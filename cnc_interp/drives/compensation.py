@@ -34,20 +34,17 @@ from cnc_interp.machine_model.machine import Machine
 
 #: Setpoints to each side of the one that is sent: time [s], and their least number.
 BESIDE, FEWEST = 8e-3, 5
-#: Degree of the polynomials.
-DEGREE = 5
+DEGREE = 5  #: Degree of the polynomials.
 #: Half of the time over which the motor crosses the backlash [s]: least, where the largest torque
 #: is not known, and the share of that torque that the crossing may take.
 QUICKEST, CROSSING, CROSSING_TORQUE = 2e-3, 4e-3, 0.6
 #: Half of the time over which friction changes its sign [s]; least number of periods of both.
 TURNING, SMOOTH_PERIODS = 2e-3, 1.5
-#: Least share of feed-forward that a drive must take.
-LEAST = 0.2
+LEAST = 0.2  #: Least share of feed-forward that a drive must take.
 #: A step, and a velocity of the motor, below these are rest [m or rad, per s].
 STILL, SLOW = 1e-12, 1e-7
 
-#: Time in which the learnt part fades [s].
-FADE = 15e-3
+FADE = 15e-3  #: Time in which the learnt part fades [s].
 #: Whole numbers before the rows of the axes: inner step, its memory, words of an axis, setpoints
 #: known.
 STEP, MEMORY, COUNT, KNOWN = 0, 1, 2, 3
@@ -142,10 +139,9 @@ def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
             rates = carray(pointer(np.uintp(head[RATES])), shape)[head[ROW]]
             for j in range(n):
                 told[1, j] += weight * rates[j]
-    fault: int = call_drives(
+    return call_drives(
         np.uintp(head[STEP]), np.uintp(head[MEMORY]), told.ctypes.data, feedback, n
     )  # fmt: skip
-    return fault
 
 
 @njit(cache=True, nogil=True)
@@ -208,8 +204,7 @@ class Compensation:
     def newest(self, memory: FloatArray) -> FloatArray:
         """Return the last setpoint in that memory, shape (n_axes,) [m, rad]."""
         axes, count = self.words.shape
-        held: FloatArray = memory[HEAD + FIRST + STATE * self.known :: count][:axes].copy()
-        return held
+        return memory[HEAD + FIRST + STATE * self.known :: count][:axes].copy()
 
 
 def compensated_model(name: str, machine: Machine) -> Machine:

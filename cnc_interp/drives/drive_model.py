@@ -34,8 +34,7 @@ from cnc_interp.drives import drive_model as kernels
 from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
-#: Longest step where one exact step does not do [s].
-STEP = 1e-4
+STEP = 1e-4  #: Longest step where one exact step does not do [s].
 #: The path on which the contour error is measured reaches back by this many lags of the drives.
 LAGS_REMEMBERED = 5.0
 SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
@@ -129,30 +128,25 @@ def _mode(drive: AxisDrive, span: float) -> FloatArray:
     from scipy.linalg import expm
 
     turn = 2.0 * math.pi * drive.mode_frequency * span
-    step: FloatArray = expm(np.array([[0.0, 1.0], [-(turn**2), -2.0 * drive.mode_damping * turn]]))
-    return step
+    return expm(np.array([[0.0, 1.0], [-(turn**2), -2.0 * drive.mode_damping * turn]]))
 
 
-#: Words of an axis. Substeps of a period; 0 where one exact step does for all of it.
-SUBSTEPS = 0
+SUBSTEPS = 0  #: Words of an axis. Substeps of a period; 0 where one exact step does for all of it.
 #: One step of the loops: transition, held and rising, 2 x 2 each; answer to a constant force.
 LOOP, FORCE = 1, 13
 #: One step at the largest torque: of position and velocity by velocity, and answer to a force.
 COAST, COAST_FORCE = 15, 17
-#: Gain, feed-forward, lag.
-GAIN, FEED_FORWARD, LAG = 19, 20, 21
+GAIN, FEED_FORWARD, LAG = 19, 20, 21  #: Gain, feed-forward, lag.
 #: Over the inertia: largest torque, Coulomb friction, excess of the friction at rest. And the
 #: velocity of Stribeck.
 TORQUE, COULOMB, EXCESS, STRIBECK = 22, 23, 24, 25
 #: Half of the backlash; whether there is a mode, and its step, 2 x 2; resolution.
 HALF_PLAY, HAS_MODE, MODE, RESOLUTION = 26, 27, 28, 32
-#: Delay in periods; steps in a second.
-DELAY, RATE = 33, 34
+DELAY, RATE = 33, 34  #: Delay in periods; steps in a second.
 #: State: position and velocity of the motor, position after the play, position of the table and
 #: its way per step.
 MOTOR, MOTOR_VELOCITY, PLAY, TABLE, TABLE_WAY = 35, 36, 37, 38, 39
-#: The setpoints, the newest first: position and velocity of each.
-RING = 40
+RING = 40  #: The setpoints, the newest first: position and velocity of each.
 
 
 @njit(cache=True, nogil=True)

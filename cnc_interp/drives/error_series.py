@@ -28,8 +28,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
-#: Terms of the series: 1, s, s^2.
-TERMS = 3
+TERMS = 3  #: Terms of the series: 1, s, s^2.
 
 
 @dataclass(frozen=True)

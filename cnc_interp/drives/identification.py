@@ -32,24 +32,17 @@ from cnc_interp.machine_model.axis_drives import (
 )
 from cnc_interp.machine_model.machine import Axis, Machine
 
-#: A setpoint step below this is rest [m, rad].
-STILL = 1e-8
-#: Setpoints after the last motion of an axis that still count [s].
-SETTLING = 0.3
-#: Reversals after which what happened before the recording is forgotten.
-FORGOTTEN = 2
-#: Frequencies at which the search for the mode begins [Hz].
-MODES = (22.0, 32.0, 45.0, 65.0)
-#: Steps of a first search and of the last one.
-SEARCH, LAST = 6, 60
-#: A search that lowers the squares by less than this is the last one.
-GAIN = 1e-4
+STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
+SETTLING = 0.3  #: Setpoints after the last motion of an axis that still count [s].
+FORGOTTEN = 2  #: Reversals after which what happened before the recording is forgotten.
+MODES = (22.0, 32.0, 45.0, 65.0)  #: Frequencies at which the search for the mode begins [Hz].
+SEARCH, LAST = 6, 60  #: Steps of a first search and of the last one.
+GAIN = 1e-4  #: A search that lowers the squares by less than this is the last one.
 #: Share of feedback positions that are whole steps of a measuring system's resolution.
 WHOLE = 0.98
 #: Errors further apart in time are not correlated, unless the axis stands at the same place [s].
 CORRELATED = 0.1
-#: Two-sided 95 % of the normal distribution.
-SIGMAS = 1.96
+SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
 
 @dataclass(frozen=True)
@@ -161,8 +154,7 @@ def _near_motion(setpoint: FloatArray, period: float) -> BoolArray:
     """Tell where the axis moves or settles; a long rest shows one rounding many times."""
     moves = np.abs(np.diff(setpoint, prepend=setpoint[0])) > STILL
     last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -len(moves)))
-    near: BoolArray = np.arange(len(moves)) - last <= SETTLING / period
-    return near
+    return np.arange(len(moves)) - last <= SETTLING / period
 
 
 def spreads_of(
@@ -207,10 +199,9 @@ class _Fit:
         words = np.zeros((1, room_of_delay(self._largest, self._period)))
         axis_words(words[0], replace(drive, resolution=0.0), load, self._period)
         place(words[0], float(self._setpoint[0]))
-        position: FloatArray = follow_all(
+        return follow_all(
             words, self._setpoint[:, None], self._rate[:, None]
         )[0][:, 0]  # fmt: skip
-        return position
 
     def solve(self) -> tuple[AxisDrive, DriveLoad | None, dict[str, float]]:
         friction = FRICTION if self._load is not None else ()
@@ -260,14 +251,9 @@ class _Fit:
 
         first = np.clip([start[name] for name in names] / scale, low + 1e-6, high - 1e-6)
         done = least_squares(
-            residual,
-            first,
-            bounds=(low, high),
-            max_nfev=steps,
-            x_scale='jac',
-            diff_step=1e-4,
+            residual, first, bounds=(low, high), max_nfev=steps, x_scale='jac', diff_step=1e-4,
             ftol=1e-11,
-        )
+        )  # fmt: skip
         values = dict(zip(names, (done.x * scale).tolist(), strict=True))
         jacobian: FloatArray = done.jac * spread / scale
         return values, float(done.cost), jacobian, done.fun * spread
@@ -344,12 +330,10 @@ def _without_sections(text: str) -> str:
 #: Largest feed of the program, as a share of the axis' velocity, and the least one of the sweep.
 FASTEST, SLOWEST = 0.2, 0.0005
 SPEEDS = 7
-#: Time at a constant speed [s].
-SPEED_HELD = 0.3
+SPEED_HELD = 0.3  #: Time at a constant speed [s].
 #: Half periods of the chirp [s], their number, and the lower feed over the higher one.
 LONGEST_HALF, SHORTEST_HALF, HALVES, DIP = 0.12, 0.007, 50, 0.4
-#: Largest share of the travel to one side.
-ROOM = 0.4
+ROOM = 0.4  #: Largest share of the travel to one side.
 
 
 def excitation(machine: Machine) -> str:

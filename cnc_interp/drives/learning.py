@@ -26,13 +26,11 @@ from cnc_interp.machine_model.transform import Transform
 
 #: Largest cutoff of the low pass [Hz], and its largest share of the frequency of the mode.
 CUTOFF, SHARE = 40.0, 0.65
-#: Cutoff over the sampling rate, at most: for long periods.
-FASTEST = 0.2
+FASTEST = 0.2  #: Cutoff over the sampling rate, at most: for long periods.
 #: Time for which the last setpoint is held after the program, and its end in which the learnt
 #: part fades to zero [s].
 HELD, FADES = 0.3, 0.2
-#: Time in which the learnt part comes at the start; it precedes the motion [s].
-COMES = 5e-3
+COMES = 5e-3  #: Time in which the learnt part comes at the start; it precedes the motion [s].
 
 
 def with_hold(setpoints: FloatArray, period: float) -> FloatArray:
@@ -114,8 +112,7 @@ def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:
 
 #: Arrays of the file.
 ARRAYS = ('setpoint', 'rate', 'period', 'error', 'axes', 'machine', 'model')
-#: A period that differs by less is the same [s].
-SAME_PERIOD = 1e-12
+SAME_PERIOD = 1e-12  #: A period that differs by less is the same [s].
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,9 @@ from cnc_interp.drives.drive_model import follow_all, lag_of, memory_of, words_o
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
-#: Distances that differ by less are equal [m].
-SAME = 1e-6
-#: Time after the last setpoint in which the axes settle [s].
-SETTLING = 0.1
-#: A table that brakes is ahead of its setpoints by less than this [s].
-AHEAD = 0.01
+SAME = 1e-6  #: Distances that differ by less are equal [m].
+SETTLING = 0.1  #: Time after the last setpoint in which the axes settle [s].
+AHEAD = 0.01  #: A table that brakes is ahead of its setpoints by less than this [s].
 
 
 @dataclass(frozen=True)

@@ -40,8 +40,7 @@ from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 #: Smallest slack, and slack times dual over the time, at the beginning of a warm start.
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
-#: Number of cells that are summed over all axes at a time.
-CHUNK = 256
+CHUNK = 256  #: Number of cells that are summed over all axes at a time.
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -18,20 +18,16 @@ from cnc_interp.core.limit_table import ACCELERATION, DRIVE, JERK, PLACE, has_lo
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
 
-#: Number of intervals in which a cell is sampled before it is subdivided.
-SAMPLES = 96
+SAMPLES = 96  #: Number of intervals in which a cell is sampled before it is subdivided.
 #: Growth of the cell time per unit of time at constant speed, and its largest factor [-].
 GROWTH, LONGEST = 0.3, 16.0
 #: Cells in a ramp between rest and constant speed, and the shortest time of such a cell [s].
 RAMP_CELLS, SHORTEST = 8, 2e-5
-#: Largest number of rounds of speed guess and refinement.
-MOST_ROUNDS = 3
-#: Largest number of path cells in one planner cell.
-LARGEST_GROUP = 32
+MOST_ROUNDS = 3  #: Largest number of rounds of speed guess and refinement.
+LARGEST_GROUP = 32  #: Largest number of path cells in one planner cell.
 #: Largest number of nodes in a window. A coarser grid plans a slower motion, but in time.
 MOST_NODES = 30_000
-#: Cells that take less time than this are always grouped [s].
-ALWAYS_GROUPED = 1e-5
+ALWAYS_GROUPED = 1e-5  #: Cells that take less time than this are always grouped [s].
 #: A kink nearer to a border of its cell gets no grid point, as a part of the cell [-].
 NEAR = 1e-6
 

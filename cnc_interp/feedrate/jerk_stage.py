@@ -36,30 +36,24 @@ from cnc_interp.kinematics.axis_path import AxisPath
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
-#: Time without braking that a law may take [s].
-LASTING = 0.25
-#: Smallest mean of the braking left, relative to a straight line [-].
-LEAST = 0.15
+LASTING = 0.25  #: Time without braking that a law may take [s].
+LEAST = 0.15  #: Smallest mean of the braking left, relative to a straight line [-].
 #: Part of each limit (velocity, acceleration, jerk, feed) that stays unused at the nodes.
 SLACK = np.array([2e-4, 1e-3, 1e-3, 2e-5])
 #: Use of a limit after a correction, and the largest accepted use at the checked instants.
 AIM, ACCEPTED = 1.0 - 0.8 * SLACK, 1.0 - 0.2 * SLACK
 #: The same two for cells of an older plan, and the part by which their limits are relaxed.
 AIM_KEPT, ACCEPTED_KEPT, RELAXED = 1.0 - 0.1 * SLACK, np.ones(4), 0.25 * SLACK
-#: Further corrections where the error at the tool is limited.
-TOOL_PASSES = 8
+TOOL_PASSES = 8  #: Further corrections where the error at the tool is limited.
 #: Factor on the excess in the first correction of a cell, because neighbouring cells take over a
 #: part of it; and its growth with each further correction, where they take over more.
 EXCESS_FACTOR, HARDER = 1.3, 1.6
 #: Smallest part of every limit after a correction that still allows a warm start.
 WARM_START_PART = 0.7
 MOST_ITERATIONS = 80
-#: Number of cells before and after a corrected cell that are solved again with it.
-MARGIN = 120
-#: Largest part of all cells that is solved again instead of all.
-FEW = 0.5
-#: Number of cells on either side over which the first guess is smoothed.
-SMOOTHING_CELLS = 1
+MARGIN = 120  #: Number of cells before and after a corrected cell that are solved again with it.
+FEW = 0.5  #: Largest part of all cells that is solved again instead of all.
+SMOOTHING_CELLS = 1  #: Number of cells on either side over which the first guess is smoothed.
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -14,8 +14,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VELOCITY, limit_at
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
-#: Speed limit where no other limit applies [m/s].
-FASTEST = 100.0
+FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

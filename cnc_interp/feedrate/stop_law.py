@@ -31,22 +31,15 @@ from cnc_interp.kinematics.axis_path import (
     septic_value,
 )
 
-#: Longest time with one jerk [s]; the limits are kept at both ends.
-STEP = 5e-4
-#: Longest such time relative to that in which braking would take away all speed [-].
-SHARE = 0.05
-#: Smallest part of every limit that braking leaves free [-].
-LEEWAY = 2e-4
-#: Largest accepted use of a limit [-].
-ACCEPTED = 1.0 - 1e-4
+STEP = 5e-4  #: Longest time with one jerk [s]; the limits are kept at both ends.
+SHARE = 0.05  #: Longest such time relative to that in which braking would take away all speed [-].
+LEEWAY = 2e-4  #: Smallest part of every limit that braking leaves free [-].
+ACCEPTED = 1.0 - 1e-4  #: Largest accepted use of a limit [-].
 #: Jerk of the release, relative to a straight line; tried in this order [-].
 RELEASES = (0.95, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
-#: Parts of the braking jerk that the axes leave; tried in this order [-].
-BRAKINGS = (1.0, 0.5)
-#: Longest stop that is looked for [s].
-LONGEST_STOP = 3.0
-#: Places nearer than this are the same place [m].
-SAME = 1e-12
+BRAKINGS = (1.0, 0.5)  #: Parts of the braking jerk that the axes leave; tried in this order [-].
+LONGEST_STOP = 3.0  #: Longest stop that is looked for [s].
+SAME = 1e-12  #: Places nearer than this are the same place [m].
 
 FOUND, NO_RELEASE, NO_BRAKING = 0, 1, 2
 

@@ -42,8 +42,7 @@ class Stretch:
         """Coefficients of the planner cells, (n,) [m2/s2]: v^2 + a H, H the effective width."""
         v, a = self.v[self.nodes], self.a[self.nodes]
         width = np.add.reduceat(self.duration, self.nodes[:-1]) * (v[:-1] + v[1:]) / 2
-        m: FloatArray = np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)
-        return m
+        return np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)
 
     def after(self, cell: int) -> Stretch:
         """Return the part of the stretch that begins at a planner cell."""

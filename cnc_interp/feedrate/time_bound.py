@@ -26,10 +26,8 @@ from cnc_interp.core.limit_table import ACCELERATION, FAR, PLACE, VELOCITY, limi
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
 
-#: Number of planner cells in one step of TOPP-RA.
-STEP = 3
-#: Part of the largest b by which a step may miss its rows without being solved [-].
-ROOM = 1e-9
+STEP = 3  #: Number of planner cells in one step of TOPP-RA.
+ROOM = 1e-9  #: Part of the largest b by which a step may miss its rows without being solved [-].
 #: Rounding error of a difference of two positions, relative to the positions [-].
 ROUNDING = 4e-16
 

@@ -36,24 +36,18 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.notices import WARNING
 from cnc_interp.settings.choices import Settings
 
-#: Half of the step of an axis in a difference of poses [m or rad].
-FEELER = 1e-6
+FEELER = 1e-6  #: Half of the step of an axis in a difference of poses [m or rad].
 #: Directions in which the error of the tip counts, and in which that of the axis does.
 NORMALS = 4
 #: Part of the limit that rows get at first, and the least one [-].
 FIRST_PART, LEAST_PART = 0.97, 0.2
-#: Part by which the limit is relaxed for cells of an older plan [-].
-RELAXED = 1e-3
-#: Largest part of its limit that friction and backlash may take of a row [-].
-STEADY_PART = 0.8
+RELAXED = 1e-3  #: Part by which the limit is relaxed for cells of an older plan [-].
+STEADY_PART = 0.8  #: Largest part of its limit that friction and backlash may take of a row [-].
 #: Use of the limit that a correction aims at, and the factor on the excess.
 AIM, EXCESS_FACTOR = 0.985, 1.3
-#: An error counts for the motion so long before and after it [s].
-NEARBY = 0.02
-#: Time before a start in motion for which the drives are simulated [s].
-RUN_UP = 0.6
-#: Way of the tip per path length below which only the tool axis moves [-].
-STANDS = 0.5
+NEARBY = 0.02  #: An error counts for the motion so long before and after it [s].
+RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
+STANDS = 0.5  #: Way of the tip per path length below which only the tool axis moves [-].
 
 
 @dataclass(frozen=True)

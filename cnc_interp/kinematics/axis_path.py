@@ -184,12 +184,8 @@ def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:
     """Take the part of the path between two grid points."""
     return AxisPath(
-        s=path.s[first : last + 1].copy(),
-        cell_left=path.cell_left[:, first:last].copy(),
-        cell_right=path.cell_right[:, first:last].copy(),
-        tip=path.tip[first : last + 1].copy(),
-        axis=path.axis[first : last + 1].copy(),
-        cell_feed=path.cell_feed[first:last].copy(),
-        cell_block=path.cell_block[first:last].copy(),
-        stop=path.stop[first : last + 1].copy(),
-    )
+        s=path.s[first : last + 1].copy(), cell_left=path.cell_left[:, first:last].copy(),
+        cell_right=path.cell_right[:, first:last].copy(), tip=path.tip[first : last + 1].copy(),
+        axis=path.axis[first : last + 1].copy(), cell_feed=path.cell_feed[first:last].copy(),
+        cell_block=path.cell_block[first:last].copy(), stop=path.stop[first : last + 1].copy(),
+    )  # fmt: skip

@@ -69,18 +69,14 @@ from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
-#: The path is at the pole where this share of its tolerance reaches it [-].
-AT_POLE = 0.9
+AT_POLE = 0.9  #: The path is at the pole where this share of its tolerance reaches it [-].
 #: How much farther from the pole still counts as near: a share, and rounding [-].
 GRAZING, ON_IT = 1e-4, 1e-12
-#: Places on the path that are nearer together are the same [m].
-SAME_PLACE = 1e-9
+SAME_PLACE = 1e-9  #: Places on the path that are nearer together are the same [m].
 #: How exact the bound of the deviation should be, over the tolerance that is left [-].
 EXACT = 0.01
-#: Largest number of points for a bound on one segment.
-MOST_POINTS = 4000
-#: Bisections for a place on a segment.
-HALVINGS = 50
+MOST_POINTS = 4000  #: Largest number of points for a bound on one segment.
+HALVINGS = 50  #: Bisections for a place on a segment.
 #: Path lengths that differ by less are equal [-], and the most parts of half a segment.
 SAME_LENGTH, MOST_PARTS = 1e-15, 64
 #: Columns of the rates: bounds of |o_u|, of |o_uu| along the sphere, of |s_u| and of |s_uu|.
@@ -372,8 +368,7 @@ class PathAtPole:
 
     def ends_of(self, first: int, last: int, begun: float) -> FloatArray:
         """Return the path length at the ends of segments; the first begins at ``begun`` [m]."""
-        ends: FloatArray = np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
-        return ends
+        return np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
 
     # Places ----------------------------------------------------------------------------------
 

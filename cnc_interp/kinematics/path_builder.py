@@ -47,10 +47,8 @@ from cnc_interp.smoothing.segments import (
     no_rotary,
 )
 
-#: Rotary positions and tool axes that differ less are the same [rad].
-SAME_ANGLE = 1e-8
-#: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
-SAME_TOOL = 1e-12
+SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
+SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
 #: Share of a jerk limit above which a kink, taken in one period, becomes a stop [-].
 KINK_JERK = 0.02
 

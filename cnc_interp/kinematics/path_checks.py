@@ -15,8 +15,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, branch_at
 from cnc_interp.smoothing.segments import LINE, PathSegments
 
-#: The travel allows for rounding [m, rad].
-TRAVEL_SLACK = 1e-9
+TRAVEL_SLACK = 1e-9  #: The travel allows for rounding [m, rad].
 #: From the length's powers times value and three derivatives to Bezier values of the near half of
 #: a septic; with ``MIRROR`` to those of the far half, in reverse order.
 TO_BEZIER = np.array(

@@ -27,14 +27,12 @@ from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, 
 from cnc_interp.machine_model.transform import ON_POLE, Transform, branch_at
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
-#: Longest way before and after the pole on which the outer axis is given [m].
-REACH = 30.0 * MM
+REACH = 30.0 * MM  #: Longest way before and after the pole on which the outer axis is given [m].
 #: Between two cores that are passed together, the path is not farther from the pole than this [-].
 FAR = 10.0
 #: A stretch does not begin in a segment farther from the pole than this [rad].
 WIDEST = 40.0 * DEG
-#: Factor by which a stretch is shortened, and the shortest one [m].
-SHORTER, SHORTEST = 0.8, 1e-7
+SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and the shortest one [m].
 
 
 @dataclass(frozen=True)

@@ -29,22 +29,18 @@ from cnc_interp.kinematics.segment_axes import (
 from cnc_interp.smoothing.segment_curves import corner_breaks
 from cnc_interp.smoothing.segments import CORNER, SPLINE
 
-#: Septic and exact axes agree to this inside a cell [m or rad],
-CELL_ERROR = 1e-10
+CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
 #: and their third derivatives to this share; ROUNDING / h^3 is noise of the axes. It grows with
 #: the distance from the workpiece zero, as the tool axis is the difference of two points.
 THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
-#: Cells are not cut in two below this length [m]: s itself has its digits.
-FINEST_CELL = 1e-10
+FINEST_CELL = 1e-10  #: Cells are not cut in two below this length [m]: s itself has its digits.
 #: Parameters that differ by less are the same place: a cell between them has no length.
 SAME_PARAMETER = 1e-12
-#: A segment is cut into at most this many cells.
-MOST_CELLS = 4096
+MOST_CELLS = 4096  #: A segment is cut into at most this many cells.
 #: Parameters between the cells of a corner and of any other segment, before refinement.
 CORNER_GRID = np.linspace(0.0, 1.0, 13)
-#: What became of a segment.
-FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3
+FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3  #: What became of a segment.
 
 
 @njit(cache=True, nogil=True)

@@ -131,11 +131,11 @@ def pose_jets(
 ) -> tuple[VectorJet, VectorJet]:
     """Return the jets in u of tool tip [m] and tool axis [-] on a segment of poses."""
     if kind == CORNER:
-        return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)  # type: ignore[no-any-return]
+        return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
     if kind == SPLINE:
-        return spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)  # type: ignore[no-any-return]
+        return spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
     if kind == LINE:
-        return line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)  # type: ignore[no-any-return]
+        return line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
     p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
     return p, great_circle_jets(shape[AXIS], shape[ROTATION], u)
 
@@ -152,9 +152,9 @@ def guide_jet(guide: FloatArray, way: float) -> Jet:
 def beside_jet(kind: int, beside: FloatArray, k: int, u: float, inside: float) -> Jet:
     """Return the jet in u of column k of ``beside``: an axis that is a coordinate [m or rad]."""
     if kind == CORNER:
-        return corner_spline_jet(beside, k, u, inside > 0.5)  # type: ignore[no-any-return]
+        return corner_spline_jet(beside, k, u, inside > 0.5)
     if kind == SPLINE:
-        return quintic_jet(beside, k, u)  # type: ignore[no-any-return]
+        return quintic_jet(beside, k, u)
     rate = beside[1, k] - beside[0, k]
     return (beside[0, k] + u * rate, rate, 0.0, 0.0)
 
@@ -179,14 +179,14 @@ def speed_beside(p: VectorJet, beside: FloatArray, height: float, u: float, insi
     for k in range(beside.shape[1]):
         w = jet.scale(corner_spline_jet(beside, k, u, inside > 0.5), height if k < 2 else 1.0)
         square = jet.add(square, squared_rate(w))
-    return jet.square_root(square)  # type: ignore[no-any-return]
+    return jet.square_root(square)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def squared_rate(p: Jet) -> Jet:
     """Return the jet of (dp/du)^2; its third coefficient is not known and has no meaning."""
     rate = (p[1], 2.0 * p[2], 3.0 * p[3], 0.0)
-    return jet.multiply(rate, rate)  # type: ignore[no-any-return]
+    return jet.multiply(rate, rate)
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -195,7 +195,7 @@ def speed_of(p: VectorJet) -> Jet:
     dx = (p[0][1], 2.0 * p[0][2], 3.0 * p[0][3], 0.0)
     dy = (p[1][1], 2.0 * p[1][2], 3.0 * p[1][3], 0.0)
     dz = (p[2][1], 2.0 * p[2][2], 3.0 * p[2][3], 0.0)
-    return jet.square_root(jet.dot((dx, dy, dz), (dx, dy, dz)))  # type: ignore[no-any-return]
+    return jet.square_root(jet.dot((dx, dy, dz), (dx, dy, dz)))
 
 
 @njit(cache=True, nogil=True)

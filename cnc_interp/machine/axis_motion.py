@@ -99,8 +99,7 @@ class ContourErrors:
         trail = np.concatenate([self._trail, commanded])
         waiting = np.concatenate([self._waiting, tips])
         self._trail, self._waiting = trail[1 - self._memory :], waiting[len(tips) :]
-        errors: FloatArray = path_errors(trail, waiting[: len(tips)], self._memory)
-        return errors
+        return path_errors(trail, waiting[: len(tips)], self._memory)
 
 
 class AxisMotion:
@@ -152,24 +151,17 @@ class AxisMotion:
         moves = np.diff(np.concatenate([self._tip, tip]), axis=0)
         self._tip = tip[-1:]
         return Recording(
-            setpoint=setpoints,
-            position=x,
-            velocity=v,
-            following_error=answered - x,
-            tip=tip,
-            axis=axis,
-            contour_error=self._contour.push(commanded, tip),
-            feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period,
-            largest_use=use,
-        )
+            setpoint=setpoints, position=x, velocity=v, following_error=answered - x, tip=tip,
+            axis=axis, contour_error=self._contour.push(commanded, tip),
+            feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period, largest_use=use,
+        )  # fmt: skip
 
     def forget_use(self) -> None:
         self.largest_use = np.zeros_like(self.largest_use)
 
     def take_recent_use(self) -> FloatArray:
         """Return the largest use of each limit since the last call, shape (3, n_axes) [-]."""
-        recent: FloatArray = self._recent_use
-        self._recent_use = np.zeros_like(recent)
+        recent, self._recent_use = self._recent_use, np.zeros_like(self._recent_use)
         return recent
 
     def fault_of(self, wanted: FloatArray, velocity: FloatArray) -> str:

@@ -88,14 +88,10 @@ class Cycle:
             control=np.zeros(WORDS, dtype=np.int64),
             chunks=np.zeros((slots, COLUMNS), dtype=np.int64),
             travel=np.ascontiguousarray(travel, dtype=float),
-            jump=np.ascontiguousarray(jump, dtype=float),
-            setpoint=np.zeros((2, n)),
-            feedback=np.zeros((4, n)),
-            drives=drives,
-            records=np.zeros((kept, 4), dtype=np.int64),
-            measured=np.zeros((kept, 3, n)),
-            late=np.zeros(RECORD, dtype=np.int64),
-        )
+            jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
+            feedback=np.zeros((4, n)), drives=drives, records=np.zeros((kept, 4), dtype=np.int64),
+            measured=np.zeros((kept, 3, n)), late=np.zeros(RECORD, dtype=np.int64),
+        )  # fmt: skip
         self._control = self._memory.control
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
         self._written = 0  # chunks
@@ -197,8 +193,7 @@ class MachineClock:
     def __init__(self, cycle: Cycle, priority: int):
         self._cycle, self._priority = cycle, priority
         self._thread: threading.Thread | None = None
-        #: How the thread is scheduled; empty before the start.
-        self.scheduling = ''
+        self.scheduling = ''  #: How the thread is scheduled; empty before the start.
 
     def start(self) -> None:
         self._cycle.quit(False)

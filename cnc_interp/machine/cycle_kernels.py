@@ -11,12 +11,10 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.native import NANOSECONDS, call_drives, fence, pointer, sleep_until, time_now
 from cnc_interp.machine.realtime import note_catching_up, note_lateness
 
-#: What the cycle plays.
-REST, CHUNK, TAIL = 0, 1, 2
+REST, CHUNK, TAIL = 0, 1, 2  #: What the cycle plays.
 #: What happened in a period: bits of a record.
 STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED = 1, 2, 4, 8, 16, 32
-#: The events of an ALARMED record have the number of the alarm above this bit.
-ALARM_SHIFT = 8
+ALARM_SHIFT = 8  #: The events of an ALARMED record have the number of the alarm above this bit.
 #: Words that Python writes and the cycle reads ...
 QUIT, LEAVE, HALT, START, FIRST, READ, FORGET = range(7)
 #: ... and words that the cycle writes.
@@ -24,8 +22,7 @@ HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(
 #: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail;
 #: whether the machine rests after it; and the chunk that comes next.
 POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, NEXT, COLUMNS = 0, 1, 2, 3, 6, 7, 8
-#: No chunk comes next, so far.
-NONE = -1
+NONE = -1  #: No chunk comes next, so far.
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
 

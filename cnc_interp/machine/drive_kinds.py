@@ -105,8 +105,7 @@ KINDS = {
         _trajectory,
     ),
 }  # fmt: skip
-#: All kinds in words.
-CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())
+CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())  #: All kinds in words.
 
 
 def parameters_of_drives() -> tuple[Declared, ...]:

@@ -24,8 +24,7 @@ LIBRARY = 'liblinuxcnchal.so.0'
 HAL_KEY, STREAMER_KEY, SAMPLER_KEY = 0x48414C32, 0x48535430, 0x48534130
 #: Letters of a stream's columns by HAL's numbers of the types.
 TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}
-#: Longest wait for ``halcmd`` [s].
-PATIENCE = 10.0
+PATIENCE = 10.0  #: Longest wait for ``halcmd`` [s].
 
 
 class _Stream(ctypes.Structure):
@@ -139,10 +138,8 @@ def thread_period(functions: tuple[str, ...]) -> float:
 
 
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
-#: HAL's period may differ by so much from the interpolation period [-].
-PERIOD_SLACK = 0.01
-#: Longest wait for HAL and for the power of the drives [s].
-POWER_UP = 5.0
+PERIOD_SLACK = 0.01  #: HAL's period may differ by so much from the interpolation period [-].
+POWER_UP = 5.0  #: Longest wait for HAL and for the power of the drives [s].
 
 CAUSES = {
     hal_step.SWITCHED_OFF: 'the drives have no power; is an emergency stop pressed?',
@@ -166,8 +163,7 @@ class HalDrives:
     thread stands or has another period.
     """
 
-    #: What drives with a following error of about that lag by [s].
-    lag = 0.02
+    lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
         self._names = machine.axis_names
@@ -252,8 +248,7 @@ class HalDrives:
     def position(self) -> FloatArray:
         """Where the axes stand, or are held after ``switch_on`` [m, rad]."""
         held = self._block.words[hal_step.POWER] == hal_step.HOLD
-        found: FloatArray = (self._block.held if held else self._block.actual[1]).copy()
-        return found
+        return (self._block.held if held else self._block.actual[1]).copy()
 
     def switch_on(self) -> None:
         """Ask for power and wait until the drives confirm it; the clock of the machine runs."""

@@ -11,8 +11,7 @@ from cnc_interp.core.errors import InterpError
 MOTION = re.compile(r'motmod|tpmod|homemod|\w+kins|\[(KINS|EMCMOT|TRAJ)\].*')
 #: Pins of programs that do not run beside cnc_interp.
 ABSENT = re.compile(r'(joint|axis|axisui|halui|iocontrol|motion|spindle)\.\S+')
-#: What asks for the power of a joint.
-ENABLE = re.compile(r'joint\.\d+\.amp-enable-out')
+ENABLE = re.compile(r'joint\.\d+\.amp-enable-out')  #: What asks for the power of a joint.
 #: The input that tells that the emergency stop is released, and what is looped to it without one.
 RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 #: Signals that take the place of those of each joint, and of the emergency stop.

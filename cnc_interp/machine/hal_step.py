@@ -30,16 +30,13 @@ LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
 WORDS = TIME + 2
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
-#: Rows that are kept for comparison; more than wait between push and sample.
-KEPT = 8192
-#: Columns of a kept row after setpoints and values of HAL: power is on, axes move.
-FLAGS = 2
+KEPT = 8192  #: Rows that are kept for comparison; more than wait between push and sample.
+FLAGS = 2  #: Columns of a kept row after setpoints and values of HAL: power is on, axes move.
 #: Numbers of alarms, of faults, and of alarms of an axis, to which its number is added.
 SWITCHED_OFF, EMPTY, CHANGED, UNSEEN = 1, 2, 3, 4
 FULL, STOPPED = 11, 12
 BEHIND, AMPLIFIER = 100, 200
-#: Without a sample for so long HAL's thread counts as stopped [ns].
-LONGEST_SILENCE = 500_000_000
+LONGEST_SILENCE = 500_000_000  #: Without a sample for so long HAL's thread counts as stopped [ns].
 #: Shift of the clock for each row too many or too few, and at most [periods].
 SHIFT, LARGEST_SHIFT = 2e-4, 1e-3
 #: Periods at rest with too many or too few rows, before one is left out or repeated.
@@ -90,7 +87,7 @@ def block_at(address: int, n: int) -> Block:
 
 @njit(cache=True, nogil=True)
 def _call(words: IntArray, function: int, stream: int, row: int = 0, number: int = 0) -> int:
-    return call_c(  # type: ignore[no-any-return]
+    return call_c(
         np.uintp(words[function]), np.uintp(words[stream]), np.uintp(row), np.uintp(number)
     )
 

@@ -14,10 +14,8 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.run_state import Reason, State
 
-#: Shares of the velocity limits towards the switch and back from it [-].
-SEARCH, BACK = 0.1, 0.01
-#: Nearer than this to its end of travel, an axis has not found its switch [m, rad].
-AT_END = 1e-6
+SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
+AT_END = 1e-6  #: Nearer than this to its end of travel, an axis has not found its switch [m, rad].
 
 
 class AxisHoming(Enum):

@@ -15,12 +15,9 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import Reason, State
 
-#: The motion stops where no beat has come for this time [s].
-LATE = 0.2
-#: A key that no beat names for longer was given up [s].
-GIVEN_UP = 3.0
-#: Motion handed to the machine ahead of time, and in one piece [s].
-AHEAD, PIECE = 0.05, 0.01
+LATE = 0.2  #: The motion stops where no beat has come for this time [s].
+GIVEN_UP = 3.0  #: A key that no beat names for longer was given up [s].
+AHEAD, PIECE = 0.05, 0.01  #: Motion handed to the machine ahead of time, and in one piece [s].
 #: Name of motions by hand in the record of executed setpoints; their attempts count them.
 JOG = 'jog'
 
@@ -62,10 +59,9 @@ class Jog:
     @property
     def target(self) -> FloatArray:
         """Axis positions at the end of the move under way, else where a motion begins [m, rad]."""
-        place: FloatArray = self._playback.before_jog[-1]
         if isinstance(self._wish, Move):
-            place = self._wish.slides.positions(self._wish.target[None, :])[0]
-        return place
+            return self._wish.slides.positions(self._wish.target[None, :])[0]
+        return self._playback.before_jog[-1]
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -125,7 +121,7 @@ class Jog:
         base = self._wish.target if isinstance(self._wish, Move) else base
         wanted = base + wanted if relative or tool else wanted
         target = np.where(np.isfinite(wanted), wanted, base)
-        place: FloatArray = slides.positions(target[None, :])[0]
+        place = slides.positions(target[None, :])[0]
         self._refuse_beyond(place)
         self._wish = Move(slides, target, speed or 1.0)
         return place

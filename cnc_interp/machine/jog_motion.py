@@ -25,8 +25,7 @@ from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 LEAST_SHARE = 1e-3
 #: A motion with a velocity is planned for this time, and again after half of it [s].
 HORIZON = 10.0
-#: Nearer than this to its target, an axis is there [m, rad].
-THERE = TRAVEL_SLACK
+THERE = TRAVEL_SLACK  #: Nearer than this to its target, an axis is there [m, rad].
 
 VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
 EACH_ALONE, TOGETHER = ruckig.Synchronization.No, ruckig.Synchronization.Time
@@ -44,14 +43,12 @@ class Slides:
     travel: FloatArray  #: (m, 2): Smallest and largest coordinate [m, rad].
 
     def positions(self, x: FloatArray) -> FloatArray:
-        q: FloatArray = self.origin + x @ self.direction
-        return q
+        return self.origin + x @ self.direction
 
     def coordinates(self, q: FloatArray) -> FloatArray:
         """Return the coordinates, shape (m,), of axis positions on the slides, shape (n,)."""
         weights = self.direction / (self.direction**2).sum(axis=1, keepdims=True)
-        x: FloatArray = weights @ (q - self.origin)
-        return x
+        return weights @ (q - self.origin)
 
     @staticmethod
     def of_axes(machine: Machine) -> Slides:
@@ -88,8 +85,7 @@ class JogMotion:
     @property
     def x(self) -> FloatArray:
         """Coordinates at the last setpoint handed out, shape (m,) [m, rad]."""
-        at: FloatArray = self._state[0]
-        return at
+        return self._state[0]
 
     @property
     def over(self) -> bool:
@@ -202,10 +198,7 @@ class JogMotion:
         jerk = np.diff(np.concatenate([before[None, :], rows[:, 2]]), axis=0) / self._period
         return Setpoints(
             time=(number + np.arange(count)) * self._period,
-            position=self.slides.positions(rows[:, 0]),
-            velocity=rows[:, 1] @ direction,
-            acceleration=rows[:, 2] @ direction,
-            jerk=jerk @ direction,
-            block=np.zeros(count, dtype=np.int64),
-            s=np.zeros(count),
-        )
+            position=self.slides.positions(rows[:, 0]), velocity=rows[:, 1] @ direction,
+            acceleration=rows[:, 2] @ direction, jerk=jerk @ direction,
+            block=np.zeros(count, dtype=np.int64), s=np.zeros(count),
+        )  # fmt: skip

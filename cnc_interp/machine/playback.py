@@ -54,8 +54,7 @@ REST_EVENTS = {
     Wait.APPROACH: Event.WAIT,
     Wait.END: Event.FINISH,
 }
-#: A plan from rest begins nearer than this to where the machine stands [m, rad].
-ELSEWHERE = 1e-8
+ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
 #: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.
 SPARE_CHUNKS = 4096
 
@@ -291,8 +290,7 @@ class Playback:
         if self._current is not None:
             parts.append(self._current.rows.samples.position[row:])
         parts += [c.rows.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
-        before: FloatArray = np.concatenate(parts)[-3:]
-        return before
+        return np.concatenate(parts)[-3:]
 
     def join(
         self, run_id: RunId, number: int, chunk: Chunk, lines: list[int], tail_lines: list[int]

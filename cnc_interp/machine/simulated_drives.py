@@ -26,8 +26,7 @@ class SimulatedDrives:
     @property
     def position(self) -> FloatArray:
         """The last setpoint, where the axes stand or settle [m, rad]."""
-        held: FloatArray = self._words[:, RING].copy()
-        return held
+        return self._words[:, RING].copy()
 
     def switch_on(self) -> None:
         """Do nothing: simulated axes are where they were."""

@@ -19,16 +19,12 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine.drives import AxisFeedback, AxisRows, DriveFaultError
 from cnc_interp.machine_model.machine import Machine
 
-#: Time between points; the controller interpolates between them [s].
-SPACING = 0.004
-#: Time between trajectories in motion [s].
-SENDING = 0.02
-#: A trajectory begins by so much before what the controller executes now [s].
-OVERLAP = 0.02
+SPACING = 0.004  #: Time between points; the controller interpolates between them [s].
+SENDING = 0.02  #: Time between trajectories in motion [s].
+OVERLAP = 0.02  #: A trajectory begins by so much before what the controller executes now [s].
 #: The share of the delay by which a trajectory must leave before its news are executed [-].
 RESERVE = 0.25
-#: Age up to which reports are compared with what was commanded then [s].
-LATEST = 1.0
+LATEST = 1.0  #: Age up to which reports are compared with what was commanded then [s].
 #: Silence that one call adds at most: this program may have stood still itself [s].
 SILENCE_OF_A_CALL = 0.05
 #: Longest wait for the controller, and for its axes to settle before the power is on [s].
@@ -89,8 +85,7 @@ class TrajectoryDrives:
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
-    #: What drives with a following error of about that lag by [s].
-    lag = 0.02
+    lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(
         self, machine: Machine, period: float, controller: Controller, delay: float,
@@ -255,8 +250,7 @@ class TrajectoryDrives:
         p, v = self._rows.position, self._rows.velocity * (1e-9 * self._period)
         step, slope = p[row + 1] - p[row], v[row]
         bend = v[row + 1] + slope - 2.0 * step
-        found: FloatArray = p[row] + u * (slope + u * (step - slope - bend + u * bend))
-        return found
+        return p[row] + u * (slope + u * (step - slope - bend + u * bend))
 
     def _cause(self, errors: FloatArray) -> str:
         """Return why the machine must stop, after some following errors; empty if all is well."""

@@ -15,8 +15,7 @@ from cnc_interp.machine_model.machine_entries import entries_by_axis, number, nu
 #: Keys of a drive: inertia, largest torque, Coulomb and viscous friction, all in SI.
 LINEAR_KEYS = ('mass_kg', 'force_N', 'coulomb_N', 'viscous_N_s_per_m')
 ROTARY_KEYS = ('inertia_kg_m2', 'torque_Nm', 'coulomb_Nm', 'viscous_Nm_s_per_rad')
-#: Plausible inertias and torques.
-PLAUSIBLE = (1e-6, 1e7)
+PLAUSIBLE = (1e-6, 1e7)  #: Plausible inertias and torques.
 
 
 @dataclass(frozen=True)
@@ -90,8 +89,7 @@ class AxisDrive:
         return 1.0 / self.position_gain + self.time_constant + self.delay
 
 
-#: The drive of an axis without an entry.
-IDEAL = AxisDrive()
+IDEAL = AxisDrive()  #: The drive of an axis without an entry.
 
 
 class Entry(NamedTuple):

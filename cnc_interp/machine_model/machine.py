@@ -164,7 +164,7 @@ class Machine:
     @cached_property
     def lowest_limits(self) -> FloatArray:
         """Limits at every position and velocity, (3, n_axes) [m or rad, per s, s2, s3]."""
-        lowest: FloatArray = self.limit_table[:PLACE].min(axis=2)
+        lowest = self.limit_table[:PLACE].min(axis=2)
         for axis, load in self.loads.items():
             left = load.least_acceleration(float(self.max_velocity[axis]))
             lowest[ACCELERATION, axis] = min(lowest[ACCELERATION, axis], left)
@@ -278,8 +278,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     )
 
 
-#: Digits after the point of the new offset [mm].
-DIGITS = 9
+DIGITS = 9  #: Digits after the point of the new offset [mm].
 
 
 def placed_machine(

@@ -29,12 +29,10 @@ ROTARY_KEYS = {
 }
 #: Choices of the reader that a machine file may make.
 CONTROL = ('dialect', 'arc_centres', 'units')
-#: Letters that an extra axis may have.
-EXTRA_LETTERS = ('U', 'V', 'W')
+EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
-#: A table of limits covers the travel up to this [m, rad].
-SAME_PLACE = 1e-9
+SAME_PLACE = 1e-9  #: A table of limits covers the travel up to this [m, rad].
 #: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.
 #: Beyond them a unit is wrong: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
 PLAUSIBLE = {

@@ -145,7 +145,7 @@ class Transform:
             q = np.concatenate([stands, q[:, 3:own]], axis=1)
         if own == 3:
             q = np.concatenate([q, np.zeros((len(q), 2))], axis=1)
-        return forward(self.packed, q)  # type: ignore[no-any-return]
+        return forward(self.packed, q)
 
     def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
         """Return X Y Z (n, 3) [m] of tool tips at rotary positions [rad]; extra axes at 0."""
@@ -176,8 +176,7 @@ def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:
     return np.asarray(v * c + np.cross(u, v) * s + u * ((v @ u)[:, None] * (1.0 - c)))
 
 
-#: Smaller components of the tool's direction are rounding [-].
-NO_PART = 1e-12
+NO_PART = 1e-12  #: Smaller components of the tool's direction are rounding [-].
 
 
 class ToolLine(NamedTuple):
@@ -200,8 +199,7 @@ def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
     return ToolLine(direction, np.array([ends[:, 0].max(), ends[:, 1].min()]))
 
 
-#: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
-ON_POLE = 1e-9
+ON_POLE = 1e-9  #: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
 
 
 def on_pole(transform: Transform, axis: FloatArray) -> bool:

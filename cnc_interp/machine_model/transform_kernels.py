@@ -170,7 +170,7 @@ def linear_jets(packed: FloatArray, p: VectorJet, first: Jet, second: Jet) -> Ve
         rest = jet.constant(packed[HEAD_ZERO])
         rest_y, rest_z = jet.constant(packed[HEAD_ZERO + 1]), jet.constant(packed[HEAD_ZERO + 2])
         v = (jet.subtract(v[0], rest), jet.subtract(v[1], rest_y), jet.subtract(v[2], rest_z))
-    return v  # type: ignore[no-any-return]
+    return v
 
 
 @njit(cache=True, nogil=True)

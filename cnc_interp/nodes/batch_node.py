@@ -28,10 +28,8 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import end_goal, run_node
 from cnc_interp.settings.texts import with_texts
 
-#: Time between feedbacks [s].
-FEEDBACK = 0.2
-#: What a folder of a batch may be called.
-NAME = re.compile(r'\w[\w. -]{0,99}')
+FEEDBACK = 0.2  #: Time between feedbacks [s].
+NAME = re.compile(r'\w[\w. -]{0,99}')  #: What a folder of a batch may be called.
 
 
 class BatchNode(Node):

@@ -63,8 +63,7 @@ def _packed(row: FloatArray) -> array[float]:
     return array('d', row.tobytes())
 
 
-#: The thread looks after such times whether it shall end [s].
-SPIN_TIMEOUT = 0.1
+SPIN_TIMEOUT = 0.1  #: The thread looks after such times whether it shall end [s].
 
 
 class ControllerLink:

@@ -8,8 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from cnc_interp.nodes.qos import DIAGNOSTICS
 
-#: Key under which program_node names the programs that wait.
-WAITING = 'waiting'
+WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
 #: Key under which program_node gives the share of a program's text that is checked [-].
 CHECKED = 'checked'
 #: Key under which machine_node gives the contour error that there were without compensation [m].

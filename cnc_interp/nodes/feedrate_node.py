@@ -49,8 +49,7 @@ from cnc_interp.wire.path_messages import segments_from
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-#: Longest time that the sending thread waits for the planning thread [s].
-SWITCH = 5e-4
+SWITCH = 5e-4  #: Longest time that the sending thread waits for the planning thread [s].
 
 
 class PlanningThread:
@@ -86,10 +85,8 @@ class PlanningThread:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-#: Time between checks of the planning thread [s].
-WORK_PERIOD = 0.005
-#: Time between diagnostics of the planning [s].
-DIAGNOSTICS_PERIOD = 1.0
+WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
+DIAGNOSTICS_PERIOD = 1.0  #: Time between diagnostics of the planning [s].
 
 
 class FeedrateNode(LifecycleNode):
@@ -120,13 +117,9 @@ class FeedrateNode(LifecycleNode):
             heartbeat='blocks',
         )  # fmt: skip
         self._outlet = Outlet(
-            self,
-            'setpoints',
-            SetpointChunk,
-            values['resend_after'],
-            self._encode,
+            self, 'setpoints', SetpointChunk, values['resend_after'], self._encode,
             profile=SETPOINTS,
-        )
+        )  # fmt: skip
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(
             self, WindowedReceiver('segments', values['segment_window']),

@@ -17,8 +17,7 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.parameters import MACHINE
 from cnc_interp.nodes.qos import BEATS
 
-#: Name by which the tool stands among the axes in the names of parameters.
-TOOL = 'tool'
+TOOL = 'tool'  #: Name by which the tool stands among the axes in the names of parameters.
 
 
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:

@@ -103,12 +103,9 @@ class SmoothingRun:
         return min((self._program_stops.pop(k) for k in passed), default=G1Block.GO_ON)
 
 
-#: Time between two looks for work while blocks or segments are under way [s].
-WORK_PERIOD = 0.01
-#: Segments that may wait for the planner before smoothing goes on.
-MOST_WAITING = 1024
-#: Most segments in one message.
-MOST_TOGETHER = 32
+WORK_PERIOD = 0.01  #: Time between two looks for work while blocks or segments are under way [s].
+MOST_WAITING = 1024  #: Segments that may wait for the planner before smoothing goes on.
+MOST_TOGETHER = 32  #: Most segments in one message.
 
 
 class LookaheadNode(Node):

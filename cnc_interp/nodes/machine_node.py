@@ -33,8 +33,7 @@ from cnc_interp.wire.window_protocol import WindowedReceiver
 
 #: Time between two looks at what was played, while something is under way [s].
 WORK_PERIOD = 0.005
-#: Time between reports about the clock [s].
-CLOCK_PERIOD = 1.0
+CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
 #: States in which setpoints are refused.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)
 LEVELS = {State.FAULT: ERROR, State.STARVING: WARN, State.STARVED: WARN}

@@ -23,8 +23,7 @@ from cnc_interp.nodes.node_main import run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
-#: The frame of programs, see the machines' URDF.
-FRAME = 'workpiece'
+FRAME = 'workpiece'  #: The frame of programs, see the machines' URDF.
 #: Points of one marker: long lines are cut, so that only their end is sent again.
 POINTS = 1000
 PROGRAMMED = ColorRGBA(r=0.55, g=0.62, b=0.68, a=1.0)

@@ -27,8 +27,7 @@ from cnc_interp.processes.this_host import stay_on_this_host
 
 #: Timeout of the events executor [s]. Signals are noticed after it at the latest.
 SPIN_TIMEOUT = 0.1
-#: Longest time in which a node that is to end may bring axes to rest [s].
-REST_WAIT = 8.0
+REST_WAIT = 8.0  #: Longest time in which a node that is to end may bring axes to rest [s].
 #: Longest time for which its last messages are waited for, each topic.
 LAST_WORDS = Duration(seconds=0.2)
 #: Niceness of the nodes, if permitted, so that setpoints do not wait for other programs.
@@ -159,10 +158,8 @@ def start_lifecycle(node: Any) -> None:
     node.trigger_activate()
 
 
-#: Time between two calls at rest [s].
-REST = 0.05
-#: Time after the last need for work until the node rests [s].
-CALM = 1.0
+REST = 0.05  #: Time between two calls at rest [s].
+CALM = 1.0  #: Time after the last need for work until the node rests [s].
 
 
 class Pace:

@@ -28,8 +28,7 @@ from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.choices import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 
-#: Largest length of a text that is kept for display [bytes].
-LONGEST_TEXT = 16 << 20
+LONGEST_TEXT = 16 << 20  #: Largest length of a text that is kept for display [bytes].
 
 
 @dataclass(frozen=True)

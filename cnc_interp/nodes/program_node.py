@@ -35,14 +35,10 @@ from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result
-#: Time between two steps of a run [s].
-WORK_PERIOD = 0.02
-#: Time between feedbacks [s].
-FEEDBACK = 0.1
-#: Time between repeated calls of a service of the machine [s].
-PRESS_AGAIN = 0.25
-#: After a longer pause of its own, silence of the other nodes does not count [s].
-FROZEN = 0.5
+WORK_PERIOD = 0.02  #: Time between two steps of a run [s].
+FEEDBACK = 0.1  #: Time between feedbacks [s].
+PRESS_AGAIN = 0.25  #: Time between repeated calls of a service of the machine [s].
+FROZEN = 0.5  #: After a longer pause of its own, silence of the other nodes does not count [s].
 
 
 class ProgramNode(Node):
@@ -63,13 +59,9 @@ class ProgramNode(Node):
         self._setup = SetupServices(self, self._table, self._transform, self._peers)
         self._feed = BlockFeed()
         self._outlet = Outlet(
-            self,
-            'blocks',
-            G1BlockBatch,
-            self._values['resend_after'],
-            self._feed.message,
+            self, 'blocks', G1BlockBatch, self._values['resend_after'], self._feed.message,
             topic='block_batches',
-        )
+        )  # fmt: skip
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
@@ -105,14 +97,9 @@ class ProgramNode(Node):
         if handle.request.mdi:
             return self._worker.submit(self._mdi.prepare, run, handle.request)
         return self._worker.submit(
-            prepare,
-            handle.request,
-            self._transform,
-            self._settings,
-            run.preparation.has_checked,
-            self._values['program_folders'],
-            lambda: self._table.setup,
-        )
+            prepare, handle.request, self._transform, self._settings, run.preparation.has_checked,
+            self._values['program_folders'], lambda: self._table.setup,
+        )  # fmt: skip
 
     def _work(self) -> bool:
         now = time.monotonic()

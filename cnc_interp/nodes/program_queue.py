@@ -12,10 +12,8 @@ from cnc_interp.nodes.node_main import end_goal
 from cnc_interp.nodes.program_run import ProgramRun
 from cnc_interp.run.run_phase import Code, Outcome
 
-#: Largest number of programs that may wait. Each one uses memory.
-MOST = 16
-#: Time between feedbacks to a goal that waits [s].
-FEEDBACK = 0.5
+MOST = 16  #: Largest number of programs that may wait. Each one uses memory.
+FEEDBACK = 0.5  #: Time between feedbacks to a goal that waits [s].
 
 
 class Waiting(NamedTuple):

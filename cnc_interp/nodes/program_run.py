@@ -263,10 +263,8 @@ class ProgramRun:
         return run_result(outcome, self.run_id.program_id, notices)
 
 
-#: Blocks queued for sending at a time; not the whole program.
-MOST_QUEUED = 512
-#: Most blocks in one message.
-MOST_TOGETHER = 64
+MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.
+MOST_TOGETHER = 64  #: Most blocks in one message.
 
 
 class BlockFeed:

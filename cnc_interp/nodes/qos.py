@@ -25,8 +25,7 @@ from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-#: Largest window that a node may be given, in messages.
-DEPTH = 4096
+DEPTH = 4096  #: Largest window that a node may be given, in messages.
 
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT

@@ -22,8 +22,7 @@ from cnc_interp.run.run_id import RunId
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 
-#: Bytes of a checksum.
-CHECKSUM = 4
+CHECKSUM = 4  #: Bytes of a checksum.
 
 
 def sealed(message: Any) -> bytes:
@@ -46,10 +45,8 @@ def opened(data: bytes, kind: Any) -> Any:
         raise StreamError(text, Refusal.SPOILT) from None
 
 
-#: Time between acknowledgements when nothing happens [s].
-HEARTBEAT = 0.1
-#: Shortest time between two of them [s].
-STATUS_PERIOD = 0.01
+HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
+STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
@@ -184,14 +181,10 @@ class Inlet:
         receiver, run_id = self.receiver, self.receiver.run_id
         self._told, self._told_at = self._news(), time.monotonic()
         self._publish(
-            run_id,
-            gap=self._gap,
-            next_sequence=receiver.next_number,
-            window_limit=receiver.limit,
-            buffered_time=self.buffered_time,
-            refusal_kind=receiver.refused,
+            run_id, gap=self._gap, next_sequence=receiver.next_number, window_limit=receiver.limit,
+            buffered_time=self.buffered_time, refusal_kind=receiver.refused,
             refusal=receiver.refusal_text,
-        )
+        )  # fmt: skip
 
     def _publish(self, run_id: RunId, **told: Any) -> None:
         self._status.publish(StreamStatus(stream=self.receiver.stream, **vars(run_id), **told))

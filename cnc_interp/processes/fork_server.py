@@ -18,8 +18,7 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder
 COMMAND = 'cnc_interp.commands.cli'
 #: When the fork server is ended, in the order of multiprocessing: after all children.
 AFTER_CHILDREN = -50
-#: Where multiprocessing has its sockets.
-_sockets: TemporaryFolder | None = None
+_sockets: TemporaryFolder | None = None  #: Where multiprocessing has its sockets.
 
 
 def begin_loading(modules: Sequence[str]) -> ForkServerContext:

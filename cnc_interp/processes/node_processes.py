@@ -18,14 +18,11 @@ from cnc_interp.processes.shared_memory import remove_dead_segments
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
-#: What the fork server loads before it forks.
-PRELOADED = ['cnc_interp.nodes.preload_nodes']
+PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
 #: A node that has not ended by itself after this is killed: a machine may have to stop [s].
 LAST_WAIT = 10.0
-#: How a process ends that Python ends for an error that nobody caught.
-FAULT = 1
-#: Why a node was lost that a signal has ended.
-KILLED = 'was killed'
+FAULT = 1  #: How a process ends that Python ends for an error that nobody caught.
+KILLED = 'was killed'  #: Why a node was lost that a signal has ended.
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine import Machine
 
-#: An axis that moves less than this in a period stands still [m or rad].
-AT_REST = 1e-12
+AT_REST = 1e-12  #: An axis that moves less than this in a period stands still [m or rad].
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
@@ -47,5 +46,4 @@ def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> Flo
     back = (before < -AT_REST) | (after < -AT_REST)
     one_way = np.abs(moved + load.coulomb * (1.0 * forth - 1.0 * back))
     both_ways = np.maximum(np.abs(moved) - load.coulomb, 0.0)
-    torque: FloatArray = np.where(forth & back, both_ways, one_way)
-    return torque
+    return np.where(forth & back, both_ways, one_way)

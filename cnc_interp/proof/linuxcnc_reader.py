@@ -29,8 +29,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, ReadMove
 
-#: The last digit that is printed, in the unit of the program.
-LAST_DIGIT = 1e-4
+LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program.
 #: Processor time [s], also for each MB of the text; memory, and length of files written [bytes].
 SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
 #: Lines that may be printed: so many, and for each row of the plan and each line of the text.
@@ -243,8 +242,7 @@ class _Printed:
 OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')
 #: First parameters of the positions, and the unit of LinuxCNC's files [mm].
 G28, G30, G92_ON, ACTIVE, G54, BETWEEN, INCH = 5160, 5180, 5210, 5220, 5220, 20, 25.4
-#: The parameter of the rotation of a work offset, from its first one.
-ROTATION = 10
+ROTATION = 10  #: The parameter of the rotation of a work offset, from its first one.
 
 
 @dataclass(frozen=True)

@@ -95,14 +95,12 @@ class PlanFiles:
 
     @property
     def position(self) -> FloatArray:
-        position: FloatArray = self.setpoints['position']
-        return position
+        return self.setpoints['position']
 
     @property
     def block(self) -> IntArray:
         """Return the program row that each sample executes, shape (K,)."""
-        block: IntArray = self.setpoints['block']
-        return block
+        return self.setpoints['block']
 
     @property
     def period(self) -> float:
@@ -206,8 +204,7 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
         value = summary.get(key, high)
         if not isinstance(value, int | float) or not low <= value <= high:
             raise InterpError(f'{file}: {key} must be from {low:g} to {high:g}, not {value!r}')
-    checked: Mapping[str, Any] = summary
-    return checked
+    return summary
 
 
 def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
@@ -301,8 +298,7 @@ def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[An
     }.get(version)
     if read is None:
         raise ValueError('an array has an unknown format')
-    header: tuple[tuple[int, ...], bool, np.dtype[Any]] = read(column)  # type: ignore[no-untyped-call]
-    return header
+    return read(column)  # type: ignore[no-untyped-call]
 
 
 def _check_lengths(file: Path) -> None:

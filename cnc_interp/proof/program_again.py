@@ -246,8 +246,7 @@ class _Comparison:
     def points(self, move: ReadMove) -> FloatArray:
         """Return X Y Z of all rows as the words of a motion mean them."""
         if move.tcp or not self.machine.has_rotary:
-            tips: FloatArray = self.blocks['tip']
-            return tips
+            return self.blocks['tip']
         if self.linear is None:
             rotary = np.nan_to_num(self.blocks['rotary'])
             self.linear = self.transform.linear(self.blocks['tip'], rotary) - self.zero[0, :3]

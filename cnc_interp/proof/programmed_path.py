@@ -79,14 +79,11 @@ class ProgrammedPath:
             start = np.where(linear[:, None], np.nan, start)
             by_axes = by_axes | linear
         return ProgrammedPath(
-            start=np.ascontiguousarray(start, dtype=float),
-            chord=chord,
+            start=np.ascontiguousarray(start, dtype=float), chord=chord,
             axis=np.ascontiguousarray(first, dtype=float),
             sideways=across / np.where(sine > 0.0, sine, 1.0)[:, None],
-            turn=np.arctan2(sine, cosine),
-            by_axes=by_axes,
-            flank_height=height,
-        )
+            turn=np.arctan2(sine, cosine), by_axes=by_axes, flank_height=height,
+        )  # fmt: skip
 
     @cached_property
     def way(self) -> FloatArray:
@@ -139,11 +136,10 @@ def distances_to_vertices(
     bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0
     unit = np.ones((1, 3)) if unit is None else unit
     unit = np.ascontiguousarray(np.broadcast_to(unit, vertices.shape))
-    nearest: tuple[FloatArray, IntArray] = _distances_to_vertices(
+    return _distances_to_vertices(
         np.ascontiguousarray(points), bulge, np.ascontiguousarray(vertices),
         low.astype(np.int64), high.astype(np.int64), unit,
     )  # fmt: skip
-    return nearest
 
 
 @njit(cache=True, nogil=True)

@@ -21,10 +21,8 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 from cnc_interp.proof.stored_columns import Stored, held, spans
 
-#: Largest distance between curve and chord [m].
-CHORD = 1e-8
-#: Number of points of a knot interval at which its curvature is measured.
-PROBES = 65
+CHORD = 1e-8  #: Largest distance between curve and chord [m].
+PROBES = 65  #: Number of points of a knot interval at which its curvature is measured.
 #: A pose is searched up to twice its own movement plus this distance along the curve [m].
 REACH = 2e-4
 

@@ -13,8 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from cnc_interp.core.errors import InterpError
 
-#: Rows that are proven at a time.
-CHUNK = 1 << 14
+CHUNK = 1 << 14  #: Rows that are proven at a time.
 
 
 class Stored:

@@ -85,8 +85,7 @@ class Proof:
     def to_json(self) -> dict[str, Any]:
         """Return the proof as plain values for JSON; values that are not finite become None."""
         text = json.dumps({'ok': self.ok, **asdict(self)})
-        plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
-        return plain
+        return json.loads(text, parse_constant=lambda _: None)
 
     def text(self) -> str:
         """Return the proof as text for a terminal."""
@@ -238,8 +237,7 @@ def _figure(value: float) -> str:
 
 #: Figures of a plan that only the planner knows.
 UNPROVEN = 'largest errors, tolerances used, time bound, windows, segments, curves'
-#: Digits of a hash that are shown.
-DIGITS = 12
+DIGITS = 12  #: Digits of a hash that are shown.
 
 
 @dataclass(frozen=True)

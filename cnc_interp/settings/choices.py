@@ -26,10 +26,8 @@ from cnc_interp.settings.declaration import (
 READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
 PLANNING = Stage.PLANNING
 START, APPROACH = Stage.START, Stage.APPROACH
-#: The machine where none is named.
-DEFAULT_MACHINE = 'xyzac'
-#: Range of the block length and the flank height [m].
-LENGTHS = (1e-6 * MM, 1e4 * MM)
+DEFAULT_MACHINE = 'xyzac'  #: The machine where none is named.
+LENGTHS = (1e-6 * MM, 1e4 * MM)  #: Range of the block length and the flank height [m].
 #: Range of every tolerance [m]. A larger one is a number in a wrong unit.
 TOLERANCES = (1e-6 * MM, 5.0 * MM)
 #: Range of the feeds [m/s], 0.001 mm/min to 1000 m/min.

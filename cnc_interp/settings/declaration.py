@@ -17,10 +17,8 @@ from typing import Any
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
 
-#: Key of a declaration in the metadata of a dataclass field.
-DECLARED = 'choice'
-#: Most digits that a number needs to be read back bit for bit.
-DIGITS = 17
+DECLARED = 'choice'  #: Key of a declaration in the metadata of a dataclass field.
+DIGITS = 17  #: Most digits that a number needs to be read back bit for bit.
 
 Value = float | int | bool | str | Path | None
 

@@ -18,8 +18,7 @@ FIELDS = {
     'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
     'jerks': 'jerk', 'path_positions': 's',
 }  # fmt: skip
-#: Those that have a value for each axis.
-OF_AXES = tuple(FIELDS)[:4]
+OF_AXES = tuple(FIELDS)[:4]  #: Those that have a value for each axis.
 
 
 def chunk_message(

@@ -18,8 +18,7 @@ from cnc_interp.wire.chunk_messages import OF_AXES
 from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE
 from cnc_interp.wire.settings_messages import settings_from
 
-#: Largest difference of the length of a tool axis from 1.
-UNIT = 1e-9
+UNIT = 1e-9  #: Largest difference of the length of a tool axis from 1.
 
 
 def check_block(message: G1Block, extra_count: int = 0) -> None:

@@ -16,12 +16,9 @@ from cnc_interp.core.errors import Refusal, StreamError
 from cnc_interp.run.run_id import NO_RUN, RunId
 
 Item = TypeVar('Item')
-#: Programs whose late messages are recognised as such.
-REMEMBERED = 64
-#: Time that repeated items are given to arrive, before they are repeated again [s].
-SETTLE = 0.05
-#: Longest time before a repetition, as a multiple of the first one.
-MOST_PATIENT = 16.0
+REMEMBERED = 64  #: Programs whose late messages are recognised as such.
+SETTLE = 0.05  #: Time that repeated items are given to arrive, before they are repeated again [s].
+MOST_PATIENT = 16.0  #: Longest time before a repetition, as a multiple of the first one.
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ def segment_jets(
         found = corner_jets(bottom, top, connection, segments.parametrization[i], u, u)
     else:
         found = spline_jets(bottom, top, connection, u)
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _distance(

@@ -1,11 +1,14 @@
-"""Settings: all choices of the user, each declared in one place."""
+"""Settings: all choices of the user, each declared in one place; and as texts."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from math import pi
 from pathlib import Path
+from typing import Any
 
+from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
 from cnc_interp.settings.declaration import (
     ANGLE,
@@ -13,7 +16,9 @@ from cnc_interp.settings.declaration import (
     LENGTH,
     PLAIN,
     TIME,
+    Choice,
     Stage,
+    Value,
     choices,
     file,
     name,
@@ -160,3 +165,51 @@ class Settings:
         """Tell whether corners are made in a way that exists for comparison only."""
         exact = self.parametrization in ('auto', 'exact')
         return (self.corner, exact, self.top, self.septic) != ('default', True, 'in_step', False)
+
+
+def texts_of(settings: Settings) -> dict[str, str]:
+    return {c.name: c.text(getattr(settings, c.name)) for c in choices(settings)}
+
+
+def changed(settings: Settings) -> list[str]:
+    return [c.name for c in choices(settings) if getattr(settings, c.name) != c.default]
+
+
+def values_of(settings: Settings) -> dict[str, Value]:
+    """Return every choice as a value that JSON can hold; a path becomes text."""
+    found = {choice.name: getattr(settings, choice.name) for choice in choices(settings)}
+    return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
+
+
+def with_texts(
+    settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
+) -> Settings:
+    """Return settings with some choices replaced by texts; a number without a unit is in SI.
+
+    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError.
+    """
+    known = {choice.name: choice for choice in choices(settings)}
+    given: dict[str, Any] = {}
+    for key, text in texts:
+        if key not in known:
+            raise SettingsError(key, f'this choice is unknown; known: {", ".join(known)}')
+        if key in given:
+            raise SettingsError(key, 'this choice is given twice; give it once')
+        given[key] = known[key].from_text(text, need_units)
+    return replace(settings, **given)
+
+
+def offered() -> tuple[Choice, ...]:
+    """Return the choices on the page: of reading and smoothing, not the period."""
+    found = choices(Settings, Stage.READING, Stage.SMOOTHING)
+    return tuple(choice for choice in found if not choice.for_comparison)
+
+
+def filled_in(settings: Settings) -> dict[str, str]:
+    """Return the contents of the fields, in shop units."""
+    return {choice.name: choice.shop_text(getattr(settings, choice.name)) for choice in offered()}
+
+
+def settings_filled_in(settings: Settings, texts: Mapping[str, str]) -> Settings:
+    """Return settings with the fields of the form, in shop units; raises SettingsError."""
+    return replace(settings, **{c.name: c.from_shop(texts[c.name]) for c in offered()})

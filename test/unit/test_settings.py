@@ -17,10 +17,16 @@ from cnc_interp.commands.cli import parser
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.core.units import DEG
 from cnc_interp.nodes import parameters
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.choices import (
+    Settings,
+    filled_in,
+    offered,
+    settings_filled_in,
+    texts_of,
+    with_texts,
+)
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
 from cnc_interp.settings.declaration import Stage, choices
-from cnc_interp.settings.texts import filled_in, offered, settings_filled_in, texts_of, with_texts
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.settings_messages import (
     goal_of,
@@ -49,9 +55,7 @@ place.Settings = Settings
 from cnc_interp.commands.cli import parser
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import command_words, settings_from
-from cnc_interp.settings.texts import filled_in, offered, settings_filled_in
-from cnc_interp.settings.texts import filled_in, offered, settings_filled_in
-from cnc_interp.settings.texts import values_of
+from cnc_interp.settings.choices import filled_in, offered, settings_filled_in, values_of
 from cnc_interp.wire.settings_messages import (
     goal_of, loaded_program, pairs_of, settings_from as settings_told, settings_of_goal
 )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.ros_share import share_directory
+from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.machine_model.machine import error_text
 from cnc_interp.processes.node_processes import Children, load_nodes
@@ -253,11 +253,8 @@ def check_place(namespace: str, domain: int) -> None:
 
 
 def nodes_file() -> Path:
-    """Return the parameter file of the nodes: beside the package, or in the ROS share."""
-    source = Path(__file__).resolve().parents[2] / 'config' / 'nodes.yaml'
-    if source.is_file():
-        return source
-    installed = share_directory('cnc_interp') / 'config' / 'nodes.yaml'
-    if not installed.is_file():
-        raise InterpError(f'{installed} is missing; install cnc_interp again')
-    return installed
+    """Return the parameter file of the nodes."""
+    file = config_directory() / 'nodes.yaml'
+    if not file.is_file():
+        raise InterpError(f'{file} is missing; install cnc_interp again')
+    return file

@@ -55,13 +55,8 @@ def corner_pieces(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 def corner_end_derivatives(points: FloatArray) -> FloatArray:
     """Return three derivatives of corner splines at u = 0, (3, n, 3) [B2013, Eq. A.2]."""
     p0, p1, p2, p3 = (points[:, i] for i in range(4))
-    return np.stack(
-        [
-            6.0 * (p1 - p0),
-            24.0 * p0 - 36.0 * p1 + 12.0 * p2,
-            -48.0 * p0 + 84.0 * p1 - 48.0 * p2 + 12.0 * p3,
-        ]
-    )
+    first, second = 6.0 * (p1 - p0), 24.0 * p0 - 36.0 * p1 + 12.0 * p2
+    return np.stack([first, second, -48.0 * p0 + 84.0 * p1 - 48.0 * p2 + 12.0 * p3])
 
 
 @njit(cache=True, nogil=True, inline='always')

@@ -1,4 +1,4 @@
-"""Where ROS packages keep their data files."""
+"""Where ROS packages keep their files, and where this one has its machines and parameters."""
 
 from __future__ import annotations
 
@@ -16,3 +16,9 @@ def share_directory(package: str) -> Path:
 
     os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     return Path(get_package_share_directory(package))
+
+
+def config_directory() -> Path:
+    """Return the folder ``config``: beside the package, or in the ROS share."""
+    source = Path(__file__).resolve().parents[2] / 'config'
+    return source if source.is_dir() else share_directory('cnc_interp') / 'config'

@@ -144,17 +144,9 @@ class ToolLimit:
         q, q_s, q_ss = left[:3]
         across = self._across(q, q_s)
         sign = np.sign(q_s + right[1])
-        series = self.series
-        errors = np.stack(
-            [
-                series.by_acceleration * q_s,
-                series.by_acceleration * q_ss,
-                series.by_velocity * q_s,
-                -sign * series.away,
-            ]
-        )
-        rows: FloatArray = np.einsum('vnk,fnk->vfn', across, errors) / self.largest
-        return np.ascontiguousarray(rows)
+        by_a, by_v = self.series.by_acceleration, self.series.by_velocity
+        errors = np.stack([by_a * q_s, by_a * q_ss, by_v * q_s, -sign * self.series.away])
+        return np.ascontiguousarray(np.einsum('vnk,fnk->vfn', across, errors) / self.largest)
 
     def stretch_rows(
         self, left: FloatArray, right: FloatArray, kept: FloatArray | None
@@ -178,9 +170,8 @@ class ToolLimit:
         )
         lean = self.flank_height * (axis - turn[:, :, None] * ahead[:, None, :])
         normals = np.where(moves[:, None], _normals(along), _everywhere(len(q)))
-        return np.concatenate(
-            [np.einsum('vnc,nck->vnk', normals, tip), np.einsum('vnc,nck->vnk', _normals(o), lean)]
-        )
+        parts = (normals, tip), (_normals(o), lean)
+        return np.concatenate([np.einsum('vnc,nck->vnk', *part) for part in parts])
 
     def _jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return dp/dq and do/dq, shape (n, 3, n_axes), and the tool axis, shape (n, 3)."""
@@ -207,12 +198,8 @@ class ToolLimit:
         time = self._times(law)
         moving = motion.push(*_sampled(stretch.path, law, time))
         resting = motion.settle(stretch.path.cell_right[0, -1])
-        errors = np.stack(
-            [
-                np.concatenate([moving.tip, resting.tip]),
-                np.concatenate([moving.axis, resting.axis]) * self.flank_height,
-            ]
-        )
+        axis = np.concatenate([moving.axis, resting.axis]) * self.flank_height
+        errors = np.stack([np.concatenate([moving.tip, resting.tip]), axis])
         starts = np.append(law.time, law.end_time)[stretch.nodes[:-1]]
         # An axis is where it was told to be so much earlier.
         lag = self.series.lag + self.period * motion.late

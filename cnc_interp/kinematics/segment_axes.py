@@ -56,16 +56,9 @@ def beside_of(segments: PathSegments) -> FloatArray:
 
 def shapes_of(segments: PathSegments) -> FloatArray:
     """Stack the geometry of segments for the kernels, shape (n, 20 or 22, 3)."""
-    return np.concatenate(
-        [
-            segments.bottom,
-            segments.top,
-            segments.axis[:, None],
-            segments.rotation[:, None],
-            segments.connection,
-        ],
-        axis=1,
-    )
+    axis, rotation = segments.axis[:, None], segments.rotation[:, None]
+    parts = (segments.bottom, segments.top, axis, rotation, segments.connection)
+    return np.concatenate(parts, axis=1)
 
 
 @njit(cache=True, nogil=True)

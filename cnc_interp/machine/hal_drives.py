@@ -228,21 +228,20 @@ class HalDrives:
 
     def _await_answer(self) -> None:
         """Step until HAL has answered; the clock of the machine does not run yet."""
-        words = self._block.words
-
-        def answered() -> bool:
-            self._step_once()
-            return bool(words[hal_step.COUNTED])
-
-        self._wait(answered)
-        if not words[hal_step.COUNTED]:
+        self._step_until(hal_step.COUNTED, 1)
+        if not self._block.words[hal_step.COUNTED]:
             raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
 
-    def _step_once(self) -> None:
-        """Let one period pass in place of the clock, which does not run."""
-        n = len(self._names)
+    def _step_until(self, word: int, value: int) -> None:
+        """Let periods pass in place of the clock, which does not run, until a word has a value."""
+        n, memory = len(self._names), self.memory.ctypes.data
         setpoint, feedback = np.zeros((2, n)), np.zeros((4, n))
-        self._step_alone(self.memory.ctypes.data, setpoint.ctypes.data, feedback.ctypes.data, n)
+
+        def reached() -> bool:
+            self._step_alone(memory, setpoint.ctypes.data, feedback.ctypes.data, n)
+            return bool(self._block.words[word] == value)
+
+        self._wait(reached)
 
     @property
     def position(self) -> FloatArray:
@@ -273,13 +272,7 @@ class HalDrives:
     def close(self) -> None:
         """Take the power away and leave the session."""
         self.switch_off()
-        words = self._block.words
-
-        def off() -> bool:
-            self._step_once()
-            return bool(words[hal_step.POWER_BEFORE] == hal_step.OFF)
-
-        self._wait(off)
+        self._step_until(hal_step.POWER_BEFORE, hal_step.OFF)
         self._leave()
 
     def _leave(self) -> None:

@@ -16,7 +16,7 @@ import yaml
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.limit_table import ACCELERATION, PLACE, place_table
-from cnc_interp.core.ros_share import share_directory
+from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad, axis_drives, drive_loads
@@ -213,11 +213,7 @@ class Machine:
 
 
 def machines_directory() -> Path:
-    """Return the folder of the bundled machines: beside the package, or in the ROS share."""
-    source = Path(__file__).resolve().parents[2] / 'config' / 'machines'
-    if source.is_dir():
-        return source
-    return share_directory('cnc_interp') / 'config' / 'machines'
+    return config_directory() / 'machines'
 
 
 def find_machine_file(path_or_name: str | Path) -> Path:

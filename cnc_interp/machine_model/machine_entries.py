@@ -111,25 +111,19 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
         raise MachineError('primary and secondary must not be parallel', 'rotary.secondary.about')
     if abs(directions[1 if all(on_head) else int(on_head[1])][2]) > 0.999:
         raise MachineError('the axis next to the tool must tilt it away from +Z', 'rotary')
+    offsets = [
+        vector(rotary, f'{key}_offset_mm', all(on_head) or (key == 'secondary' and locked))
+        for key in ('workpiece', 'secondary', 'primary')
+    ]
+    arms = [
+        vector(rotary, f'{key}_mm', locked or not any(on_head))
+        for key in ('tip_to_secondary_pivot', 'secondary_to_primary_pivot')
+    ]
     return {
         'rotary_direction': np.array(directions),
         'rotary_on_head': (on_head[0], on_head[1]),
-        'offsets': np.array(
-            [
-                vector(
-                    rotary,
-                    f'{key}_offset_mm',
-                    optional=all(on_head) or (key == 'secondary' and locked),
-                )
-                for key in ('workpiece', 'secondary', 'primary')
-            ]
-        ),
-        'tool_offset': np.array(
-            [
-                vector(rotary, f'{key}_mm', optional=locked or not any(on_head))
-                for key in ('tip_to_secondary_pivot', 'secondary_to_primary_pivot')
-            ]
-        ),
+        'offsets': np.array(offsets),
+        'tool_offset': np.array(arms),
         'singular_cone': cone,
     }
 

@@ -28,8 +28,7 @@ from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-BATCH = 256
-"""Blocks smoothed together."""
+BATCH = 256  #: Blocks smoothed together.
 
 
 class SmoothingRun:

@@ -28,16 +28,8 @@ POLE_TOLERANCES = 4.0
 def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
     """Check that the motion passes every vertex, begins and ends on the program, and stops."""
     blocks, height, machine = plan.blocks, plan.flank_height, program.machine
-    vertex_top, transform = blocks['tip'] + height * blocks['axis'], program.transform
+    vertex_top, tips, tops = blocks['tip'] + height * blocks['axis'], program.tips, program.tops
     rows, count = np.arange(len(blocks['tip'])), len(plan.position)
-
-    def tips(position: FloatArray) -> FloatArray:
-        return transform.forward(position)[0]
-
-    def tops(position: FloatArray) -> FloatArray:
-        tip, axis = transform.forward(position)
-        return tip + height * axis
-
     contour, orientation = program.contour, program.orientation
     search = VertexSearch(plan)
     nearest, _ = search.nearest(tips, blocks['tip'], contour)

@@ -17,11 +17,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.proof.programmed_axes import ProgrammedAxes
-from cnc_interp.proof.programmed_path import ProgrammedPath, peaks
+from cnc_interp.proof.program_shapes import ProgramShapes
+from cnc_interp.proof.programmed_path import peaks
 from cnc_interp.proof.stored_columns import Stored, held, spans
 
 # Between vertices a distance of so many tolerances is in order.
@@ -114,30 +111,21 @@ class Order:
     high: Stored
 
 
-def order_of(
-    plan: PlanFiles, machine: Machine, program: ProgrammedPath, lines: ProgrammedAxes | None,
-    tolerances: tuple[FloatArray, FloatArray],
-) -> Order:  # fmt: skip
+def order_of(program: ProgramShapes, tolerances: tuple[FloatArray, FloatArray]) -> Order:
     """Follow a program with the motion of its plan."""
+    plan, machine = program.plan, program.machine
     count, rows = len(plan.position), len(plan.blocks['tip'])
-    shapes, transform = _Shapes(plan, machine, program, lines), Transform.of(machine)
-
-    def tips(position: FloatArray) -> FloatArray:
-        return transform.forward(position)[0]
-
-    def tops(position: FloatArray) -> FloatArray:
-        tip, axis = transform.forward(position)
-        return tip + plan.flank_height * axis
+    shapes = _Shapes(program)
 
     def joint(position: FloatArray) -> FloatArray:
         rotary = position[:, 3 : 5 if machine.has_rotary else 3]
         extra = position[:, len(machine.axis_names) - len(machine.extra_names) :]
-        return np.hstack([tips(position), rotary, extra])
+        return np.hstack([program.tips(position), rotary, extra])
 
     courses = [
-        ('tool tip', tips, shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])),
+        ('tool tip', program.tips, shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])),
         (
-            'point at flank height', tops,
+            'point at flank height', program.tops,
             shapes.pieces(shapes.top, 'orientation_tolerance', tolerances[1]),
         ),
     ]  # fmt: skip
@@ -170,13 +158,11 @@ def order_of(
 class _Shapes:
     """The rows of a program cut into pieces: tip, top and rotary axes at the end of each."""
 
-    def __init__(
-        self, plan: PlanFiles, machine: Machine, program: ProgrammedPath,
-        lines: ProgrammedAxes | None,
-    ):  # fmt: skip
+    def __init__(self, shapes: ProgramShapes):
+        plan, machine, program, lines = shapes.plan, shapes.machine, shapes.path, shapes.lines
         blocks, height = plan.blocks, plan.flank_height
         self.blocks, rows, self.has_rotary = blocks, len(blocks['tip']), machine.has_rotary
-        self.height, transform = height, Transform.of(machine)
+        self.height, transform = height, shapes.transform
         tolerance = np.minimum(blocks['contour_tolerance'], blocks['orientation_tolerance'])
         room = 8.0 * CHORD_SHARE * np.maximum(tolerance, 1e-9)
         linear = np.zeros(rows, dtype=np.bool_) if lines is None else lines.linear

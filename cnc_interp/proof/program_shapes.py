@@ -49,6 +49,14 @@ class ProgramShapes:
             *vertex_tolerances(plan),
         )  # fmt: skip
 
+    def tips(self, position: FloatArray) -> FloatArray:
+        return self.transform.forward(position)[0]
+
+    def tops(self, position: FloatArray) -> FloatArray:
+        """Return the points at flank height of axis positions, shape (K, 3) [m]."""
+        tip, axis = self.transform.forward(position)
+        return tip + self.plan.flank_height * axis
+
     def tolerances(self, deviation: Deviation) -> tuple[FloatArray, FloatArray]:
         """Return contour and orientation tolerance at the vertex nearest to each pose [m]."""
         before = np.maximum(deviation.row - 1, 0)

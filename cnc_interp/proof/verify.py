@@ -15,6 +15,7 @@ computes the forward kinematics, and simulates the drives where the error at the
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +108,7 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             lowest, highest = machine.travel[j]
             outside = np.maximum(lowest - position[3:-3, j], position[3:-3, j] - highest)
             at = int(np.argmax(outside))
-            outermost[name] = max(outermost[name], (float(outside[at]), a + at), key=_size)
+            outermost[name] = max(outermost[name], (float(outside[at]), a + at), key=itemgetter(0))
     for j, name in enumerate(names):
         (lowest, highest), (beyond, reached) = machine.travel[j], outermost[name]
         axis = machine.axes[j]
@@ -118,10 +119,6 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             f'by {beyond * scale:.3g} {unit} in line {plan.blocks["line"][plan.block[reached]]} '
             f'(sample {reached}, {reached * plan.period:.3f} s)',
         )
-
-
-def _size(place: tuple[float, int]) -> float:
-    return place[0]
 
 
 def _first(numbers: IntArray) -> int:
@@ -135,7 +132,7 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     for a, b in spans(len(time)):
         uneven = np.abs(time[a:b] - time[0] - plan.period * np.arange(a, b))
         at = int(np.argmax(uneven))
-        worst, late = max((worst, late), (float(uneven[at]), a + at), key=_size)
+        worst, late = max((worst, late), (float(uneven[at]), a + at), key=itemgetter(0))
         if not back:
             back = [a + int(k) for k in np.flatnonzero(np.diff(block[a : b + 1]) < 0)[:1]]
     ledger.require(
@@ -213,7 +210,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     """Demand the order of the program; return the plan with the nearest possible row numbers."""
     contour, orientation = program.contour + SLACK, program.orientation + SLACK
     machine, path = program.machine, program.path
-    order = order_of(plan, machine, path, program.lines, (contour, orientation))
+    order = order_of(program, (contour, orientation))
     line, time, blocks = plan.blocks['line'], plan.setpoints['time'], plan.blocks
     for what, sample, reached in order.left:
         ledger.require(

@@ -30,7 +30,6 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.native import pointer
-from cnc_interp.drives import drive_model as kernels
 from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
@@ -54,7 +53,7 @@ def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArra
 
 def room_of_delay(delay: float, period: float) -> int:
     """Return the number of words of an axis for a dead time up to ``delay`` [s]."""
-    return kernels.RING + 2 * (int(delay / period) + 3)
+    return RING + 2 * (int(delay / period) + 3)
 
 
 def lag_of(machine: Machine) -> float:
@@ -69,9 +68,9 @@ def memory_of(period: float, lag: float) -> int:
 
 
 def place(words: FloatArray, position: float) -> None:
-    words[kernels.MOTOR :] = 0.0
-    words[[kernels.MOTOR, kernels.PLAY, kernels.TABLE]] = position
-    words[kernels.RING :: 2] = position
+    words[MOTOR:] = 0.0
+    words[[MOTOR, PLAY, TABLE]] = position
+    words[RING::2] = position
 
 
 def axis_words(words: FloatArray, drive: AxisDrive, load: DriveLoad | None, period: float) -> None:
@@ -85,27 +84,25 @@ def axis_words(words: FloatArray, drive: AxisDrive, load: DriveLoad | None, peri
     steps = 0 if plain and load is None else math.ceil(period / STEP - 1e-9)
     span = period / max(steps, 1)
     loop = discretise(drive, viscous, span)
-    words[kernels.SUBSTEPS] = steps
-    words[kernels.LOOP : kernels.LOOP + 12] = np.ravel(loop)
+    words[SUBSTEPS] = steps
+    words[LOOP : LOOP + 12] = np.ravel(loop)
     # A force acts as a setpoint that is further by tau / kv times it.
-    words[kernels.FORCE : kernels.FORCE + 2] = (
-        loop[1][:, 0] * drive.time_constant / drive.position_gain
-    )
+    words[FORCE : FORCE + 2] = loop[1][:, 0] * drive.time_constant / drive.position_gain
     # At the largest torque: v' = T - B v.
     decay = math.exp(-viscous * span)
     way = -math.expm1(-viscous * span) / viscous if viscous else span
-    words[kernels.COAST], words[kernels.COAST + 1] = way, decay
+    words[COAST], words[COAST + 1] = way, decay
     fallen = (span - way) / viscous if viscous * span > 1e-4 else 0.5 * span**2
-    words[kernels.COAST_FORCE], words[kernels.COAST_FORCE + 1] = fallen, way
-    words[kernels.GAIN] = drive.position_gain
-    words[kernels.FEED_FORWARD], words[kernels.LAG] = drive.feed_forward, drive.time_constant
-    words[kernels.TORQUE], words[kernels.COULOMB], words[kernels.EXCESS] = torque, coulomb, excess
-    words[kernels.STRIBECK] = drive.stribeck_velocity
-    words[kernels.HALF_PLAY] = 0.5 * drive.backlash
-    words[kernels.HAS_MODE] = float(drive.mode_frequency > 0.0)
-    words[kernels.MODE : kernels.MODE + 4] = np.ravel(_mode(drive, span))
-    words[kernels.RESOLUTION] = drive.resolution
-    words[kernels.DELAY], words[kernels.RATE] = drive.delay / period, 1.0 / span
+    words[COAST_FORCE], words[COAST_FORCE + 1] = fallen, way
+    words[GAIN] = drive.position_gain
+    words[FEED_FORWARD], words[LAG] = drive.feed_forward, drive.time_constant
+    words[TORQUE], words[COULOMB], words[EXCESS] = torque, coulomb, excess
+    words[STRIBECK] = drive.stribeck_velocity
+    words[HALF_PLAY] = 0.5 * drive.backlash
+    words[HAS_MODE] = float(drive.mode_frequency > 0.0)
+    words[MODE : MODE + 4] = np.ravel(_mode(drive, span))
+    words[RESOLUTION] = drive.resolution
+    words[DELAY], words[RATE] = drive.delay / period, 1.0 / span
 
 
 def discretise(

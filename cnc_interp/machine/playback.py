@@ -36,23 +36,15 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-#: Why the machine rests after the last setpoint of a chunk.
-WAIT_REASONS = {
-    Wait.OVERRIDE: Reason.OVERRIDE,
-    Wait.PROGRAM_STOP: Reason.PROGRAM_STOP,
-    Wait.OPTIONAL_STOP: Reason.OPTIONAL_STOP,
-    Wait.SINGLE_BLOCK: Reason.SINGLE_BLOCK,
-    Wait.APPROACH: Reason.APPROACH,
-}
-#: The event that occurs when the machine rests after a chunk.
-REST_EVENTS = {
-    Wait.NOTHING: Event.FILL,
-    Wait.OVERRIDE: Event.PAUSE,
-    Wait.PROGRAM_STOP: Event.WAIT,
-    Wait.OPTIONAL_STOP: Event.WAIT,
-    Wait.SINGLE_BLOCK: Event.WAIT,
-    Wait.APPROACH: Event.WAIT,
-    Wait.END: Event.FINISH,
+#: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.
+RESTS = {
+    Wait.NOTHING: (Event.FILL, Reason.NONE),
+    Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
+    Wait.PROGRAM_STOP: (Event.WAIT, Reason.PROGRAM_STOP),
+    Wait.OPTIONAL_STOP: (Event.WAIT, Reason.OPTIONAL_STOP),
+    Wait.SINGLE_BLOCK: (Event.WAIT, Reason.SINGLE_BLOCK),
+    Wait.APPROACH: (Event.WAIT, Reason.APPROACH),
+    Wait.END: (Event.FINISH, Reason.NONE),
 }
 ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
 #: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.
@@ -449,8 +441,7 @@ class Playback:
         wait, self._current = current.chunk.wait, None
         if wait is Wait.SINGLE_BLOCK and not self.single_block:
             wait = Wait.NOTHING  # single block was switched off after this rest was planned
-        reason = WAIT_REASONS.get(wait, Reason.NONE)
-        self.state = self.state.after(REST_EVENTS[wait], reason)
+        self.state = self.state.after(*RESTS[wait])
 
     def _fail(self, records: Records) -> None:
         """Go to FAULT: the cycle has refused a setpoint, or the drives have."""

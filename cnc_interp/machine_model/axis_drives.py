@@ -10,7 +10,12 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import ARCSEC, DEG, MM, UM
-from cnc_interp.machine_model.machine_entries import entries_by_axis, number, numbers
+from cnc_interp.machine_model.machine_entries import (
+    entries_by_axis,
+    number,
+    numbers,
+    require_known,
+)
 
 #: Keys of a drive: inertia, largest torque, Coulomb and viscous friction, all in SI.
 LINEAR_KEYS = ('mass_kg', 'force_N', 'coulomb_N', 'viscous_N_s_per_m')
@@ -143,9 +148,7 @@ def _drive(values: Any, where: str, linear: bool, load: DriveLoad | None) -> Axi
     needed = [key for key, _ in keys[:NEEDED]]
     if not isinstance(values, dict) or not set(needed) <= set(values):
         raise MachineError(f'give {", ".join(needed)}', where)
-    for key in values:
-        if key not in dict(keys):
-            raise MachineError(f'unknown; known: {", ".join(dict(keys))}', f'{where}.{key}')
+    require_known(values, dict(keys), where)
     found = {}
     for entry, (key, unit) in zip(ENTRIES, keys, strict=True):
         if key not in values:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -179,9 +179,7 @@ def axis_limits(
     if not isinstance(values, dict):
         raise MachineError('missing; give velocity, acceleration, jerk', f'limits.{name}')
     units = LINEAR_KEYS if linear else ROTARY_KEYS
-    for key in values:
-        if key not in units:
-            raise MachineError(f'unknown; known: {", ".join(units)}', f'limits.{name}.{key}')
+    require_known(values, units, f'limits.{name}')
     *limit_keys, travel_key = units
     found = []
     for key, (low, high) in zip(limit_keys, PLAUSIBLE[linear], strict=True):
@@ -229,10 +227,7 @@ def _places(
     place_key = travel_key.replace('travel', 'at')
     if not isinstance(values, dict) or not isinstance(values.get(place_key), list):
         raise MachineError(f'give {place_key}: the positions, and limits there', where)
-    for key in values:
-        if key not in (place_key, *limit_keys):
-            known = ', '.join((place_key, *limit_keys))
-            raise MachineError(f'unknown; known: {known}', f'{where}.{key}')
+    require_known(values, (place_key, *limit_keys), where)
     count = len(values[place_key])
     place = np.array(numbers(values[place_key], count, f'{where}.{place_key}')) * units[travel_key]
     if count < 2 or not (np.diff(place) > 0.0).all():
@@ -256,6 +251,12 @@ def _places(
                 raise MachineError(f'{value:g} is above {most:g}, the one under limits', at)
             table[row, column] = number(value, at, least / unit, np.inf) * unit
     return table
+
+
+def require_known(values: dict[str, Any], known: Collection[str], where: str) -> None:
+    for key in values:
+        if key not in known:
+            raise MachineError(f'unknown; known: {", ".join(known)}', f'{where}.{key}')
 
 
 def number(value: Any, key: str, low: float, high: float) -> float:

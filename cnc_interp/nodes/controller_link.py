@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from array import array
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -15,9 +14,9 @@ from rclpy.experimental import EventsExecutor
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine.trajectory_drives import JointReport, Trajectory
 from cnc_interp.nodes.qos import FEEDBACK, TRAJECTORY
+from cnc_interp.wire.path_messages import packed
 
 SECOND = 10**9
 
@@ -29,9 +28,9 @@ def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTraj
     rows = trajectory.rows
     message.points = [
         JointTrajectoryPoint(
-            positions=_packed(rows.position[k]),
-            velocities=_packed(rows.velocity[k]),
-            accelerations=_packed(rows.acceleration[k]),
+            positions=packed(rows.position[k]),
+            velocities=packed(rows.velocity[k]),
+            accelerations=packed(rows.acceleration[k]),
             time_from_start=Duration(**_parts(int(trajectory.times[k]))),
         )
         for k in range(len(rows))
@@ -57,10 +56,6 @@ def joint_report(message: JointState, joints: Sequence[str]) -> JointReport | No
 
 def _parts(nanoseconds: int) -> dict[str, Any]:
     return {'sec': nanoseconds // SECOND, 'nanosec': nanoseconds % SECOND}
-
-
-def _packed(row: FloatArray) -> array[float]:
-    return array('d', row.tobytes())
 
 
 SPIN_TIMEOUT = 0.1  #: The thread looks after such times whether it shall end [s].

@@ -131,29 +131,22 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 RANGES = {'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0)}
 
 
-class Override:
-    """Receives an override of the operator."""
-
-    def __init__(self, node: Any, diagnostics: Diagnostics, topic: str):
-        self.value = 1.0
-        self._diagnostics, self._topic = diagnostics, topic
-        node.create_subscription(Float64, topic, self._take, OVERRIDE)
-
-    def _take(self, message: Float64) -> None:
-        value, (least, most) = float(message.data), RANGES[self._topic]
-        sound = least <= value <= most
-        if sound:
-            self.value = value
-        wrong = f'{value:g} refused: it must lie between {least:g} and {most:g}'
-        self._diagnostics.say(self._topic, OK if sound else WARN, f'{value:g}' if sound else wrong)
-
-
 class Overrides:
     """Both overrides. Only the machine node listens: a second listener might be found first."""
 
     def __init__(self, node: Any, diagnostics: Diagnostics):
-        self.feed = Override(node, diagnostics, 'feed_override')
-        self.rapid = Override(node, diagnostics, 'rapid_override')
+        self.feed = self.rapid = 1.0
+        self._diagnostics = diagnostics
+        for topic in RANGES:
+            node.create_subscription(Float64, topic, partial(self._take, topic), OVERRIDE)
+
+    def _take(self, topic: str, message: Float64) -> None:
+        value, (least, most) = float(message.data), RANGES[topic]
+        sound = least <= value <= most
+        if sound:
+            setattr(self, topic.removesuffix('_override'), value)
+        wrong = f'{value:g} refused: it must lie between {least:g} and {most:g}'
+        self._diagnostics.say(topic, OK if sound else WARN, f'{value:g}' if sound else wrong)
 
 
 class OperatorInputs:

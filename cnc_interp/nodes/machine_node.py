@@ -169,8 +169,8 @@ class MachineNode(LifecycleNode):
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
         homed = tuple(self._controls.homing.homed)
-        override = self._overrides.feed.value
-        told = state, run_id, override, self._overrides.rapid.value, playback.single_block, homed
+        override = self._overrides.feed
+        told = state, run_id, override, self._overrides.rapid, playback.single_block, homed
         if told != self._published:
             self._published = told
             level = LEVELS.get(state.state, OK)

@@ -71,8 +71,8 @@ class MachineTopics:
         self._playback.read()
         message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
-        message.feed_override = self._overrides.feed.value
-        message.rapid_override = self._overrides.rapid.value
+        message.feed_override = self._overrides.feed
+        message.rapid_override = self._overrides.rapid
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
         if self._homing.active and message.state == MachineState.IDLE:
             message.state = MachineState.JOGGING  # between two groups all axes rest

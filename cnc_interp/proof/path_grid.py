@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof import stored_columns
 from cnc_interp.proof.axis_limits import limits_at
@@ -31,8 +30,9 @@ TURNS = 1e6
 ROUNDING = 1.001
 
 
-def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
+def prove_grid(ledger: Ledger) -> None:
     """Check the grid of the planner: poses, continuity, setpoints, feeds, limits and stops."""
+    plan, machine = ledger.plan, ledger.machine
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
     points, transform = len(s), Transform.of(machine)
     rising = bool((np.diff(s) > 0.0).all())
@@ -60,9 +60,9 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             room = SAME * largest[order] + rounding + ROUNDED / shorter**order
             share = np.where(inner, (jump / room).max(axis=1, initial=0.0), 0.0)
             jumps[order] += int(np.count_nonzero(~(share <= 1.0)))
-        _prove_cells(ledger, plan, machine, rows, (a, b))
-        _prove_feeds(ledger, plan, machine, rows, (a, b))
-        _prove_programmed_feed(ledger, plan, rows, (a, b), written)
+        _prove_cells(ledger, rows, (a, b))
+        _prove_feeds(ledger, rows, (a, b))
+        _prove_programmed_feed(ledger, rows, (a, b), written)
     ledger.require(rising, 'path.npz: s must increase at every grid point')
     for order, count in jumps.items():
         ledger.require(
@@ -70,14 +70,12 @@ def prove_grid(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             f'path.npz: derivatives of order {order} jump at {count} grid points without a stop',
         )
     if rising:
-        _prove_setpoints(ledger, plan, s, rows)
+        _prove_setpoints(ledger, s, rows)
 
 
-def _prove_cells(
-    ledger: Ledger, plan: PlanFiles, machine: Machine, rows: IntArray, part: tuple[int, int]
-) -> None:
+def _prove_cells(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
     """Check cells against the axes and the velocities at both ends, at some grid points."""
-    (a, b), path, cells = part, plan.path, len(rows) - 1
+    (a, b), path, machine, cells = part, ledger.plan.path, ledger.machine, len(rows) - 1
     last = min(b, cells)
     left, right = path['cell_left'][:, a:last], path['cell_right'][:, a:last]
     ends = np.concatenate([left[0], path['cell_right'][:1, cells - 1 : cells][0]])[: b - a]
@@ -92,16 +90,14 @@ def _prove_cells(
             )
 
 
-def _prove_feeds(
-    ledger: Ledger, plan: PlanFiles, machine: Machine, rows: IntArray, part: tuple[int, int]
-) -> None:
+def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
     """Check the planned feed against the programmed one, and the feed limit against Eq. 10."""
-    (a, b), path, cells = part, plan.path, len(rows) - 1
+    (a, b), path, machine, cells = part, ledger.plan.path, ledger.machine, len(rows) - 1
     feed, near = path['feed'][a:b], held(path['programmed_feed'], a, b, 1, 1)
     around = np.maximum(near[1:-1], np.maximum(near[2:], near[:-2]))
     ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows[a:b])
     # [B2013, Eq. 10], on both sides of a grid point.
-    bound = near[1:-1] / float(plan.summary.get('largest_override', 1.0))
+    bound = near[1:-1] / float(ledger.plan.summary.get('largest_override', 1.0))
     first, last = max(a, 1), min(b, cells)
     for cell, side in (
         (path['cell_left'][:, a:last], slice(0, last - a)),
@@ -140,14 +136,13 @@ def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArra
 
 
 def _prove_programmed_feed(
-    ledger: Ledger, plan: PlanFiles, rows: IntArray, part: tuple[int, int],
-    written: tuple[IntArray, FloatArray],
-) -> None:  # fmt: skip
+    ledger: Ledger, rows: IntArray, part: tuple[int, int], written: tuple[IntArray, FloatArray]
+) -> None:
     """Demand that the path has no higher programmed feed than its blocks, at some grid points.
 
     Where the path length counts more than the way of the tip, the speed is higher by as much.
     """
-    (a, b), path, (named, feed) = part, plan.path, written
+    (a, b), path, (named, feed) = part, ledger.plan.path, written
     way = np.linalg.norm(np.diff(held(path['tip'], a, b, 1, 1), axis=0), axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
         longer = np.fmax(np.diff(held(path['s'], a, b, 1, 1)) / way, 1.0)
@@ -159,9 +154,9 @@ def _prove_programmed_feed(
     )  # fmt: skip
 
 
-def _prove_setpoints(ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray) -> None:
+def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
     """Check that the setpoints lie on the path where they say, with its rows, feed and stops."""
-    path, count = plan.path, len(plan.position)
+    plan, path, count = ledger.plan, ledger.plan.path, len(ledger.plan.position)
     others, other = 0, -1
     for a, b in spans(count):
         s = held(plan.setpoints['s'], a, b, 0, 1)  # with the one after them
@@ -187,7 +182,7 @@ def _prove_setpoints(ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: In
         wrong = np.flatnonzero(~np.any([rows[k] == plan.block[a:b] for k in near], axis=0))
         if len(wrong):
             others, other = others + len(wrong), a + int(wrong[0]) if other < 0 else other
-        _prove_speeds(ledger, plan, grid, rows, (a, b))
+        _prove_speeds(ledger, grid, rows, (a, b))
     ledger.require(
         not others,
         f'block of setpoints.npz and of path.npz differ at {others} samples, the first is {other}',
@@ -211,10 +206,9 @@ def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
         first = last
 
 
-def _prove_speeds(
-    ledger: Ledger, plan: PlanFiles, grid: FloatArray, rows: IntArray, part: tuple[int, int]
-) -> None:
-    (a, b), s, path = part, plan.setpoints['s'], plan.path
+def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[int, int]) -> None:
+    (a, b), plan = part, ledger.plan
+    s, path = plan.setpoints['s'], plan.path
     last = b == len(s)
     # A grid point belongs to the period in which it is passed.
     low = 0 if a == 0 else int(np.searchsorted(grid, s[a]))

@@ -73,7 +73,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_order(ledger, plan)
     _prove_summary(ledger, plan)
     if plan.path:
-        prove_grid(ledger, plan, machine)
+        prove_grid(ledger)
     ledger.plan = plan = with_chords(plan, machine)
     program = ProgramShapes.of(plan, machine)
     plan = _prove_sequence(ledger, plan, program)

@@ -249,8 +249,7 @@ def axis_joint(
 
 
 HEADER = '<?xml version="1.0"?>\n'
-#: Largest force of a joint, which URDF requires and machine files lack [N, N m].
-UNKNOWN_EFFORT = 0.0
+UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: needed by URDF, unknown [N, N m].
 
 
 def urdf_of(machine: Machine) -> str:

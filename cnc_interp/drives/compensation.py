@@ -32,8 +32,7 @@ from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
-#: Setpoints to each side of the one that is sent: time [s], and their least number.
-BESIDE, FEWEST = 8e-3, 5
+BESIDE, FEWEST = 8e-3, 5  #: Setpoints to each side: time [s], least number.
 DEGREE = 5  #: Degree of the polynomials.
 #: Half of the time over which the motor crosses the backlash [s]: least, where the largest torque
 #: is not known, and the share of that torque that the crossing may take.
@@ -41,8 +40,7 @@ QUICKEST, CROSSING, CROSSING_TORQUE = 2e-3, 4e-3, 0.6
 #: Half of the time over which friction changes its sign [s]; least number of periods of both.
 TURNING, SMOOTH_PERIODS = 2e-3, 1.5
 LEAST = 0.2  #: Least share of feed-forward that a drive must take.
-#: A step, and a velocity of the motor, below these are rest [m or rad, per s].
-STILL, SLOW = 1e-12, 1e-7
+STILL, SLOW = 1e-12, 1e-7  #: Step and velocity below these are rest.
 
 FADE = 15e-3  #: Time in which the learnt part fades [s].
 #: Whole numbers before the rows of the axes: inner step, its memory, words of an axis, setpoints

@@ -39,8 +39,7 @@ class ErrorSeries:
     by_velocity: FloatArray
     by_acceleration: FloatArray
     away: FloatArray  #: (n_axes,): Error that stays in steady motion, against it [m or rad].
-    #: The common lag; for compensated drives what they are later than ``Compensation.lead`` [s].
-    lag: float
+    lag: float  #: The common lag; if compensated, beyond ``Compensation.lead`` [s].
 
 
 def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:

@@ -38,10 +38,8 @@ FORGOTTEN = 2  #: Reversals after which what happened before the recording is fo
 MODES = (22.0, 32.0, 45.0, 65.0)  #: Frequencies at which the search for the mode begins [Hz].
 SEARCH, LAST = 6, 60  #: Steps of a first search and of the last one.
 GAIN = 1e-4  #: A search that lowers the squares by less than this is the last one.
-#: Share of feedback positions that are whole steps of a measuring system's resolution.
-WHOLE = 0.98
-#: Errors further apart in time are not correlated, unless the axis stands at the same place [s].
-CORRELATED = 0.1
+WHOLE = 0.98  #: Share of positions that are whole steps of a measuring system.
+CORRELATED = 0.1  #: Errors further apart are not correlated, unless at one place [s].
 SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
 
@@ -82,9 +80,7 @@ class IdentifiedAxis:
     axis: int  #: The axis.
     drive: AxisDrive  #: Its model.
     load: DriveLoad | None  #: Inertia and friction.
-    #: Half of the 95 % confidence interval of each fitted number, named by field of ``drive``, or
-    #: ``coulomb`` [SI].
-    half_width: Mapping[str, float]
+    half_width: Mapping[str, float]  #: Half of the 95 % intervals, by field [SI].
     rows: FloatArray  #: (K,): Rows of the recording that were fitted.
     #: (K,): Positions [m or rad].
     setpoint: FloatArray

@@ -110,8 +110,7 @@ def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:
     return np.asarray(sosfiltfilt(sections, values, padtype='constant', padlen=beside))
 
 
-#: Arrays of the file.
-ARRAYS = ('setpoint', 'rate', 'period', 'error', 'axes', 'machine', 'model')
+ARRAYS = ('setpoint', 'rate', 'period', 'error', 'axes', 'machine', 'model')  #: In the file.
 SAME_PERIOD = 1e-12  #: A period that differs by less is the same [s].
 
 
@@ -121,12 +120,9 @@ class LearntMotion:
 
     #: (K, n_axes): Setpoints from the first motion on; the last one is held for a while [m, rad].
     setpoint: FloatArray
-    #: (K, n_axes): What is added to the velocity feed-forward; 0 in the first and last row [m,
-    #: rad, per s].
-    rate: FloatArray
+    rate: FloatArray  #: (K, n_axes): Added feed-forward; 0 in first and last row [m, rad, per s].
     period: float  #: Interpolation period [s].
-    #: (R, 2): Largest and mean error of the tip in each run that was learnt [m].
-    error: FloatArray
+    error: FloatArray  #: (R, 2): Largest and mean error of the tip in each learnt run [m].
     axes: str  #: Names of the axes, with spaces between.
     #: Hashes of the files of the machine and of the model that compensates it.
     machine: str

@@ -42,8 +42,7 @@ class ToolMotion:
             self._compensation, self._known = compensation.words, compensation.known
             self.lag = compensation.lead
         self._memory = memory_of(period, self.lag)
-        #: Rows by which errors come later than their setpoints.
-        self.late = math.ceil(AHEAD / period)
+        self.late = math.ceil(AHEAD / period)  #: Rows by which errors come later.
         self._period, self._last = period, position
         tip, axis = self._transform.forward(position[None, :])
         known = self._memory + self.late

@@ -41,8 +41,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
-#: Stopping distances that must lie between a committed state and the end of its plan [-].
-HORIZON = 3.0
+HORIZON = 3.0  #: Stopping distances between a committed state and the end of its plan [-].
 #: Cells shorter than this time [s] are grouped, so they count in part; the smallest part [-].
 SHORT, LEAST = 2e-4, 1 / 8
 #: Time added to every stop in a horizon [s]. Without it, slow windows would be ramps only.
@@ -53,10 +52,8 @@ PART = 512
 CONVERGED, DIVIDED, NOT_CONVERGED, OLDER = 'converged', 'divided', 'not converged', 'older plan'
 #: How the law of a committed piece was found. A divided window has one rest more.
 SOLVED_BY = (CONVERGED, DIVIDED, NOT_CONVERGED, OLDER)
-#: Largest number of places at which a window is divided until its first part converges.
-MOST_RESTS = 8
-#: Part of the horizon in which the next window keeps the cells of the older plan [-].
-KEPT_PART = 0.5
+MOST_RESTS = 8  #: Most places at which a window is divided until its first part converges.
+KEPT_PART = 0.5  #: Part of the horizon in which the next window keeps the older plan's cells.
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -159,8 +156,7 @@ class PlannedPiece:
     """One committed part of the motion."""
 
     path: AxisPath  #: The path on the grid of the planner.
-    #: The motion law along it, one piece per path cell; its clock continues between parts.
-    law: MotionLaw
+    law: MotionLaw  #: The law along it, one piece per path cell; its clock continues.
     #: No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
     least_time: float = 0.0
     solved: str = CONVERGED  #: One of ``SOLVED_BY``.

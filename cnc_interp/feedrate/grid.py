@@ -25,11 +25,9 @@ GROWTH, LONGEST = 0.3, 16.0
 RAMP_CELLS, SHORTEST = 8, 2e-5
 MOST_ROUNDS = 3  #: Largest number of rounds of speed guess and refinement.
 LARGEST_GROUP = 32  #: Largest number of path cells in one planner cell.
-#: Largest number of nodes in a window. A coarser grid plans a slower motion, but in time.
-MOST_NODES = 30_000
+MOST_NODES = 30_000  #: Most nodes in a window; a coarser grid is slower, but in time.
 ALWAYS_GROUPED = 1e-5  #: Cells that take less time than this are always grouped [s].
-#: A kink nearer to a border of its cell gets no grid point, as a part of the cell [-].
-NEAR = 1e-6
+NEAR = 1e-6  #: A kink nearer to a border of its cell gets no grid point: part of the cell [-].
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -131,10 +129,8 @@ class PlanGrid:
     """A path with the cells of the feed planner."""
 
     path: AxisPath  #: The refined path.
-    #: (n + 1,): Indices of the grid points of ``path`` at which the n planner cells begin and end.
-    nodes: IntArray
-    #: (n, 6): Bounds of each planner cell, as ``speed_bounds`` returns them [m/s, m/s2, m/s3].
-    bounds: FloatArray
+    nodes: IntArray  #: (n + 1,): Grid points of ``path`` where the planner cells begin and end.
+    bounds: FloatArray  #: (n, 6): Bounds of each planner cell, as of ``speed_bounds``.
     guess: FloatArray  #: (n + 1,): Guessed s_dot at the nodes [m/s].
 
 

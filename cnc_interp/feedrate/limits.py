@@ -20,8 +20,7 @@ from cnc_interp.core.units import MS
 from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_value
 from cnc_interp.machine_model.machine import Machine
 
-#: Shortest period at which the slack of the jerk stage covers the steps between path cells [s].
-ROOMY = 1.0 * MS
+ROOMY = 1.0 * MS  #: Shortest period at which the slack covers steps between path cells [s].
 
 
 class AxisLimits(Protocol):

@@ -22,19 +22,14 @@ class PlanOptions:
     passes: int = 6  #: Largest number of corrections of one stretch.
     cell_time: tuple[float, float] = (2e-4, 6e-3)  #: Shortest and longest wanted cell time [s].
     share: float = 1 / 64  #: Wanted cell time as a part of the duration of the stretch [-].
-    #: Largest nonlinearity of a limit inside a cell, as a part of the limit [-].
-    bend: float = 0.005
+    bend: float = 0.005  #: Largest nonlinearity of a limit inside a cell, over the limit [-].
     gap: float = 5e-5  #: Accepted gap to the optimum, relative to the time [-].
     points: int = 7  #: Number of instants per cell at which the limits are checked.
-    #: Length of a planning window in horizons; about one horizon is committed later [-].
-    window_ratio: float = 2.5
+    window_ratio: float = 2.5  #: Length of a window in horizons; one is committed later [-].
     window_cells: int = 4000  #: Largest number of path cells in one window.
-    #: Whether the least time of the committed motion is computed; the law is the same.
-    bound: bool = True
-    #: Whether the jerk stage starts below the ceiling of the toppra stage.
-    below_ceiling: bool = False
-    #: Part of a limit that stays free where the law could not brake otherwise [-].
-    reserve: float = 0.029
+    bound: bool = True  #: Whether the least time is computed; the law is the same.
+    below_ceiling: bool = False  #: Whether the jerk stage starts below toppra's ceiling.
+    reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
     law: str = 'optimal'  #: 'optimal' for the jerk stage, else a module of ``papers``: 'vpop'.
     step: float = 1e-3  #: Longest step of 'vpop' [s].
 
@@ -50,11 +45,9 @@ class KeptCells:
     """The first cells of a stretch as an older plan had them; so its law stays feasible."""
 
     ends: FloatArray  #: (k,): Path positions at the ends of the cells [m].
-    #: (k, 4, n_axes): Parts of the limits that these cells were allowed to use [-].
-    scale: FloatArray
+    scale: FloatArray  #: (k, 4, n_axes): Parts of the limits that these cells may use [-].
     m: FloatArray  #: (k,): Coefficients of the older law, from which the solver begins [m2/s2].
-    #: (2, k): Parts of the limit on the error at the tool, likewise [-].
-    tool: FloatArray | None = None
+    tool: FloatArray | None = None  #: (2, k): Parts of the limit at the tool, likewise [-].
 
     def before(self, s: float) -> KeptCells:
         count = int(np.searchsorted(self.ends, s))

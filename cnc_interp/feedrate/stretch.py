@@ -24,18 +24,13 @@ class Stretch:
     #: (N,): Constant s_dddot in each path cell [m/s3], and the time spent in it [s].
     jerk: FloatArray
     duration: FloatArray
-    #: (n + 1,): Indices of the grid points at which the planner cells begin and end.
-    nodes: IntArray
-    #: (n, 4, n_axes): Parts of velocity, acceleration, jerk and feed limits that each planner cell
-    #: may use [-].
-    scale: FloatArray
+    nodes: IntArray  #: (n + 1,): Grid points at which the planner cells begin and end.
+    scale: FloatArray  #: (n, 4, n_axes): Parts of each limit that a planner cell may use [-].
     use: float  #: Largest use of a limit at the checked instants, divided by the accepted use [-].
-    #: Whether the solver came to the optimum. If not, the law may be far from it.
-    converged: bool = True
+    converged: bool = True  #: Whether the solver came to the optimum; if not, far perhaps.
     #: (2, n): Parts of the limit on the error at the tool that the rows of tip and axis got [-].
     tool: FloatArray | None = None
-    #: Largest error at the tool by the simulated drives, over its limit [-].
-    tool_use: float = 0.0
+    tool_use: float = 0.0  #: Largest error by the simulated drives, over its limit [-].
 
     @property
     def coefficients(self) -> FloatArray:

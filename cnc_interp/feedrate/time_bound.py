@@ -28,8 +28,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septi
 
 STEP = 3  #: Number of planner cells in one step of TOPP-RA.
 ROOM = 1e-9  #: Part of the largest b by which a step may miss its rows without being solved [-].
-#: Rounding error of a difference of two positions, relative to the positions [-].
-ROUNDING = 4e-16
+ROUNDING = 4e-16  #: Rounding of a difference of two positions, relative to them [-].
 
 
 class TimeBound(NamedTuple):

@@ -37,14 +37,11 @@ from cnc_interp.program.notices import WARNING
 from cnc_interp.settings.choices import Settings
 
 FEELER = 1e-6  #: Half of the step of an axis in a difference of poses [m or rad].
-#: Directions in which the error of the tip counts, and in which that of the axis does.
-NORMALS = 4
-#: Part of the limit that rows get at first, and the least one [-].
-FIRST_PART, LEAST_PART = 0.97, 0.2
+NORMALS = 4  #: Directions in which the error of the tip counts, and that of the axis.
+FIRST_PART, LEAST_PART = 0.97, 0.2  #: Part of the limit of rows at first, and least [-].
 RELAXED = 1e-3  #: Part by which the limit is relaxed for cells of an older plan [-].
 STEADY_PART = 0.8  #: Largest part of its limit that friction and backlash may take of a row [-].
-#: Use of the limit that a correction aims at, and the factor on the excess.
-AIM, EXCESS_FACTOR = 0.985, 1.3
+AIM, EXCESS_FACTOR = 0.985, 1.3  #: Use that a correction aims at; factor on the excess.
 NEARBY = 0.02  #: An error counts for the motion so long before and after it [s].
 RUN_UP = 0.6  #: Time before a start in motion for which the drives are simulated [s].
 STANDS = 0.5  #: Way of the tip per path length below which only the tool axis moves [-].
@@ -60,8 +57,7 @@ class ToolLimit:
     largest: float  #: Largest error of the tip, and of the tool axis at flank height [m].
     flank_height: float  #: Height at which the tool axis is measured [m].
     series: ErrorSeries  #: The errors of the axes in slow motion.
-    #: The drives; None at a start that has not been simulated yet.
-    motion: ToolMotion | None = None
+    motion: ToolMotion | None = None  #: The drives; None at a start not simulated yet.
     wait: float = 0.0  #: Time from the start of the path to the next setpoint [s].
 
     @staticmethod

@@ -22,8 +22,7 @@ from toppra.constraint import LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
 from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-#: Share of the largest b that is added, because the solver compares with fixed small numbers.
-ROUNDING = 1e-7
+ROUNDING = 1e-7  #: Share of the largest b that is added: the solver has fixed small numbers.
 
 
 class _Steps(AbstractGeometricPath):  # type: ignore[misc]

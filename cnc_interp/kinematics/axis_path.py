@@ -9,8 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
-#: A step of an axis [m, rad]: at 1 ms its third difference is 0.002 m/s3, see ``limits_at``.
-UNSEEN = 1e-12
+UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,7 @@ class AxisPath:
     #: (N - 1,): Programmed feedrate in ds/dt [m/s], infinite for rapids and where only axes limit.
     cell_feed: FloatArray
     cell_block: IntArray  #: (N - 1,): Row of the block being executed.
-    #: (N,): True where the motion must come to rest (first and last point of a program included).
-    stop: BoolArray
+    stop: BoolArray  #: (N,): Where the motion must rest, first and last point included.
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -70,11 +70,9 @@ from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
 AT_POLE = 0.9  #: The path is at the pole where this share of its tolerance reaches it [-].
-#: How much farther from the pole still counts as near: a share, and rounding [-].
-GRAZING, ON_IT = 1e-4, 1e-12
+GRAZING, ON_IT = 1e-4, 1e-12  #: Farther still counts as near: a share, and rounding.
 SAME_PLACE = 1e-9  #: Places on the path that are nearer together are the same [m].
-#: How exact the bound of the deviation should be, over the tolerance that is left [-].
-EXACT = 0.01
+EXACT = 0.01  #: How exact the bound of the deviation should be, over the tolerance left [-].
 MOST_POINTS = 4000  #: Largest number of points for a bound on one segment.
 HALVINGS = 50  #: Bisections for a place on a segment.
 #: Path lengths that differ by less are equal [-], and the most parts of half a segment.
@@ -320,9 +318,7 @@ class PathAtPole:
     shapes: FloatArray
     beside: FloatArray
     lengths: FloatArray  #: (n,): Path length [m].
-    #: (n, 2): Parameters between which a segment is at the pole; the first is larger where it is
-    #: not.
-    near: FloatArray
+    near: FloatArray  #: (n, 2): Parameters between which it is at the pole; first > last if not.
     sine: FloatArray  #: (n,): Sine of the angle between tool axis and pole at the start [-].
     rates: FloatArray
 

@@ -49,8 +49,7 @@ from cnc_interp.smoothing.segments import (
 
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
-#: Share of a jerk limit above which a kink, taken in one period, becomes a stop [-].
-KINK_JERK = 0.02
+KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, becomes a stop.
 
 
 @dataclass

@@ -22,10 +22,8 @@ TO_BEZIER = np.array(
     [[1, 0, 0, 0], [1, 1 / 7, 0, 0], [1, 2 / 7, 1 / 42, 0], [1, 3 / 7, 1 / 14, 1 / 210]]
 )
 MIRROR = np.array([[1.0], [-1.0], [1.0], [-1.0]])
-#: Parameters at which the farthest position of a refused line is looked for.
-_PLACES = np.linspace(0.0, 1.0, 65)
-#: Largest difference of rotary words from positions that follow the tool axis [rad].
-OFF_WORDS = 15.0 * DEG
+_PLACES = np.linspace(0.0, 1.0, 65)  #: Where the farthest position is looked for.
+OFF_WORDS = 15.0 * DEG  #: Largest difference of rotary words from positions that follow.
 
 
 def check_words(

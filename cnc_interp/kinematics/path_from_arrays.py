@@ -11,8 +11,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
-#: Degree of the spline: q_ss and q_sss are continuous, as a motion within jerk limits needs.
-DEGREE = 5
+DEGREE = 5  #: q_ss and q_sss are continuous, as a motion within jerk limits needs.
 
 
 def axis_path_from(

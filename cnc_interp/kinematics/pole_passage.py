@@ -28,10 +28,8 @@ from cnc_interp.machine_model.transform import ON_POLE, Transform, branch_at
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 REACH = 30.0 * MM  #: Longest way before and after the pole on which the outer axis is given [m].
-#: Between two cores that are passed together, the path is not farther from the pole than this [-].
-FAR = 10.0
-#: A stretch does not begin in a segment farther from the pole than this [rad].
-WIDEST = 40.0 * DEG
+FAR = 10.0  #: Between two cores passed together, the path is at most so far from the pole [-].
+WIDEST = 40.0 * DEG  #: A stretch begins in no segment farther from the pole than this [rad].
 SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and the shortest one [m].
 
 
@@ -79,8 +77,7 @@ class PolePassages:
         #: Path length from the last stop to the first segment that waits: the same bits however
         #: the segments arrive [m].
         self._begun = 0.0
-        #: Source lines in which travel keeps the tilt from changing its sign.
-        self.forbidden: list[int] = []
+        self.forbidden: list[int] = []  #: Lines where travel keeps the tilt's sign.
 
     def begin(self, rotary: FloatArray, branch: float, free: bool) -> None:
         """Begin at rotary positions [rad]; where ``free`` the outer axis may begin anywhere."""

@@ -35,8 +35,7 @@ CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or r
 THIRD_ERROR = 0.01
 ROUNDING, ROUNDING_PER_METRE = 1e-12, 4e-12
 FINEST_CELL = 1e-10  #: Cells are not cut in two below this length [m]: s itself has its digits.
-#: Parameters that differ by less are the same place: a cell between them has no length.
-SAME_PARAMETER = 1e-12
+SAME_PARAMETER = 1e-12  #: Parameters nearer than this are the same place.
 MOST_CELLS = 4096  #: A segment is cut into at most this many cells.
 #: Parameters between the cells of a corner and of any other segment, before refinement.
 CORNER_GRID = np.linspace(0.0, 1.0, 13)

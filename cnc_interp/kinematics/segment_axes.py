@@ -29,8 +29,7 @@ from cnc_interp.smoothing.segment_curves import (
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, SPLINE, PathSegments
 
 PLAIN_GRID = np.array([0.0, 0.5, 1.0])
-#: A tip slower than this share of the top rests, and its arc length measures nothing [-].
-SLOWEST_TIP = 1e-6
+SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top rests: no measure [-].
 #: How the rotary axes move on a segment: at rest, following the tool axis, or as coordinates of
 #: the path on the basis of the tip. With ALL_AXES, X Y Z are coordinates, too, not the tip.
 RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3

@@ -58,8 +58,7 @@ def refuse_setpoints(
             )
 
 
-#: A setpoint that asks an axis for this many times its largest velocity is an error of the sender.
-GROSS = 1.5
+GROSS = 1.5  #: So many times its largest velocity is an error of the sender.
 
 
 @dataclass(frozen=True)
@@ -78,8 +77,7 @@ class Recording:
     #: (K,): Distance of the actual tip of a few periods before from the path of the commanded
     #: tips, see ``ContourErrors`` [m].
     contour_error: FloatArray
-    #: (K,): Actual speed of the tip relative to the workpiece, over each period [m/s].
-    feedrate: FloatArray
+    feedrate: FloatArray  #: (K,): Actual speed of the tip relative to the workpiece [m/s].
     #: (3, n_axes): Largest velocity, acceleration and jerk of the setpoints over their limits [-];
     #: torques count as accelerations.
     largest_use: FloatArray

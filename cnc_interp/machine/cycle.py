@@ -50,10 +50,8 @@ from cnc_interp.machine.cycle_kernels import (
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.run.setpoints import Chunk
 
-#: Time for which records are kept until they are read [s]; longer than any buffer and stop tail.
-KEPT = 10.0
-#: A clock that is late by more stands [s]; no service of the operator waits longer for it.
-STANDS = 0.5
+KEPT = 10.0  #: Records are kept so long [s]; longer than any buffer and stop tail.
+STANDS = 0.5  #: A clock later than this stands [s]; no service waits longer for it.
 
 
 class Records(NamedTuple):
@@ -67,9 +65,7 @@ class Records(NamedTuple):
     #: (K, n_axes): What the drives did [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
-    #: (K, n_axes): The setpoint that the position answers; drives with a FIFO answer an earlier
-    #: one [m, rad].
-    answered: FloatArray
+    answered: FloatArray  #: (K, n_axes): Setpoint that it answers: of a FIFO an earlier one.
 
     def part(self, first: int, last: int) -> Records:
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]

@@ -31,9 +31,7 @@ class Memory(NamedTuple):
     """What the cycle shares with the threads of Python."""
 
     control: IntArray  #: (WORDS,): Commands and state.
-    #: (slots, COLUMNS): Descriptors of chunks; that of chunk ``serial`` stands in slot ``serial %
-    #: slots``.
-    chunks: IntArray
+    chunks: IntArray  #: (slots, COLUMNS): Descriptors of chunks, by ``serial % slots``.
     travel: FloatArray  #: (n_axes, 2): Smallest and largest setpoint [m, rad].
     jump: FloatArray  #: (n_axes,): Largest step between two setpoints [m, rad].
     setpoint: FloatArray  #: (2, n_axes): Commanded position and velocity [m, rad, per s].
@@ -41,11 +39,8 @@ class Memory(NamedTuple):
     #: which the drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
     feedback: FloatArray
     drives: FloatArray  #: Memory of the drives.
-    #: (count, 4): Source, serial and row of the setpoint of a period, and what happened.
-    records: IntArray
-    #: (count, 3, n_axes): Feedback of the same periods: actual position and velocity, and the
-    #: setpoint answered.
-    measured: FloatArray
+    records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
+    measured: FloatArray  #: (count, 3, n_axes): Actual position, velocity; setpoint answered.
     late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
 
 

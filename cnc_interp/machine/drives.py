@@ -40,8 +40,7 @@ class AxisFeedback(NamedTuple):
     #: (K, n_axes): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
     velocity: FloatArray
-    #: (K, n_axes): The commanded position that the actual one answers [m, rad].
-    answered: FloatArray
+    answered: FloatArray  #: (K, n_axes): The command that the actual one answers [m, rad].
 
 
 class Drives(Protocol):

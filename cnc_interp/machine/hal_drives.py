@@ -22,8 +22,7 @@ from cnc_interp.machine_model.machine import Machine
 LIBRARY = 'liblinuxcnchal.so.0'
 #: Keys of the shared memory of HAL itself, of the first streamer and of the first sampler.
 HAL_KEY, STREAMER_KEY, SAMPLER_KEY = 0x48414C32, 0x48535430, 0x48534130
-#: Letters of a stream's columns by HAL's numbers of the types.
-TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}
+TYPES = {1: 'b', 2: 'f', 3: 's', 4: 'u'}  #: Letters of columns by HAL's types.
 PATIENCE = 10.0  #: Longest wait for ``halcmd`` [s].
 
 

@@ -39,8 +39,7 @@ BEHIND, AMPLIFIER = 100, 200
 LONGEST_SILENCE = 500_000_000  #: Without a sample for so long HAL's thread counts as stopped [ns].
 #: Shift of the clock for each row too many or too few, and at most [periods].
 SHIFT, LARGEST_SHIFT = 2e-4, 1e-3
-#: Periods at rest with too many or too few rows, before one is left out or repeated.
-PATIENCE = 20
+PATIENCE = 20  #: Periods at rest with too many or few rows, before one more or less.
 
 
 class Block(NamedTuple):
@@ -51,9 +50,7 @@ class Block(NamedTuple):
     limits: FloatArray  #: (n,): Largest following error [m, rad].
     held: FloatArray  #: (n,): Where the axes are held after the power came [m, rad].
     actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
-    #: (KEPT, 2n + FLAGS): Rows that were pushed: setpoint [m, rad], the same in HAL's units,
-    #: flags.
-    kept: FloatArray
+    kept: FloatArray  #: (KEPT, 2n + FLAGS): Pushed rows: setpoint [m, rad], in HAL's units, flags.
     row: FloatArray  #: (2n + 1,): A row of the stream: positions, velocities, power.
     #: (3n + 2,): A row of the sampler: positions commanded and actual; then bits: amplifier
     #: faults, power is on, FIFO was empty.

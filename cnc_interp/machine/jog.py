@@ -18,8 +18,7 @@ from cnc_interp.run.run_state import Reason, State
 LATE = 0.2  #: The motion stops where no beat has come for this time [s].
 GIVEN_UP = 3.0  #: A key that no beat names for longer was given up [s].
 AHEAD, PIECE = 0.05, 0.01  #: Motion handed to the machine ahead of time, and in one piece [s].
-#: Name of motions by hand in the record of executed setpoints; their attempts count them.
-JOG = 'jog'
+JOG = 'jog'  #: Name of motions by hand in the record; their attempts count them.
 
 
 @dataclass(frozen=True, eq=False)

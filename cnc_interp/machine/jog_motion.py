@@ -21,10 +21,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, tool_line
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
-#: A smaller share of a velocity limit is no motion; ruckig bounds the duration of a motion.
-LEAST_SHARE = 1e-3
-#: A motion with a velocity is planned for this time, and again after half of it [s].
-HORIZON = 10.0
+LEAST_SHARE = 1e-3  #: A smaller share of a velocity limit is no motion, to bound its time.
+HORIZON = 10.0  #: A motion with a velocity is planned for this time, again after half [s].
 THERE = TRAVEL_SLACK  #: Nearer than this to its target, an axis is there [m, rad].
 
 VELOCITY, POSITION = ruckig.ControlInterface.Velocity, ruckig.ControlInterface.Position
@@ -37,9 +35,7 @@ class Slides:
 
     origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
     direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
-    #: (3, m): Velocity, acceleration and jerk limits of the coordinates that hold everywhere [m or
-    #: rad, per s, s2, s3].
-    limits: FloatArray
+    limits: FloatArray  #: (3, m): Limits of the coordinates that hold everywhere.
     travel: FloatArray  #: (m, 2): Smallest and largest coordinate [m, rad].
 
     def positions(self, x: FloatArray) -> FloatArray:

@@ -47,8 +47,7 @@ RESTS = {
     Wait.END: (Event.FINISH, Reason.NONE),
 }
 ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
-#: Number of chunks that may wait, in addition to one for each setpoint of a full buffer.
-SPARE_CHUNKS = 4096
+SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
 
 
 class Executed(NamedTuple):

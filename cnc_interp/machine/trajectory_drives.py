@@ -22,11 +22,9 @@ from cnc_interp.machine_model.machine import Machine
 SPACING = 0.004  #: Time between points; the controller interpolates between them [s].
 SENDING = 0.02  #: Time between trajectories in motion [s].
 OVERLAP = 0.02  #: A trajectory begins by so much before what the controller executes now [s].
-#: The share of the delay by which a trajectory must leave before its news are executed [-].
-RESERVE = 0.25
+RESERVE = 0.25  #: Share of the delay by which news must leave before they are due [-].
 LATEST = 1.0  #: Age up to which reports are compared with what was commanded then [s].
-#: Silence that one call adds at most: this program may have stood still itself [s].
-SILENCE_OF_A_CALL = 0.05
+SILENCE_OF_A_CALL = 0.05  #: Most silence that one call adds: this program may stand [s].
 #: Longest wait for the controller, and for its axes to settle before the power is on [s].
 POWER_UP, SETTLING = 5.0, 0.1
 

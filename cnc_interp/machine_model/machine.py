@@ -113,14 +113,11 @@ class Machine:
     max_jerk: FloatArray
     #: (n_axes, 2): Lowest and highest position, infinite for endless axes [m or rad].
     travel: FloatArray
-    #: (2, 3): Unit vectors about which primary and secondary turn, in M at rest [-].
-    rotary_direction: FloatArray
+    rotary_direction: FloatArray  #: (2, 3): What primary and secondary turn about, in M [-].
     #: True where the rotary axis carries the tool, False where it carries the workpiece.
     rotary_on_head: tuple[bool, bool]
     offsets: FloatArray  #: (3, 3): Workpiece, secondary and primary offset [m].
-    #: (2, 3): On heads: from the tip to the secondary pivot, and from there to the primary pivot
-    #: [m].
-    tool_offset: FloatArray
+    tool_offset: FloatArray  #: (2, 3): On heads: tip to secondary, then to primary pivot [m].
     singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
     #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))

@@ -27,8 +27,7 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
-#: Choices of the reader that a machine file may make.
-CONTROL = ('dialect', 'arc_centres', 'units')
+CONTROL = ('dialect', 'arc_centres', 'units')  #: Choices of the reader a machine file may make.
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
@@ -135,8 +134,7 @@ class ReferenceSwitches:
     #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
     #: end of the travel that is nearer.
     switches: Mapping[str, float] = field(default_factory=dict)
-    #: Axes that home together, one group after the other.
-    groups: tuple[tuple[str, ...], ...] = ()
+    groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, group after group.
     required: bool = False  #: Whether no program may start before all these axes are homed.
 
 

@@ -29,16 +29,14 @@ class MachineTraits:
     #: Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
     #: there is no such direction.
     pole: tuple[float, float, float] | None = None
-    #: Angle around the pole within which a turning tool stops [rad].
-    pole_cone: float = 0.02 * DEG
+    pole_cone: float = 0.02 * DEG  #: Angle around it in which a turning tool stops [rad].
     #: Largest turn of the path that is rounded, with a fixed and with a turning tool axis [rad].
     #: At larger turns the tool stops, which is faster on average.
     sharpest_turn: float = 178.0 * DEG
     sharpest_swing: float = 176.0 * DEG
     #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
     geometry: Transform | None = None
-    #: (5 + k,): Jerk limits of X Y Z, of the rotary axes and of the extra axes.
-    max_jerk: FloatArray | None = None
+    max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""

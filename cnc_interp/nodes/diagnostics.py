@@ -9,8 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from cnc_interp.nodes.qos import DIAGNOSTICS
 
 WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
-#: Key under which program_node gives the share of a program's text that is checked [-].
-CHECKED = 'checked'
+CHECKED = 'checked'  #: Key of the share of a program's text that is checked [-].
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

@@ -31,8 +31,7 @@ from cnc_interp.wire.message_checks import check_chunk
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
-#: Time between two looks at what was played, while something is under way [s].
-WORK_PERIOD = 0.005
+WORK_PERIOD = 0.005  #: Time between two looks at what was played, while in motion [s].
 CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
 #: States in which setpoints are refused.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)

@@ -21,9 +21,7 @@ from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 
 EXECUTED_PERIOD = 0.1  #: Time between reports of what was executed [s].
-#: Time between two messages of a topic while nothing moves [s]; changes of the state are told at
-#: once.
-REST_PERIOD = 0.25
+REST_PERIOD = 0.25  #: Time between messages at rest [s]; changes are told at once.
 
 
 class Rate:

@@ -25,13 +25,10 @@ from std_srvs.srv import Trigger
 from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.this_host import stay_on_this_host
 
-#: Timeout of the events executor [s]. Signals are noticed after it at the latest.
-SPIN_TIMEOUT = 0.1
+SPIN_TIMEOUT = 0.1  #: Timeout of the executor [s]; signals are noticed after it.
 REST_WAIT = 8.0  #: Longest time in which a node that is to end may bring axes to rest [s].
-#: Longest time for which its last messages are waited for, each topic.
-LAST_WORDS = Duration(seconds=0.2)
-#: Niceness of the nodes, if permitted, so that setpoints do not wait for other programs.
-NICENESS = -10
+LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for last messages, each topic.
+NICENESS = -10  #: Of the nodes, if permitted: setpoints do not wait for others.
 
 
 def run_node(

@@ -44,14 +44,12 @@ class Prepared:
     #: so that the look-ahead need not try them again.
     stops: IntArray
     setup: JobSetup  #: The offsets and tools that it was read with.
-    #: Whether the goal has named them, so that they are not those of the machine.
-    is_own_setup: bool
+    is_own_setup: bool  #: Whether the goal has named them: not those of the machine.
     changes: tuple[ProgramChange, ...]  #: What it changes of them.
     used: frozenset[str]  #: What it uses of them.
     modes: ModesOfBlocks  #: The modal state of each block.
     start: StartPlace | None = None  #: Where the run starts, if that is not the top.
-    #: The line by hand, whose modal state is kept when it is executed.
-    line: MdiLine | None = None
+    line: MdiLine | None = None  #: The line by hand, whose state is kept once executed.
 
     def __getitem__(self, rows: slice) -> Blocks:
         blocks = self.blocks[rows]

@@ -27,8 +27,7 @@ from cnc_interp.wire.run_messages import run_result
 from cnc_interp.wire.settings_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
-#: How long look-ahead and planner may take to accept a run when all nodes answer [s].
-PATIENCE = 10.0
+PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
 #: A machine that has left its run for so long was reset or started again [s].
 FORGOTTEN = 1.0
 #: Within this, the machine stands where a line by hand starts [m, rad].

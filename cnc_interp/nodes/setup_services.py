@@ -26,8 +26,7 @@ from cnc_interp.program.setup_requests import (
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.wire.run_messages import setup_table
 
-#: The machine's last word on its axes must not be older than this for a touch-off [s].
-FRESH = 1.0
+FRESH = 1.0  #: The machine's last word must not be older for a touch-off [s].
 #: The rotary axes stand at zero within this [rad].
 AT_ZERO = 1e-9
 RUNNING = frozenset(('active offset', 'spindle'))

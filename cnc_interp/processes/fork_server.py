@@ -14,10 +14,8 @@ from typing import Any
 
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
-#: What every child needs: multiprocessing imports the command in it.
-COMMAND = 'cnc_interp.commands.cli'
-#: When the fork server is ended, in the order of multiprocessing: after all children.
-AFTER_CHILDREN = -50
+COMMAND = 'cnc_interp.commands.cli'  #: Multiprocessing imports it in every child.
+AFTER_CHILDREN = -50  #: When the fork server is ended: after all children.
 _sockets: TemporaryFolder | None = None  #: Where multiprocessing has its sockets.
 
 

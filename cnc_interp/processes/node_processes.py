@@ -19,8 +19,7 @@ from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_f
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
-#: A node that has not ended by itself after this is killed: a machine may have to stop [s].
-LAST_WAIT = 10.0
+LAST_WAIT = 10.0  #: A node that lives longer is killed: a machine may have to stop [s].
 FAULT = 1  #: How a process ends that Python ends for an error that nobody caught.
 KILLED = 'was killed'  #: Why a node was lost that a signal has ended.
 

@@ -9,8 +9,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-#: Before the name of each folder; short, because paths of sockets may have 107 characters.
-PREFIX = 'cnc_run_'
+PREFIX = 'cnc_run_'  #: Short: paths of sockets may have 107 characters.
 
 
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):

@@ -37,9 +37,7 @@ class Pieces:
     #: (P, D): Coordinates at both ends of each piece.
     start: FloatArray
     end: FloatArray
-    #: (P, D): Distance that is in order along each piece; infinite for coordinates that are not
-    #: compared.
-    room: FloatArray
+    room: FloatArray  #: (P, D): Distance in order along each piece; infinite: not compared.
     #: (P + 1, D): Coordinates of the ends of the pieces, the start of the first piece first, and
     #: the distance that is in order there.
     vertex: FloatArray
@@ -64,15 +62,13 @@ class Pieces:
 class Pursuit:
     """How far a motion, taken chunk by chunk, has followed some pieces."""
 
-    #: Start, way and room of the P pieces, and place and room of their ends.
-    pieces: list[FloatArray]
+    pieces: list[FloatArray]  #: Start, way and room of the P pieces; place and room of their ends.
     #: (P,): Least part of each piece that can be reached at the last sample; infinite where none.
     low: FloatArray
     #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
     begin: int = 0
     stop: int = 1
-    #: Furthest piece that the motion can have reached; P if it reached the end of the last one.
-    furthest: int = 0
+    furthest: int = 0  #: Furthest piece that can have been reached; P at the end of the last.
     lost: int = -1  #: Sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:

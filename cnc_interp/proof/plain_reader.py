@@ -56,15 +56,13 @@ class ReadMove:
     feed: float
     duration: float
     tcp: bool  #: Whether X Y Z are the tool tip. Otherwise they are axis positions.
-    #: Both axes of the plane of an arc, and the one across.
-    plane: tuple[int, int, int] = (0, 1, 2)
+    plane: tuple[int, int, int] = (0, 1, 2)  #: Both axes of an arc's plane, and the one across.
     centre: FloatArray | None = None  #: (2,): Centre of an arc in its plane [m].
     sweep: int = 0  #: 1 for a counter-clockwise arc, -1 for a clockwise one, 0 for a line.
     turns: int = 1  #: Turns of an arc, the last one mostly not whole.
     digit: float = 0.0  #: Last digit of lengths that the reader knows [m]; 0 where it knows all.
     unsure: float = 0.0  #: Share of feed or duration up to which the reader knows it [-].
-    #: Programmed contour tolerance [m]; NaN for that of the settings.
-    tolerance: float = float('nan')
+    tolerance: float = float('nan')  #: Programmed contour tolerance [m]; NaN: of the settings.
     orientation: float = float('nan')  #: Programmed orientation tolerance [m]; NaN likewise.
     stop: bool = False  #: Whether the text demands a rest at its end.
     worded: bool = False  #: Whether the text has named a rotary axis so far.

@@ -19,8 +19,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json
 from cnc_interp.proof.stored_columns import Stored, spans
 
-#: Columns by their names: arrays, or columns in a file (`columns.Stored`).
-Columns = Mapping[str, Any]
+Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``Stored``).
 
 # A default makes a column optional. Where it is NaN, values may be missing. n is the number of
 # axes.

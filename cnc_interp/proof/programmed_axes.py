@@ -46,8 +46,7 @@ class ProgrammedAxes:
     #: (M, n): Coordinates at the start of known rows, and what they move by [m, rad].
     start: FloatArray
     step: FloatArray
-    #: (M, 2): Contour and orientation tolerance of each row, for the comparison of both [m].
-    tolerance: FloatArray
+    tolerance: FloatArray  #: (M, 2): Contour and orientation tolerance of each row [m].
     #: (M, 4): These tolerances over the smallest of the row and those beside it, which count at
     #: vertices; as the four columns of ``_Search.gaps``.
     weight: FloatArray

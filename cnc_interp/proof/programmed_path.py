@@ -32,10 +32,8 @@ class Deviation:
 
     contour: FloatArray  #: (K,): Distance of the tip from the nearest programmed line [m].
     row: IntArray  #: (K,): Program row of the nearest point.
-    #: (K,): Position of the nearest point on its row, from 0 at the start to 1 at the end [-].
-    part: FloatArray
-    #: (K,): Distance of the point at flank height from its programmed curve T [m].
-    orientation: FloatArray
+    part: FloatArray  #: (K,): Place of the nearest point on its row, 0 to 1 [-].
+    orientation: FloatArray  #: (K,): Distance of the point at flank height from its curve T [m].
     #: (K,): Flank height times the angle between the tool axis and the programmed axis at the
     #: nearest point of the tip [m]. It is stricter than ``orientation`` and only for information.
     twist: FloatArray

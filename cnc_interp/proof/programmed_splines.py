@@ -23,8 +23,7 @@ from cnc_interp.proof.stored_columns import Stored, held, spans
 
 CHORD = 1e-8  #: Largest distance between curve and chord [m].
 PROBES = 65  #: Number of points of a knot interval at which its curvature is measured.
-#: A pose is searched up to twice its own movement plus this distance along the curve [m].
-REACH = 2e-4
+REACH = 2e-4  #: A pose is searched up to twice its movement plus this along the curve [m].
 
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:

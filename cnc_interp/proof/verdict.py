@@ -40,8 +40,7 @@ class Finding:
     time: float  #: Time of the sample [s], NaN if ``sample`` is -1.
     line: int  #: Line of the part program.
     exceeded: int  #: Number of places at which the limit is exceeded.
-    #: Whether value and limit are lengths. Otherwise they belong to a rotary axis.
-    linear: bool = True
+    linear: bool = True  #: Whether value and limit are lengths, not of a rotary axis.
 
 
 @dataclass(frozen=True)

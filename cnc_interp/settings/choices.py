@@ -33,10 +33,8 @@ PLANNING = Stage.PLANNING
 START, APPROACH = Stage.START, Stage.APPROACH
 DEFAULT_MACHINE = 'xyzac'  #: The machine where none is named.
 LENGTHS = (1e-6 * MM, 1e4 * MM)  #: Range of the block length and the flank height [m].
-#: Range of every tolerance [m]. A larger one is a number in a wrong unit.
-TOLERANCES = (1e-6 * MM, 5.0 * MM)
-#: Range of the feeds [m/s], 0.001 mm/min to 1000 m/min.
-FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)
+TOLERANCES = (1e-6 * MM, 5.0 * MM)  #: Of every tolerance [m]; larger is a wrong unit.
+FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)  #: 0.001 mm/min to 1000 m/min [m/s].
 
 
 @dataclass(frozen=True)

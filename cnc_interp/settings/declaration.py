@@ -69,8 +69,7 @@ class Choice:
     optional: bool = False  #: Whether None is allowed.
     nothing: str = ''  #: Word for None; empty where people leave the choice out instead.
     metavar: str = ''  #: What stands for the value in the help.
-    #: Whether the choice exists to compare methods; operators leave it alone.
-    for_comparison: bool = False
+    for_comparison: bool = False  #: Exists to compare methods; operators leave it alone.
 
     def check(self, value: Any) -> None:
         """Refuse a value of the wrong type or outside the range; SettingsError names it."""

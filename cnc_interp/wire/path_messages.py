@@ -23,8 +23,7 @@ LINE_CURVE = (1, LINEAR_KNOTS, 2)
 CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
 
-#: Columns of ``Blocks`` whose field in ``G1Block`` has another name.
-FIELDS = {'extra': 'extra_axes'}
+FIELDS = {'extra': 'extra_axes'}  #: Columns of ``Blocks`` by another name.
 
 
 def block_messages(

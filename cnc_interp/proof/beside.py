@@ -14,9 +14,8 @@ from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.path_grid import ROUNDING
-from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.plan_files import PlanFiles, spans
 from cnc_interp.proof.program_shapes import SLACK
-from cnc_interp.proof.stored_columns import spans
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Proof
 
 

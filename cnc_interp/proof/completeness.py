@@ -8,10 +8,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.proof.path_grid import ROUNDING
-from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.proof.plan_files import PlanFiles, gathered, spans
 from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes
 from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
-from cnc_interp.proof.stored_columns import gathered, spans
 from cnc_interp.proof.verdict import Ledger
 
 # Largest accepted distance between an exact stop and its vertex [m].

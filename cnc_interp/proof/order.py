@@ -17,9 +17,9 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.proof.plan_files import Stored, held, spans
 from cnc_interp.proof.program_shapes import ProgramShapes
 from cnc_interp.proof.programmed_path import peaks
-from cnc_interp.proof.stored_columns import Stored, held, spans
 
 # Between vertices a distance of so many tolerances is in order.
 ROOM = 2.0

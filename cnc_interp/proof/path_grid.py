@@ -8,10 +8,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof import stored_columns
+from cnc_interp.proof import plan_files
 from cnc_interp.proof.axis_limits import limits_at
-from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles
-from cnc_interp.proof.stored_columns import held, spans
+from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles, held, spans
 from cnc_interp.proof.verdict import Ledger
 
 # Largest accepted distance between setpoints, forward kinematics and the path file [m, rad].
@@ -200,7 +199,7 @@ def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
 def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:
     first = 0
     while first < len(cell):
-        far = np.abs(cell[first:] - cell[first]) > stored_columns.CHUNK
+        far = np.abs(cell[first:] - cell[first]) > plan_files.CHUNK
         last = first + int(np.argmax(far)) if far.any() else len(cell)
         yield first, last
         first = last

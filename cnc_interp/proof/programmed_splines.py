@@ -18,8 +18,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.plan_files import Columns, PlanFiles
-from cnc_interp.proof.stored_columns import Stored, held, spans
+from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans
 
 CHORD = 1e-8  #: Largest distance between curve and chord [m].
 PROBES = 65  #: Number of points of a knot interval at which its curvature is measured.

@@ -28,7 +28,7 @@ from cnc_interp.proof.beside import with_tool_error
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
-from cnc_interp.proof.plan_files import PlanFiles, read_plan, with_override
+from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans, with_override
 from cnc_interp.proof.program_shapes import (
     REACH,
     SLACK,
@@ -38,7 +38,6 @@ from cnc_interp.proof.program_shapes import (
 )
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
-from cnc_interp.proof.stored_columns import Stored, held, spans
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
 # Uses of limits agree when they differ by less [-].

@@ -14,8 +14,7 @@ from cnc_interp.cam.surface_file import read_surface
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.program.job import JobSetup
-from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.proof.stored_columns import Stored
+from cnc_interp.proof.plan_files import Stored, read_plan
 from cnc_interp.proof.verify import verify
 
 ROOT = Path(__file__).parents[2]

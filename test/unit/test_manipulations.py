@@ -21,7 +21,7 @@ from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.proof import stored_columns
+from cnc_interp.proof import plan_files
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.choices import Settings
 
@@ -302,7 +302,7 @@ def test_chunks_of_any_length_give_the_same_proof(name, sound, tmp_path, monkeyp
     TABLE[name][1](content)
     write(tmp_path, content)
     for rows in (1 << 30, 311, 97):
-        monkeypatch.setattr(stored_columns, 'CHUNK', rows)
+        monkeypatch.setattr(plan_files, 'CHUNK', rows)
         try:
             proofs.append(verify_plan(tmp_path, MACHINE).to_json())
         except InterpError as refusal:
@@ -451,7 +451,7 @@ def test_strokes_in_chunks(axis, rows, tmp_path, monkeypatch):
         motion = visits[: len(labels)] if k else program
         folder, proofs = write(tmp_path / str(k), strokes(axis, program, motion, labels)), []
         for length in (1 << 30, rows):
-            monkeypatch.setattr(stored_columns, 'CHUNK', length)
+            monkeypatch.setattr(plan_files, 'CHUNK', length)
             proofs.append(verify_plan(folder, MACHINE).to_json())
         assert proofs[0] == proofs[1] and proofs[0]['ok'] is (k == 0)
 

@@ -27,7 +27,6 @@ def cubic_bezier_points(points: FloatArray, knots: FloatArray) -> FloatArray:
 def _between(
     a: FloatArray, b: FloatArray, x: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return the affine combination of a and b, shape (n, d), for x between two knots."""
     share = ((x - low) / (high - low))[:, None]
     return np.asarray((1.0 - share) * a + share * b)
 

@@ -30,7 +30,6 @@ class CompileTime(Listener):  # type: ignore[misc]
         return total + (time.monotonic() - since if count else 0.0)
 
     def on_start(self, event: Any) -> None:
-        """Begin, unless this is a kernel that another one calls."""
         self._depth += 1
         with self._lock:
             if self._depth == 1:
@@ -43,7 +42,6 @@ class CompileTime(Listener):  # type: ignore[misc]
             print(COMPILING, file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """End; no process waits for another one."""
         self._depth -= 1
         if not self._depth:
             with self._lock:

@@ -104,7 +104,6 @@ class KernelLocator:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """Return a hash of all that the kernels of the file depend on."""
         digests = b''.join(_digest(file) for file in sorted(sources(self._py_file)))
         return hashlib.sha256(digests).hexdigest()
 

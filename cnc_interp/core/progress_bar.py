@@ -16,7 +16,6 @@ BEFORE_THE_END = 0.99  #: Largest part that is shown while time is left [-].
 
 
 def redraws(stream: TextIO) -> bool:
-    """Tell whether the stream is a terminal whose lines can be overwritten."""
     return stream.isatty() and os.environ.get('TERM') != 'dumb'
 
 
@@ -87,7 +86,6 @@ class ProgressBar:
         self._stream.flush()
 
     def end(self, complete: bool) -> None:
-        """End the line; if the work is complete, show 100 % first."""
         if self._stream is None or not self._step or not self._redraws:
             return
         if complete:

@@ -58,7 +58,6 @@ def vector(values: FloatArray) -> Vector:
 
 
 def table_radius(machine: Machine) -> float:
-    """Choose the radius of the table so that the workpiece zero lies well inside."""
     return 0.09 + float(np.linalg.norm(machine.offsets[0, :2]))
 
 
@@ -97,7 +96,6 @@ def slide_shapes() -> tuple[tuple[Shape, ...], ...]:
 
 
 def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the primary table axis: a shaft with a block that carries the table."""
     along = vector(machine.rotary_direction[0])
     radius = table_radius(machine)
     shaft = Shape((0.035, 2 * radius + 0.10), ZERO, TURNING, along)
@@ -129,7 +127,6 @@ def head_shapes(along: Vector, arm: Vector) -> tuple[Shape, ...]:
 
 
 def tool_shapes() -> tuple[Shape, ...]:
-    """Draw cutter, holder and spindle nose above the tip."""
     return (
         Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER),
         Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
@@ -241,7 +238,6 @@ def describe_machine(machine: Machine) -> Description:
 def axis_joint(
     machine: Machine, k: int, parent: str, child: str, origin: Vector, along: Vector
 ) -> Joint:
-    """Return the joint of an axis; an endless rotary axis has no travel."""
     axis = machine.axes[k]
     kind = 'prismatic' if axis.linear else 'continuous' if axis.endless else 'revolute'
     travel = (-UNLIMITED, UNLIMITED) if axis.endless else axis.travel
@@ -284,7 +280,6 @@ def add_shape(part: ElementTree.Element, shape: Shape) -> None:
 
 
 def add_joint(robot: ElementTree.Element, joint: Joint) -> None:
-    """Add one joint; URDF uses SI units (REP-103)."""
     element = ElementTree.SubElement(robot, 'joint', name=joint.name, type=joint.kind)
     ElementTree.SubElement(element, 'parent', link=joint.parent)
     ElementTree.SubElement(element, 'child', link=joint.child)

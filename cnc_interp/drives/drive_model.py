@@ -62,7 +62,6 @@ def lag_of(machine: Machine) -> float:
 
 
 def memory_of(period: float, lag: float) -> int:
-    """Return how many commanded tips the contour error is measured against."""
     wanted = int(np.ceil(LAGS_REMEMBERED * lag / period)) + 1
     return min(LONGEST_MEMORY, max(SHORTEST_MEMORY, wanted))
 
@@ -148,7 +147,6 @@ RING = 40  #: The setpoints, the newest first: position and velocity of each.
 
 @njit(cache=True, nogil=True)
 def follow(words: FloatArray, setpoint: float, rate: float) -> tuple[float, float]:
-    """Advance one axis by one period."""
     for k in range(len(words) - 1, RING + 1, -1):
         words[k] = words[k - 2]
     words[RING], words[RING + 1] = setpoint, rate

@@ -181,8 +181,6 @@ def spreads_of(
 
 
 class _Fit:
-    """The fit of one axis."""
-
     def __init__(
         self, period: float, setpoint: FloatArray, rate: FloatArray, measured: FloatArray,
         counts: BoolArray, load: DriveLoad | None,

@@ -137,7 +137,6 @@ class LearntMotion:
 
     @staticmethod
     def load(path: Path) -> LearntMotion:
-        """Read a file; raises InterpError if it is no such file."""
         try:
             with np.load(path, allow_pickle=False) as file:
                 found = {name: file[name] for name in ARRAYS}

@@ -179,7 +179,6 @@ class PlannedPiece:
 
 
 def _unsound_cell(path: AxisPath) -> int | None:
-    """Return the first cell that is not finite, does not advance or has no feed; None if sound."""
     sound = np.isfinite(path.cell_left).all(axis=(0, 2)) & (path.cell_feed > 0.0)
     sound &= np.isfinite(path.cell_right).all(axis=(0, 2)) & (np.diff(path.s) > 0.0)
     return None if sound.all() else int(np.argmin(sound))
@@ -265,7 +264,6 @@ class FeedPlanner:
         return self._parts[0]
 
     def _plan_windows(self, finished: bool) -> list[PlannedPiece]:
-        """Plan every full window; with ``finished``, also the last one."""
         pieces: list[PlannedPiece] = []
         while self._parts:
             end = self._scan.end(False)

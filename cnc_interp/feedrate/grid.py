@@ -139,7 +139,6 @@ def _grid_nodes(
     s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray, bounds: FloatArray,
     v: FloatArray, wanted: FloatArray, most_bend: float, whole: int,
 ) -> FloatArray:  # fmt: skip
-    """Return the new grid points of all cells from cell ``whole`` on; earlier cells stay."""
     n = len(bounds)
     found = np.empty(4096)
     total = 0

@@ -51,7 +51,6 @@ class Stretch:
         )  # fmt: skip
 
     def law(self, start_time: float, last: int) -> MotionLaw:
-        """Build the motion law, from ``start_time`` [s] on and up to the grid point ``last``."""
         time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
         return MotionLaw(
             time=time[:-1], duration=self.duration[:last].copy(), s=self.path.s[:last].copy(),

@@ -40,7 +40,6 @@ class TimeBound(NamedTuple):
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the way of each axis in each cell, back and forth, shape (n, n_axes) [m or rad]."""
     n, n_axes = len(h), left.shape[2]
     ways = np.empty((n, n_axes))
     c, jet = np.empty(8), np.empty(4)
@@ -58,7 +57,6 @@ def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
-    """Return the largest velocity and acceleration limit in each cell, shape (2, n, n_axes)."""
     n, n_axes = left.shape[1], left.shape[2]
     out = np.empty((2, n, n_axes))
     for i in range(n):

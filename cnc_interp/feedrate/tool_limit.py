@@ -76,7 +76,6 @@ class ToolLimit:
         machine: Machine, period: float, largest: float, flank_height: float,
         model: Machine | None = None,
     ) -> ToolLimit:  # fmt: skip
-        """Return the limit before any motion."""
         series = error_series(machine, model)
         return ToolLimit(machine, model, period, largest, flank_height, series)
 

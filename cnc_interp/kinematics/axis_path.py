@@ -180,7 +180,6 @@ def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:
-    """Take the part of the path between two grid points."""
     return AxisPath(
         s=path.s[first : last + 1].copy(), cell_left=path.cell_left[:, first:last].copy(),
         cell_right=path.cell_right[:, first:last].copy(), tip=path.tip[first : last + 1].copy(),

@@ -224,7 +224,6 @@ def place_at(kind: int, shape: FloatArray, beside: FloatArray, length: float, wa
 def lengths_of(
     kinds: IntArray, shapes: FloatArray, beside: FloatArray, lengths: FloatArray
 ) -> FloatArray:
-    """Return the path lengths of segments of poses, shape (n,) [m]."""
     found = np.empty(len(kinds))
     for i in range(len(kinds)):
         found[i] = way_to(kinds[i], shapes[i], beside[i], lengths[i], 1.0)
@@ -359,7 +358,6 @@ class PathAtPole:
         return replace(self, segments=segments, **columns)
 
     def with_poses(self, i: int) -> bool:
-        """Tell whether the rotary axes rest or follow the tool axis on a segment."""
         return int(self.motion[i]) in (RESTING, FOLLOWING)
 
     def ends_of(self, first: int, last: int, begun: float) -> FloatArray:

@@ -109,13 +109,11 @@ CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())  #: A
 
 
 def parameters_of_drives() -> tuple[Declared, ...]:
-    """Return the parameter that names the kind, and those of all kinds."""
     every = {each.name: each for kind in KINDS.values() for each in kind.parameters}
     return Declared('drives', 'simulated', f'Drives of the axes. {CHOICE}'), *every.values()
 
 
 def drives_of(machine: Machine, period: float, values: Values, link: Link) -> Drives:
-    """Make the drives that the parameters of machine_node name."""
     name = values['drives']
     if name not in KINDS:
         raise InterpError(f'drives: {name!r} is unknown; choose {", ".join(KINDS)}')

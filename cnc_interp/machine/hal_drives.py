@@ -63,12 +63,10 @@ class HalStream:
 
     @property
     def capacity(self) -> int:
-        """Most rows that the FIFO holds."""
         return int(self._library.hal_stream_maxdepth(self.reference)) - 1
 
     @property
     def depth(self) -> int:
-        """Rows in the FIFO."""
         return int(self._library.hal_stream_depth(self.reference))
 
     def detach(self) -> None:

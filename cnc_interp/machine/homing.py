@@ -106,7 +106,6 @@ class Homing:
         self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
 
     def stop(self, now: float) -> None:
-        """End homing; the axes come to rest."""
         self._groups, self._stages = [], {}
         self._jog.beat({}, 0.0, now)
 

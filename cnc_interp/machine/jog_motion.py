@@ -42,7 +42,6 @@ class Slides:
         return self.origin + x @ self.direction
 
     def coordinates(self, q: FloatArray) -> FloatArray:
-        """Return the coordinates, shape (m,), of axis positions on the slides, shape (n,)."""
         weights = self.direction / (self.direction**2).sum(axis=1, keepdims=True)
         return weights @ (q - self.origin)
 

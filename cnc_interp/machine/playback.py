@@ -124,7 +124,6 @@ class Playback:
     # Runs and plans -----------------------------------------------------------------------------
 
     def begin(self, run_id: RunId) -> None:
-        """Prepare for a run: reset the figures, the axes stay where they are."""
         self.state = self.state.after(Event.BEGIN)
         self._forget_run(run_id)
 
@@ -259,7 +258,6 @@ class Playback:
     def _written(
         self, chunk: Chunk, lines: list[int], tail_lines: list[int], first: int
     ) -> BufferedChunk:
-        """Write a chunk into the ring of the cycle, not linked."""
         rows, tail = (
             SourcedSetpoints(chunk.samples, lines),
             SourcedSetpoints(chunk.tail, tail_lines),

@@ -38,7 +38,6 @@ class SimulatedDrives:
         """Do nothing: there is nothing to let go."""
 
     def fault(self, number: int) -> str:
-        """Say what a fault number means; simulated drives have no faults."""
         return f'fault {number}'
 
 

@@ -251,7 +251,6 @@ class TrajectoryDrives:
         return p[row] + u * (slope + u * (step - slope - bend + u * bend))
 
     def _cause(self, errors: FloatArray) -> str:
-        """Return why the machine must stop, after some following errors; empty if all is well."""
         if self._silence > self._longest_silence:
             return f'{self._controller.name} is silent: {self._silent}'
         beyond = np.any(np.abs(errors) > self._limits, axis=0)

@@ -170,7 +170,6 @@ class Machine:
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
-        """All axes in order: name, kind, unit, limits and travel of each."""
         columns = zip(self.axis_names, self.is_linear, *self.limits, self.travel, strict=True)
         return tuple(
             Axis(name, bool(linear), float(v), float(a), float(j), (float(low), float(high)))
@@ -187,7 +186,6 @@ class Machine:
 
     @property
     def has_rotary(self) -> bool:
-        """True where the machine has two rotary axes."""
         return not self.is_linear.all()
 
     @staticmethod
@@ -214,7 +212,6 @@ def machines_directory() -> Path:
 
 
 def find_machine_file(path_or_name: str | Path) -> Path:
-    """Return the file of a machine given by path or bundled name."""
     path = Path(path_or_name)
     if path.is_file():
         return path
@@ -226,7 +223,6 @@ def find_machine_file(path_or_name: str | Path) -> Path:
 
 
 def from_mapping(content: dict[str, Any]) -> Machine:
-    """Build a machine from the mapping of its file."""
     rotary = content.get('rotary') or {}
     if not isinstance(rotary, dict):
         raise MachineError('must hold primary and secondary', 'rotary')

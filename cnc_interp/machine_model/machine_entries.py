@@ -73,7 +73,6 @@ def is_locked(rotary: dict[str, Any], name: str) -> bool:
 
 
 def entry(rotary: dict[str, Any], axis: str, where: str, key: str) -> Any:
-    """Return one value of a rotary axis; raise an error that names it if it is missing."""
     if not isinstance(rotary.get(axis), dict) or key not in rotary[axis]:
         raise MachineError('missing', f'{where}.{axis}.{key}')
     return rotary[axis][key]
@@ -198,7 +197,6 @@ def limits_by_position(
     content: dict[str, Any], names: list[str], linear: list[bool],
     rows: list[tuple[list[float], list[float]]],
 ) -> dict[int, FloatArray]:  # fmt: skip
-    """Read the limits that depend on the position; ``rows`` are limits and travel of all axes."""
     given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
     return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}
 

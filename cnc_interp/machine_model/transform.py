@@ -203,12 +203,10 @@ ON_POLE = 1e-9  #: The sine of the angle to the pole of a tool axis that lies on
 
 
 def on_pole(transform: Transform, axis: FloatArray) -> bool:
-    """Tell whether a tool axis, shape (3,), lies on the pole."""
     return float(np.linalg.norm(np.cross(axis, transform.pole))) < ON_POLE
 
 
 def branch_at(transform: Transform, rotary: FloatArray) -> float:
-    """Return the branch on which rotary positions lie."""
     axis = transform.tool_axis(rotary[None])[0]
     gaps = [
         np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in transform.rotary_solutions(axis)

@@ -22,7 +22,6 @@ ON_HEAD, OUTER, OUTER_SIGN, INNER_SIGN, HEAD_ZERO, SIZE = 21, 23, 24, 25, 26, 29
 
 @njit(cache=True, nogil=True)
 def vector_at(packed: FloatArray, place: int) -> Vector:
-    """Return the vector at a place of the packed geometry, shape (29 + 3 k,)."""
     return (packed[place], packed[place + 1], packed[place + 2])
 
 

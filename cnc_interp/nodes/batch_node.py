@@ -123,7 +123,6 @@ class BatchNode(Node):
         self._progress = progress
 
     def close(self) -> None:
-        """End the processes; what is planned is kept."""
         self._stop.set()
         self._thread.shutdown()
 

@@ -113,7 +113,6 @@ class Controls:
             raise StreamError('the axes are being homed; feed_hold or an empty jog ends it')
 
     def work(self, override: float) -> None:
-        """Hand out what the machine needs next; name what cannot be moved."""
         try:
             self.homing.work(time.monotonic())
             self._jog.work(time.monotonic(), override)

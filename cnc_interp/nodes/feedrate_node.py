@@ -101,7 +101,6 @@ class FeedrateNode(LifecycleNode):
             start_lifecycle(self)
 
     def on_configure(self, _state: Any) -> TransitionCallbackReturn:
-        """Read the machine, load every kernel, open the streams."""
         return transition(self, self._configure)
 
     def _configure(self) -> None:
@@ -137,7 +136,6 @@ class FeedrateNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
-        """Accept no more segments. The machine executes the setpoints that it has."""
         self._active = False
         return super().on_deactivate(state)
 
@@ -211,7 +209,6 @@ class FeedrateNode(LifecycleNode):
     def make_planner(
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
     ) -> RunPlanner:
-        """Make the planner of the run that begins with a segment."""
         wanted = replace(parameters.settings_of(self._values), flank_height=first.flank_height)
         tool = wanted_tool(self._transform.machine, wanted)
         return RunPlanner(
@@ -221,7 +218,6 @@ class FeedrateNode(LifecycleNode):
         )  # fmt: skip
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:
-        """Read segments and the blocks after which cycle_start is waited for."""
         return segments_from(segments), self._inputs.pauses_after(segments)
 
     def join(self, run_id: RunId, first: int) -> None:
@@ -234,7 +230,6 @@ class FeedrateNode(LifecycleNode):
         self._inlet.receiver.consume(count)
 
     def refuse(self, kind: Refusal, reason: str) -> None:
-        """Inform the sender of the segments that the run is over."""
         receiver = self._inlet.receiver
         if not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)

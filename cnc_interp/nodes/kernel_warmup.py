@@ -74,7 +74,6 @@ def dense_program(transform: Transform) -> Blocks:
 
 
 def pole_program(transform: Transform) -> Blocks:
-    """Return a block in which the tool axis passes through the pole of the machine."""
     pole = np.array(transform.pole)
     side = np.linalg.svd(pole[None, :])[2][1]  # any direction at right angles
     ends = tiny_program(transform)[:2]
@@ -156,7 +155,6 @@ def path_without_kernels(machine: Machine) -> AxisPath:
 
 
 def resting_chunk(position: FloatArray, period: float) -> Chunk:
-    """Return four setpoints that command the same position, shape (n_axes,) [m or rad]."""
     number, still = np.arange(4), np.zeros((4, len(position)))
     samples = Setpoints(
         number * period, still + position, still, still, still, number, np.zeros(4)

@@ -51,7 +51,6 @@ class MachineNode(LifecycleNode):
             start_lifecycle(self)
 
     def on_configure(self, _state: Any) -> TransitionCallbackReturn:
-        """Build the machine, standing at zero, and open the streams."""
         return transition(self, self._configure)
 
     def _configure(self) -> None:

@@ -82,14 +82,12 @@ class MachineTopics:
         self._joints.publish(joint_state(feedback, machine, self._now()))
 
     def publish_executed(self) -> None:
-        """Publish the setpoints executed since the last call, and where the axes were."""
         for setpoints, feedback in executed_setpoints(self._playback, self._period):
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)
             self._compare(setpoints)
 
     def _compare(self, executed: SetpointChunk) -> None:
-        """Follow executed setpoints with the model that is not compensated."""
         if self._uncompensated is None:
             return
         if executed.program_id != self._compared:

@@ -43,7 +43,6 @@ class MarkerLine:
         self._markers, self._last, self._first_changed = [], None, 0
 
     def add(self, place: Iterable[float]) -> None:
-        """Add a point [m]."""
         found = tuple(float(x) for x in place)
         if self._last is not None and math.dist(found, self._last) < self._spacing:
             return

@@ -53,7 +53,6 @@ class Mdi:
         )  # fmt: skip
 
     def keep(self, prepared: Prepared | None) -> None:
-        """Keep the modal state of a line, because it is executed."""
         if prepared is not None and prepared.line is not None:
             self._reader.keep(prepared.line)
             self._told = None

@@ -25,7 +25,6 @@ def of_settings(*stages: Stage) -> tuple[Declared, ...]:
 
 
 def declared(choice: Choice) -> Declared:
-    """Declare one choice."""
     default = choice.plain(choice.default)
     told = choice.sentence[0].upper() + choice.sentence[1:]
     if choice.values:
@@ -111,7 +110,6 @@ NODES = {
 
 
 def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
-    """Declare parameters on a node and return their values."""
     values = {}
     for parameter in parameters:
         try:
@@ -132,7 +130,6 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
 
 
 def descriptor_of(parameter: Declared) -> ParameterDescriptor:
-    """Describe a parameter, with the kind of range that fits its type."""
     descriptor = ParameterDescriptor(description=parameter.description)
     if parameter.low is None or parameter.high is None:
         return descriptor

@@ -89,7 +89,6 @@ class Peers:
         )
 
     def missing(self, now: float, timeout: float) -> str:
-        """Name the first node that has been silent for longer than the timeout."""
         for stream, node in RECEIVERS.items():
             if now - self._seen.get(stream, -math.inf) > timeout:
                 return node

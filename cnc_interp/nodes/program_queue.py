@@ -35,7 +35,6 @@ class ProgramQueue:
         self._told_at = 0.0
 
     def add(self, run: ProgramRun, handle: Any) -> None:
-        """Add a goal, or refuse it if too many wait already."""
         if len(self._entries) < MOST:
             self._entries.append(Waiting(run, handle))
             return

@@ -81,7 +81,6 @@ class ProgramRun:
         self._change(Step.TURN, now)
 
     def step(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
-        """Advance the run."""
         outcome = None
         if self.phase is Phase.CHECKING:
             outcome = self.preparation.look()
@@ -162,7 +161,6 @@ class ProgramRun:
         return refused(kind, reason, moved=self._machine is not None)
 
     def _see_nodes(self, peers: Peers, now: float) -> None:
-        """Record which nodes have accepted the run, and which one has lost it."""
         for stream, node in RECEIVERS.items():
             if peers.knows(stream, self.run_id):
                 self._known_by.add(node)
@@ -241,7 +239,6 @@ class ProgramRun:
         return list(program.changes[first : self._changes_done])
 
     def loaded(self) -> LoadedProgram:
-        """Make the message about the program that is about to run."""
         program = self.preparation.prepared
         assert program is not None
         message = loaded_program(self.run_id.program_id, self.name, program.text, program.settings)
@@ -256,7 +253,6 @@ class ProgramRun:
         return message
 
     def result(self, outcome: Outcome) -> RunProgram.Result:
-        """Make the result without what the machine has executed."""
         program = self.preparation.prepared
         notices = program.notices if program is not None else ()
         return run_result(outcome, self.run_id.program_id, notices)
@@ -289,7 +285,6 @@ class BlockFeed:
             self._queued = after
 
     def end(self, sender: WindowedSender[slice]) -> None:
-        """Stop sending blocks of the run."""
         self._prepared = None
         sender.begin(NO_RUN)
 

@@ -177,7 +177,6 @@ class Inlet:
             self.tell()
 
     def tell(self) -> None:
-        """Publish what was received and how far the sender may go."""
         receiver, run_id = self.receiver, self.receiver.run_id
         self._told, self._told_at = self._news(), time.monotonic()
         self._publish(
@@ -246,7 +245,6 @@ class Outlet:
         return '' if self.peer is None else str(self.peer.refusal)
 
     def pump(self) -> None:
-        """Send as much as the window allows."""
         if not self.sender.run_id or self.refused:
             return
         items = self.sender.due(time.monotonic())

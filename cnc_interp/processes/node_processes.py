@@ -130,7 +130,6 @@ class Children:
         return text[max(text.rfind('Traceback ('), 0) :].strip()
 
     def end(self) -> None:
-        """End all nodes; those that do not end in time are killed."""
         for node in self.nodes.values():
             node.process.terminate()
         deadline = time.monotonic() + LAST_WAIT

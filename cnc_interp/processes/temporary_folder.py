@@ -28,7 +28,6 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 
 
 def remove_dead_folders() -> None:
-    """Remove the folders of processes that were killed: nobody holds their locks."""
     for folder in Path(tempfile.gettempdir()).glob(f'{PREFIX}*'):
         with contextlib.suppress(OSError):
             if folder.stat().st_uid == os.getuid() and is_unlocked(folder):

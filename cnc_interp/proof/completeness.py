@@ -211,7 +211,6 @@ class VertexSearch:
     def _peaks(
         self, where: IntArray, points_of: Callable[[FloatArray], FloatArray], unit: FloatArray,
     ) -> FloatArray:  # fmt: skip
-        """Return the largest of the ``peaks`` over the chords near these samples, shape (m,)."""
         around = np.clip(where[:, None] + np.arange(-2, 4), 0, self.count - 1)
         points = points_of(gathered(self.plan.position, around.ravel())).reshape(-1, 6, 3)
         return np.asarray(np.linalg.norm(peaks(points) / unit[:, None], axis=2).max(axis=1))

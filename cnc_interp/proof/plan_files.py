@@ -230,7 +230,6 @@ def read_plan(directory: Path) -> PlanFiles:
 
 
 def _nonsense(blocks: Columns) -> str:
-    """Return what no program can say, with its line; empty if there is nothing."""
     tip, duration = blocks['tip'], blocks['duration']
     length = np.linalg.norm(np.diff(tip, axis=0, prepend=tip[:1]), axis=1)
     endless = np.isinf(blocks['feed']) & ~blocks['rapid'] & ~np.isfinite(duration)

@@ -124,7 +124,6 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
 
 
 def _tolerated(moves: Iterable[ReadMove], forced: bool) -> Iterable[ReadMove]:
-    """Return motions without the tolerances of the text where those of the settings rule."""
     nan = float('nan')
     return (replace(m, tolerance=nan, orientation=nan) for m in moves) if forced else moves
 
@@ -424,7 +423,6 @@ class _FollowPlaces(_Comparison):
 
 
 def _tip_of(move: ReadMove, axis: FloatArray) -> FloatArray:
-    """Return the tip of the cutter that touches the part at the end of a motion [m]."""
     assert move.normal is not None
     ring, corner = move.cutter
     # The corner touches where its centre lies along the normal; from there to the axis, and down.

@@ -91,7 +91,7 @@ def measure_widely(
     program: ProgramShapes, tip: FloatArray, axis: FloatArray, block: IntArray,
     position: FloatArray,
 ) -> Deviation:  # fmt: skip
-    """Measure near the executed row; where the result exceeds a tolerance, search more rows."""
+    """Measure near the executed row; where a tolerance is exceeded, search more rows."""
     result = program.path.deviation(tip, axis, block)
     if program.lines is not None:
         program.lines.improve(result, position, block)

@@ -67,7 +67,6 @@ def _renumbered(
     block: Any, position: Any, new: IntArray, curves: dict[tuple[int, int], FloatArray],
     transform: Transform, height: float,
 ) -> Stored:  # fmt: skip
-    """Return the new row of each position, from its row and where it is on a curve."""
     rows, reached = Stored.empty(len(block), np.int64), dict.fromkeys(curves, 0)
     for a, b in spans(len(block)):
         old = np.asarray(block[a:b], dtype=np.int64)

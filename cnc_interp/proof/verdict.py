@@ -72,7 +72,6 @@ class Proof:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kinds of limits that axes of this machine have."""
         kinds = tuple(kind for kind, _ in DIFFERENCES)
         return (*kinds, TORQUE) if any(f.what == TORQUE for f in self.findings) else kinds
 
@@ -113,7 +112,6 @@ class Proof:
 
 
 def with_program(proof: Proof, found: Agreement) -> Proof:
-    """Add to a proof what the comparison with the text of the program has found."""
     said = 'agree with' if not found.faults else 'were compared with'
     line = f'program text   {found.motions} motions, {found.arcs} arcs {said} the blocks'
     line += f'; {found.readers}'
@@ -133,12 +131,10 @@ class Ledger:
 
     @property
     def findings(self) -> list[Finding]:
-        """Return the largest use of every quantity so far."""
         return [f for f, _, quiet in self._judged.values() if f.exceeded or not quiet]
 
     @property
     def failures(self) -> list[str]:
-        """Return one sentence for each fault so far."""
         texts = []
         for fault in self._faults:
             if isinstance(fault, str):

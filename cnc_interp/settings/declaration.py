@@ -184,7 +184,6 @@ def number(
     default: float | None, unit: Unit, bounds: tuple[float, float], stage: Stage, sentence: str,
     **more: Any,
 ) -> Any:  # fmt: skip
-    """Declare a number [SI] with its bounds [SI]; None as default makes it optional."""
     low, high = bounds
     metavar = unit.name.upper().replace('/', '_PER_')
     declared = {'unit': unit, 'low': low, 'high': high, 'metavar': metavar}
@@ -203,17 +202,14 @@ def switch(default: bool, stage: Stage, sentence: str, **more: Any) -> Any:
 
 
 def one_of(values: tuple[str, ...], stage: Stage, sentence: str, **more: Any) -> Any:
-    """Declare a choice between words; the first one is the default."""
     return _declare(str, values[0], stage, sentence, values=values, **more)
 
 
 def name(stage: Stage, sentence: str, **more: Any) -> Any:
-    """Declare a name in free text, which is not given by default."""
     return _declare(str, None, stage, sentence, optional=True, **more)
 
 
 def file(stage: Stage, sentence: str, **more: Any) -> Any:
-    """Declare the path of a file, which is not given by default."""
     return _declare(Path, None, stage, sentence, optional=True, metavar='FILE', **more)
 
 

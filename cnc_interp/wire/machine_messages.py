@@ -61,7 +61,6 @@ def _executed_of_plan(
 
 
 def machine_state(playback: Playback, period: float) -> MachineState:
-    """Return state and figures of the run; the caller stamps it."""
     axes, run, feedback = playback.axes, playback.state, playback.feedback
     last = playback.last
     least = playback.least_buffered

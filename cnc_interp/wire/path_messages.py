@@ -53,7 +53,6 @@ def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:
 
 
 def blocks_from(messages: list[G1Block]) -> Blocks:
-    """Collect checked messages into the rows of a program."""
     columns = {
         name: np.array([getattr(m, FIELDS.get(name, name)) for m in messages], declared.kind)
         for name, declared in Blocks.declared.items()
@@ -141,7 +140,6 @@ def packed(values: FloatArray) -> array[float]:
 
 
 def segments_from(messages: list[PathSegment]) -> PathSegments:
-    """Collect checked messages into path segments."""
     n = len(messages)
     bottom, top = np.zeros((n, POINTS, 3)), np.zeros((n, POINTS, 3))
     points_of_e = max([len(m.connection) // 3 for m in messages], default=0)

@@ -26,7 +26,6 @@ def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> R
 
 
 def add_executed(result: RunProgram.Result, state: MachineState) -> None:
-    """Add to a result what the machine has executed of the run."""
     count, period = state.samples - state.approach_samples, state.interpolation_period
     result.cycle_time = max(0, count - 1) * period
     result.approach_time = state.approach_samples * period

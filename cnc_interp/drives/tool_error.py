@@ -99,10 +99,7 @@ def tool_error(
 def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
-    """Compare pose i with the ``memory`` commanded chords from chord i on; return its errors.
-
-    Where many chords are as near as the nearest one, the axis most like it counts.
-    """
+    """Compare pose i with ``memory`` chords from i on; of equally near ones, the likest axis."""
     found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
     for i in range(len(tip)):
         for k in range(i, i + memory):

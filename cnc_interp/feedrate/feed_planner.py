@@ -185,10 +185,7 @@ def _unsound_cell(path: AxisPath) -> int | None:
 
 
 class FeedPlanner:
-    """Plan the motion along a path that arrives in parts.
-
-    ``start``: s_dot and s_ddot there, of a law within the same limits; otherwise no law may exist.
-    """
+    """Plan a path arriving in parts, from a state ``start`` of a law within the same limits."""
 
     def __init__(
         self, limits: AxisLimits, options: PlanOptions | None = None,

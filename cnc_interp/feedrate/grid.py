@@ -101,10 +101,7 @@ def cell_nodes(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
-    """Estimate by how much a limit may be exceeded inside a cell whose two ends keep it [-].
-
-    The rows are linear in q_ss and q_sss: their largest deviation from a line counts, at speed v.
-    """
+    """Estimate the excess over a limit inside a cell that keeps it at the ends (q_ss, q_sss)."""
     worst = 0.0
     c, jet = np.empty(8), np.empty(4)
     for k in range(left.shape[1]):
@@ -196,10 +193,7 @@ def _group_cells(
     table: FloatArray, bounds: FloatArray, v: FloatArray, wanted: FloatArray, most_bend: float,
     given: BoolArray,
 ) -> IntArray:  # fmt: skip
-    """Group the path cells from ``first`` on; return the grid points between the groups.
-
-    Only ``given`` grid points may lie inside: others would undo the refinement.
-    """
+    """Group path cells from ``first`` on, ``given`` points inside; return those between."""
     n = len(bounds)
     nodes = np.empty(n + 1, dtype=np.int64)
     nodes[0] = first
@@ -286,10 +280,7 @@ def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray
 
 
 def with_kinks(path: AxisPath, table: FloatArray) -> AxisPath:
-    """Add grid points where the limits of an axis have a kink: they are linear in each cell then.
-
-    Else a cell as long as a block would hide a low limit in its middle.
-    """
+    """Add grid points at the kinks of limits: else a long cell would hide a low limit inside."""
     if (table.shape[2] == 1 and not has_loads(table)) or len(path.s) < 2:
         return path
     return refine(path, _kinks(path.s, path.cell_left, path.cell_right, table))

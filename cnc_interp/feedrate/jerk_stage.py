@@ -108,10 +108,7 @@ def without_braking(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
-    """Return starting coefficients from the guessed speeds: moving minimum, then moving mean.
-
-    No law can follow the corners of the guess: without smoothing, a third more iterations.
-    """
+    """Return starting coefficients: moving minimum, then mean, as no law follows corners."""
     n = len(h)
     squared, least, m = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):

@@ -192,10 +192,7 @@ def _first_stop(
     table: FloatArray, leeway: float, brakings: FloatArray, releases: FloatArray,
     steps: FloatArray,
 ) -> int:  # fmt: skip
-    """Try all ways to brake in order; return the number of steps of the first stop, or 0.
-
-    An earlier release shares all steps before it with the later one that failed.
-    """
+    """Try all ways to brake, which share first steps; return the steps of the first, or 0."""
     cell = max(min(np.searchsorted(s_grid, start[0], side='right') - 1, len(s_grid) - 2), 0)
     steps[0, 1:4], steps[0, 5] = start, cell
     for braking in brakings:
@@ -221,10 +218,7 @@ def stop_law(
     path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float,
     leeway: float = LEEWAY,
 ) -> PlannedPiece | None:  # fmt: skip
-    """Return a stop from s, s_dot and s_ddot at ``time``, within all limits; None without one.
-
-    ``leeway``: the part of every limit that braking leaves free, at least ``LEEWAY`` [-].
-    """
+    """Return a stop from s, s_dot and s_ddot at ``time``; None if none keeps all limits."""
     if state[1] <= 0.0:
         return None
     steps = np.empty((round(LONGEST_STOP / STEP), 7))

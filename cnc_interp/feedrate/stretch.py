@@ -64,10 +64,7 @@ def settle_widths(
     h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
     a: FloatArray, duration: FloatArray,
 ) -> float:  # fmt: skip
-    """Iterate the effective widths to rounding accuracy while the coefficients stay fixed.
-
-    A check by third differences needs it: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
-    """
+    """Iterate the widths to rounding: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3."""
     b = np.empty(len(v))
     left = 1.0
     for _ in range(60):

@@ -202,10 +202,7 @@ def _last_conflict(
 
 
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
-    """Return the largest squared speeds from which the rest can be driven (TOPP-RA, backwards).
-
-    Most steps can be driven from their largest speed; toppra is loaded only for the others.
-    """
+    """Return the largest b from which the rest can be driven (TOPP-RA); toppra for few steps."""
     found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
     solver = None
     while (last := _last_conflict(start, end, found, room, last)) >= 0:

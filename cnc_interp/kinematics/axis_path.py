@@ -147,10 +147,7 @@ def evaluate(
 def evaluate_along(
     path: AxisPath, along: FloatArray, cell: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what ``evaluate`` does, at distances [m] from the starts of cells; held outside.
-
-    Where an axis moves much farther than s, the rounding of a path position would show.
-    """
+    """Return what ``evaluate`` does, at distances [m] from cells' starts: they round less."""
     jets = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)
     return jets[0], jets[1], jets[2], jets[3]
 

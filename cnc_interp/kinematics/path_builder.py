@@ -101,10 +101,7 @@ class AxisPathBuilder:
         return self._rotary
 
     def push(self, segments: PathSegments) -> AxisPath | None:
-        """Take further segments and return their axes; None when there are none.
-
-        Raises TravelError, SingularityError or BlockError, with line, axis and value.
-        """
+        """Take segments; return their axes, if any; BlockError with line, axis and value."""
         if len(segments) and segments.extra.shape[2] != len(self.machine.extra_names):
             raise BlockError(
                 f'the path moves {segments.extra.shape[2]} extra axes, but machine '

@@ -62,10 +62,7 @@ SPIN_TIMEOUT = 0.1  #: The thread looks after such times whether it shall end [s
 
 
 class ControllerLink:
-    """The controller on its topics; see ``trajectory_drives.Controller``.
-
-    A node of its own: it is heard while the machine node waits for the controller.
-    """
+    """The controller on its topics: a node of its own, heard while the machine node waits."""
 
     def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):
         self._joints = joints

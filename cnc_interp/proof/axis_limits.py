@@ -34,10 +34,7 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
 
 
 def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
-    """Return the torque |J a + B v + C sign(v)| of an axis around each sample but first and last.
-
-    If the axis turns at the sample, the sign is free, and the smaller torque counts.
-    """
+    """|J a + B v + C sign(v)| around each sample but the ends; the smaller where it turns."""
     load = machine.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]
     inertia = load.inertia * (after - before) / period**2

@@ -35,10 +35,7 @@ class Numbered(Generic[Item]):
 
 
 class WindowedSender(Generic[Item]):
-    """The sending end; without an acknowledgement for ``resend_after`` [s], sending starts again.
-
-    Twice as long after each time in vain, so that a slow receiver is not buried in repeats.
-    """
+    """The sending end; sends again after ``resend_after`` [s] of silence, then twice that."""
 
     def __init__(self, resend_after: float):
         self.resend_after = self._patience = resend_after

@@ -96,6 +96,22 @@ def tool_error(
 
 
 @njit(cache=True, nogil=True)
+def on_chord(tips: FloatArray, k: int, tip: FloatArray) -> tuple[float, float]:
+    """Return the nearest place on chord k of a path, 0 to 1, and its distance squared [m2]."""
+    along, length_sq = 0.0, 0.0
+    for c in range(3):
+        chord = tips[k + 1, c] - tips[k, c]
+        along += (tip[c] - tips[k, c]) * chord
+        length_sq += chord * chord
+    part = min(1.0, max(0.0, along / length_sq)) if length_sq > 0.0 else 0.0
+    distance_sq = 0.0
+    for c in range(3):
+        gap = tip[c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
+        distance_sq += gap * gap
+    return part, distance_sq
+
+
+@njit(cache=True, nogil=True)
 def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
@@ -103,19 +119,10 @@ def path_and_axis_errors(
     found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
     for i in range(len(tip)):
         for k in range(i, i + memory):
-            along, length_sq = 0.0, 0.0
+            part, distance_sq = on_chord(tips, k, tip[i])
+            turn_sq = 0.0
             for c in range(3):
-                chord = tips[k + 1, c] - tips[k, c]
-                along += (tip[i, c] - tips[k, c]) * chord
-                length_sq += chord * chord
-            part = 0.0
-            if length_sq > 0.0:
-                part = min(1.0, max(0.0, along / length_sq))
-            distance_sq = turn_sq = 0.0
-            for c in range(3):
-                gap = tip[i, c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
                 lean = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
-                distance_sq += gap * gap
                 turn_sq += lean * lean
             away[k - i], turn[k - i] = np.sqrt(distance_sq), np.sqrt(turn_sq)
         nearest = away.min()

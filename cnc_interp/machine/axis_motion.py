@@ -11,7 +11,7 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
 from cnc_interp.drives.drive_model import memory_of
-from cnc_interp.drives.tool_error import AHEAD
+from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -187,16 +187,6 @@ def path_errors(trail: FloatArray, tips: FloatArray, memory: int) -> FloatArray:
     for i in range(len(tips)):
         nearest = np.inf
         for k in range(i, i + memory - 1):
-            along, length_sq = 0.0, 0.0
-            for c in range(3):
-                chord = trail[k + 1, c] - trail[k, c]
-                along += (tips[i, c] - trail[k, c]) * chord
-                length_sq += chord * chord
-            part = min(1.0, max(0.0, along / length_sq)) if length_sq > 0.0 else 0.0
-            distance_sq = 0.0
-            for c in range(3):
-                gap = tips[i, c] - trail[k, c] - part * (trail[k + 1, c] - trail[k, c])
-                distance_sq += gap * gap
-            nearest = min(nearest, distance_sq)
+            nearest = min(nearest, on_chord(trail, k, tips[i])[1])
         errors[i] = np.sqrt(nearest)
     return errors

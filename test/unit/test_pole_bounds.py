@@ -12,7 +12,7 @@ from cnc_interp.core.bezier import (
     least_length,
     weighted_largest,
 )
-from cnc_interp.kinematics.path_at_pole import gap_bounds, near_pole, pole_sine, rates_of, way_to
+from cnc_interp.kinematics.pole_bounds import gap_bounds, near_pole, pole_sine, rates_of, way_to
 from cnc_interp.kinematics.segment_axes import (
     GUIDE,
     GUIDE_FROM,

@@ -224,6 +224,7 @@ def test_a_killed_node_is_restarted_and_cycle_start_goes_on_from_the_stopped_poi
     bench.finish(handle)
 
 
+@pytest.mark.thorough
 def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_told(
     tmp_path, monkeypatch
 ):
@@ -252,19 +253,23 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
         bench.close()
 
 
-def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path(bench):
-    bench.begin()
-    bench.until_at(0.01)
-    bench.watching = False
-    machine = bench.children.nodes['machine_node'].process
+def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path():
+    bench = Bench()  # a node that was told to end is not started again
+    try:
+        bench.begin()
+        bench.until_at(0.01)
+        bench.watching = False
+        machine = bench.children.nodes['machine_node'].process
 
-    def told():
-        return sum(len(m.sequences) for m in bench.executed)
+        def told():
+            return sum(len(m.sequences) for m in bench.executed)
 
-    machine.terminate()
-    bench.spin_until(lambda: machine.exitcode is not None)
-    bench.spin_until(lambda: bench.state.state == MachineState.HELD)
-    bench.spin_until(lambda: told() == bench.state.samples)
+        machine.terminate()
+        bench.spin_until(lambda: machine.exitcode is not None)
+        bench.spin_until(lambda: bench.state.state == MachineState.HELD)
+        bench.spin_until(lambda: told() == bench.state.samples)
+    finally:
+        bench.close()
     q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in bench.executed])
     s = np.concatenate([m.path_positions for m in bench.executed])
     path, on = path_of(PROGRAM), s >= 0.0

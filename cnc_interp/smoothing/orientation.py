@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from math import atan2, cos, sin, sqrt
+
 import numpy as np
+from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 
@@ -46,6 +49,33 @@ def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float)
     sine, cosine = np.sin(angle), np.cos(angle)
     along = k * dot(k, axis)[..., None]
     return np.asarray(axis * cosine + cross(k, axis) * sine + along * (1.0 - cosine))
+
+
+@njit(cache=True, nogil=True)
+def rotation_between(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
+    """Return the rotation vector of one great circle, inside kernels."""
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    sine = sqrt(x * x + y * y + z * z)
+    ratio = 0.0
+    if sine >= 1e-15:
+        ratio = atan2(sine, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]) / sine
+    return x * ratio, y * ratio, z * ratio
+
+
+@njit(cache=True, nogil=True)
+def turn_axis(
+    axis: FloatArray, rotation: tuple[float, float, float], share: float, out: FloatArray
+) -> None:
+    """Write one tool axis, turned by a share of a rotation vector, inside kernels."""
+    x, y, z = rotation
+    rate = sqrt(x * x + y * y + z * z)
+    if rate > 0.0:
+        x, y, z = x / rate, y / rate, z / rate
+    sine, cosine = sin(share * rate), cos(share * rate)
+    along = x * axis[0] + y * axis[1] + z * axis[2]
+    side = (y * axis[2] - z * axis[1], z * axis[0] - x * axis[2], x * axis[1] - y * axis[0])
+    for i, k in enumerate((x, y, z)):
+        out[i] = axis[i] * cosine + side[i] * sine + k * along * (1.0 - cosine)
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ longer have. Where the tool rests and where a native spline begins, it stands as
 block whose tool axis would be moved waits for the next one.
 
 A path that passes beside the pole is moved through it (``kinematics/pole_passage.py``). Corners
-and curves leave a part of the orientation tolerance for that (``shares_near_pole``). With the
+and curves leave a part of the orientation tolerance for that (``share_near_pole``). With the
 distance d of the programmed path from the pole and a share c, both over the tolerance, a path
 passes the pole at most at ``d + g c``, and 1 - c is left. It can be moved onto the pole if
 ``d + g c < 0.9 (1 - c)``; here it is at most ``0.8 (1 - c)``. A path that is farther away should
@@ -20,14 +20,16 @@ from its vertex: at the part f of its leg by about ``(1 - f)^4`` of its largest 
 from __future__ import annotations
 
 from dataclasses import replace
+from math import atan2, cos, sin, sqrt
 
 import numpy as np
+from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
-from cnc_interp.smoothing.orientation import cross, dot, norm
+from cnc_interp.smoothing.orientation import cross, norm
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM
@@ -97,21 +99,48 @@ class Upright:
         )
 
 
-def shares_near_pole(
-    pole: FloatArray, axis: FloatArray, rotation: FloatArray, tolerance: FloatArray,
-    corner: bool = False,
-) -> FloatArray:  # fmt: skip
-    """Return what corners and curves may use of the orientation tolerance beside great circles."""
-    sense = np.where(axis @ pole < 0.0, -1.0, 1.0)
-    poles = sense[:, None] * pole
-    turn = norm(rotation)
-    normal = rotation / np.where(turn > 0.0, turn, 1.0)[:, None]
-    side = cross(normal, axis)
-    foot = np.clip(np.arctan2(dot(side, poles), dot(axis, poles)), 0.0, turn)
-    nearest = np.cos(foot)[:, None] * axis + np.sin(foot)[:, None] * side
-    distance = np.arctan2(norm(cross(nearest, poles)), dot(nearest, poles)) / tolerance
-    part = foot / np.where(turn > 0.0, turn, 1.0) if corner else np.zeros(len(foot))
-    fading = np.clip(FADING * (1.0 - part) ** 4, 1e-3, 1.0)
+@njit(cache=True, nogil=True)
+def share_near_pole(
+    pole: FloatArray, axis: FloatArray, rotation: tuple[float, float, float], tolerance: float,
+    corner: bool,
+) -> float:  # fmt: skip
+    """Return what a corner or curve may use of the orientation tolerance beside a great circle."""
+    sense = -1.0 if axis[0] * pole[0] + axis[1] * pole[1] + axis[2] * pole[2] < 0.0 else 1.0
+    x, y, z = rotation
+    turn = sqrt(x * x + y * y + z * z)
+    if turn > 0.0:
+        x, y, z = x / turn, y / turn, z / turn
+    p = sense * pole[0], sense * pole[1], sense * pole[2]
+    a = axis[0], axis[1], axis[2]
+    side = y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]
+    along = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
+    across = side[0] * p[0] + side[1] * p[1] + side[2] * p[2]
+    foot = min(max(atan2(across, along), 0.0), turn)
+    c, s = cos(foot), sin(foot)
+    near = c * a[0] + s * side[0], c * a[1] + s * side[1], c * a[2] + s * side[2]
+    off = (
+        near[1] * p[2] - near[2] * p[1],
+        near[2] * p[0] - near[0] * p[2],
+        near[0] * p[1] - near[1] * p[0],
+    )
+    along = near[0] * p[0] + near[1] * p[1] + near[2] * p[2]
+    distance = atan2(sqrt(off[0] ** 2 + off[1] ** 2 + off[2] ** 2), along) / tolerance
+    part = foot / turn if corner and turn > 0.0 else 0.0
+    fading = min(max(FADING * (1.0 - part) ** 4, 1e-3), 1.0)
     through = (MOVED - distance) / (fading + MOVED)
-    share = np.maximum(np.maximum(through, (distance - KEPT) / fading), LEAST)
-    return np.asarray(np.minimum(share, 1.0))
+    return min(max(through, (distance - KEPT) / fading, LEAST), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def shares_at_corners(
+    pole: FloatArray, axis: FloatArray, turns: FloatArray, tolerance: FloatArray
+) -> FloatArray:
+    """Return these shares at n corners; ``turns`` (n, 2, 3) lead from them along both lines."""
+    shares = np.ones(len(axis))
+    for k in range(len(axis)):
+        if turns[k].any():
+            for side in range(2):
+                x, y, z = 0.5 * turns[k, side]
+                share = share_near_pole(pole, axis[k], (x, y, z), tolerance[k], True)
+                shares[k] = min(shares[k], share)
+    return shares

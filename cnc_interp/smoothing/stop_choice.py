@@ -14,7 +14,8 @@ orientation tolerance, and the outer rotary axis follows each of its waves.
 No simple size of the path tells how long the axes take there, and smoothing plans no motion. So it
 proposes: two sets of ways over the next blocks. A stage that can plan them chooses (``Choice``).
 At a corner the ways are with and without a stop there; the corners after it, which may need a stop
-too, are rounded or all are stops. A run is a curve, or lines that are rounded or all are stops.
+too, are rounded or all are stops. A run is a curve, or lines that are rounded; or all are stops,
+where one of their corners is doubtful.
 
 A way begins and ends at rest: at the last stop, or three lines before the corner, and at the next
 stop, or six lines after it. Which lines it has does not depend on how the blocks arrive, and
@@ -85,32 +86,34 @@ def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits
     return np.asarray(near | (rate > FAST * np.sin(angle)))  # the outer axis turns faster there
 
 
-def with_stops(blocks: Blocks) -> Blocks:
-    """Return blocks with an exact stop at each pose."""
-    return replace(blocks, exact_stop=np.ones(len(blocks), dtype=np.bool_))
-
-
 def may_be_slow(
     skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
 ) -> bool:
     """Tell whether a run may be slower as a curve."""
-    if last - start > MOST_BLOCKS:
-        return False
     least = float(skeleton.tolerance[start + 1 : last + 1].min())
     if skeleton.u[last] - skeleton.u[start] < TINY * least:
         return True
+    if not skeleton.turning[start + 1 : last + 1].any():
+        return False
     blocks = skeleton.blocks[start : last + 1]
     return bool(turns_fast(blocks, Legs.of(blocks, machine, height), height, machine).any())
 
 
 def ways_of_run(
-    skeleton: Skeleton, start: int, last: int
-) -> tuple[tuple[Way, ...], tuple[Way, ...]]:
-    """Return a run and the lines beside it as lines, rounded or all stops, and as a curve."""
+    skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
+) -> tuple[list[Way], list[Way]]:
+    """
+    Return a run and the lines beside it as lines, and as a curve.
+
+    The lines are rounded; where a corner is doubtful, they are also all stops.
+    """
     first = start if skeleton.stop[start] else start - 1
     end = last if skeleton.stop[last] else last + 1
     blocks = skeleton.blocks[first : end + 1]
-    return (Way(blocks), Way(with_stops(blocks))), (Way(blocks, curves=True),)
+    ways = [Way(blocks)]
+    if doubtful(Rows.plain(blocks, 0), Legs.of(blocks, machine, height), height, machine).any():
+        ways.append(Way(replace(blocks, exact_stop=np.ones(len(blocks), dtype=np.bool_))))
+    return ways, [Way(blocks, curves=True)]
 
 
 class StopChoice:

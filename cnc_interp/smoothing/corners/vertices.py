@@ -15,7 +15,7 @@ from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
-from cnc_interp.smoothing.pole import shares_near_pole
+from cnc_interp.smoothing.pole import shares_at_corners
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9
@@ -139,14 +139,10 @@ def corners_at(
     ]
     near = np.zeros(len(rows), dtype=np.bool_)
     if machine.pole is not None:
-        pole, angle = np.array(machine.pole), tolerances[1] / flank_height
-        turns = -legs.rotation[rows - 1], legs.rotation[rows]
-        shares = [
-            shares_near_pole(pole, blocks.axis[rows], 0.5 * turn, angle, corner=True)
-            for turn in turns
-        ]
-        turning = (turns[0] != 0.0).any(axis=1) | (turns[1] != 0.0).any(axis=1)
-        share = np.where(turning, np.minimum(*shares), 1.0)
+        turns = np.stack([-legs.rotation[rows - 1], legs.rotation[rows]], axis=1)
+        share = shares_at_corners(
+            np.array(machine.pole), blocks.axis[rows], turns, tolerances[1] / flank_height
+        )
         tolerances[1], near = tolerances[1] * share, share < 1.0
     return Corners(
         tip=blocks.tip[rows],

@@ -17,6 +17,7 @@ from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.bezier import quintic_part
+from cnc_interp.smoothing.dense.polyline import Polyline
 
 #: Largest number of times that a part is halved if the hull is too wide.
 HALVINGS = 3
@@ -73,19 +74,15 @@ def _hull(
 
 @njit(cache=True, nogil=True)
 def certify(
-    points: FloatArray, knots: FloatArray, tip: FloatArray, axis: FloatArray, u: FloatArray,
-    used: FloatArray, height: float, turning: bool, allowed: FloatArray,
+    points: FloatArray, knots: FloatArray, line: Polyline, height: float, turning: bool,
+    tolerance_share: float,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """
-    Bound the deviation of the n spans of a curve from the blocks.
+    """Bound contour and orientation deviation of n spans (n, 2) [m], and shares of tolerances.
 
-    ``points`` (n, 6, d) are the Bezier points of the tip, and of the top if the tool turns.
-    ``used`` has the deviation of each block from the program, and a hull wider than ``allowed`` (m
-    - 1, 2) is refined [m]. Returns contour and orientation deviation (n, 2) [m], the largest
-    shares of both tolerances (n, 2), and whether the tip certainly moves forward everywhere in
-    each span.
+    ``points`` (n, 6, d) are Bezier points of the tip, and of the top if the tool turns. Also
+    tells whether the tip certainly moves forward everywhere in each span.
     """
-    n = len(points)
+    n, u, tip, axis = len(points), line.u, line.pose[:, :3], line.pose[:, 3:]
     deviation, excess = np.zeros((n, 2)), np.zeros((n, 2))
     advances = np.ones(n, dtype=np.bool_)
     work = np.empty((6, points.shape[2]))
@@ -104,6 +101,10 @@ def certify(
             for i in range(3):
                 cosine += (axis[j + 1, i] - axis[j, i]) ** 2
             turn = sqrt(cosine)
+            allowed = (
+                tolerance_share * line.tolerance[j, 0],
+                tolerance_share * line.tolerance[j, 1],
+            )
             for halving in range(HALVINGS + 1):
                 parts = 2**halving
                 worst, worst_top = 0.0, 0.0
@@ -130,13 +131,13 @@ def certify(
                         turn * (y - x), height, turning, work,
                     )  # fmt: skip
                     worst, worst_top = max(worst, contour), max(worst_top, top)
-                worst, worst_top = worst + used[j, 0], worst_top + used[j, 1]
-                if worst <= allowed[j, 0] and worst_top <= allowed[j, 1]:
+                worst, worst_top = worst + line.used[j, 0], worst_top + line.used[j, 1]
+                if worst <= allowed[0] and worst_top <= allowed[1]:
                     break
             deviation[s, 0] = max(deviation[s, 0], worst)
             deviation[s, 1] = max(deviation[s, 1], worst_top)
-            excess[s, 0] = max(excess[s, 0], worst / allowed[j, 0])
-            excess[s, 1] = max(excess[s, 1], worst_top / allowed[j, 1])
+            excess[s, 0] = max(excess[s, 0], worst / allowed[0])
+            excess[s, 1] = max(excess[s, 1], worst_top / allowed[1])
             j += 1
         square = 0.0
         for i in range(3):
@@ -147,6 +148,6 @@ def certify(
                 along += (points[s, q + 1, i] - points[s, q, i]) * (
                     points[s, 5, i] - points[s, 0, i]
                 )
-            if along <= ADVANCE * square:
+            if not along > ADVANCE * square:  # also NaN, if the solution broke down
                 advances[s] = False
     return deviation, excess, advances

@@ -11,30 +11,29 @@ the motion of the line: the tip moves straight and the tool axis on the great ci
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
-from cnc_interp.smoothing.dense.curve_fit import AHEAD, Run, Window
-from cnc_interp.smoothing.dense.end_lines import (
-    EndLine,
-    choose_end_line,
-    longest_spacing,
-    with_end_line,
-)
-from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.dense.polyline import Polyline
+from cnc_interp.smoothing.dense.curve_fit import Curve, Run, Window
+from cnc_interp.smoothing.dense.end_lines import EndLine, extended, with_end_line
+from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
+from cnc_interp.smoothing.dense.path_rows import Rows, Spans
+from cnc_interp.smoothing.dense.polyline import lone_vertex
 from cnc_interp.smoothing.dense.skeleton import (
     LONG,
     SHORT,
     CornerSearch,
     Skeleton,
     SkeletonBuilder,
+    Vertices,
 )
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
@@ -66,7 +65,7 @@ class Compressor:
         self._lead: EndLine | None = None  # line before the run, if not sent yet
         self._tail: EndLine | None = None  # line after the run
         self._after_curve = False
-        self._rows: list[Rows] = []
+        self._made: list[Made] = []
 
     def push(self, blocks: Blocks) -> Rows:
         """Add blocks; return the lines and curves that later blocks cannot change."""
@@ -84,12 +83,18 @@ class Compressor:
 
     def _advance(self, final: bool) -> Rows:
         """Find corners, and return all rows that are final."""
-        if self._builder.skeleton is not None:
-            self._corners.decide(self._skeleton, final)
-            self._send()
-            self._forget()
-        rows, self._rows = self._rows, []
-        return Rows.concatenate(rows) if rows else Rows.plain(Blocks.none(), 0)
+        if self._builder.skeleton is None:
+            return Rows.plain(Blocks.none(), 0)
+        self._corners.decide(self._skeleton, final)
+        first = not self._begun and self._corners.decided > 0
+        rows = [Rows.plain(self._skeleton.blocks[: int(first)], self._first)]
+        self._begun |= first
+        self._send()
+        if self._made:
+            rows.append(rows_of(self._skeleton, self._made))
+            self._made = []
+        self._forget()
+        return Rows.concatenate(rows)
 
     @property
     def _skeleton(self) -> Skeleton:
@@ -98,9 +103,6 @@ class Compressor:
 
     def _send(self) -> None:
         """Send lines and runs in order, as far as their vertices are decided."""
-        if not self._begun and self._corners.decided:
-            self._begun = True
-            self._rows.append(Rows.plain(self._skeleton.blocks[:1], self._first))
         while True:
             if self._run is not None:
                 if not self._follow(self._run):
@@ -111,13 +113,15 @@ class Compressor:
                 return
             if skeleton.kind[a + 1] == SHORT:
                 start = a
-            elif skeleton.kind[a + 1] == LONG and not skeleton.ends[a + 1]:
+            elif skeleton.kind[a + 1] == LONG and not (
+                skeleton.closed[a + 1] or skeleton.corner[a + 1]
+            ):
                 start = a + 1
             else:
                 self._line(a + 1)
                 self._at = a + 1
                 continue
-            last, ended, ready = self._extent(start)
+            last, ended, ready = run_end(self._skeleton.vertices, start, self._corners.decided)
             if not ready:
                 return
             if last - start >= FEWEST_BLOCKS:
@@ -133,26 +137,6 @@ class Compressor:
                 self._line(k)
             self._at = last
 
-    def _extent(self, start: int) -> tuple[int, bool, bool]:
-        """
-        Find the end of a run that begins at a vertex.
-
-        Returns the last known vertex of the run, whether the run ends there, and whether enough
-        is known to decide if there is a run.
-        """
-        skeleton, stop = self._skeleton, self._corners.decided
-        if start + 1 < len(skeleton) and skeleton.kind[start + 1] != SHORT:
-            return start, True, True
-        if start + 1 >= stop:
-            return start, False, False
-        following = np.append(skeleton.kind[start + 2 : stop + 1], SHORT)[: stop - start - 1]
-        ends = np.flatnonzero(skeleton.ends[start + 1 : stop] | (following != SHORT))
-        if len(ends):
-            return start + 1 + int(ends[0]), True, True
-        last = stop - 1
-        long = skeleton.u[last] >= skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
-        return last, False, bool(long) and last - start >= FEWEST_BLOCKS
-
     def _is_faster(self, start: int, last: int, ended: bool) -> bool | None:
         """Tell whether a run is to become a curve; None if more blocks are necessary."""
         if self._choice is None or last - start > MOST_BLOCKS:
@@ -162,85 +146,81 @@ class Compressor:
             return None
         if not may_be_slow(skeleton, start, last, self._height, self._machine):
             return True
-        return not self._choice(*ways_of_run(skeleton, start, last))
+        return not self._choice(*ways_of_run(skeleton, start, last, self._height, self._machine))
 
     def _line(
         self, k: int, leg: EndLine | None = None, leads: bool = False,
         off: FloatArray | None = None,
     ) -> None:  # fmt: skip
-        self._rows.append(line_row(self._skeleton, k, leg, leads, off, self._after_curve))
+        """Send the line to vertex k, or the part of it before or after a curve."""
+        skeleton, tolerance = self._skeleton, self._skeleton.tolerance[k]
+        off = skeleton.used[k] if off is None else off
+        feed = skeleton.blocks.feedrate[k]
+        if leg is not None:
+            off, tolerance = leg.used, leg.tolerance
+            feed = feed if skeleton.blocks.rapid[k] else leg.feed
+        pose = leg.pose if leg is not None and leads else None
+        stop = bool(skeleton.stop[k]) and not leads
+        self._made.append(
+            Made(k, pose, tolerance - off, off, feed, stop, self._after_curve, leads)
+        )
         self._after_curve = False
 
     def _begin(self, start: int, last: int, ended: bool) -> None:
         """Begin a run at a vertex."""
-        skeleton, height = self._skeleton, self._height
-        tip, axis = skeleton.blocks.tip, skeleton.blocks.axis
-        near = skeleton.u[start] + AHEAD * longest_spacing(skeleton, start + 1)
-        seen = min(last, int(np.searchsorted(skeleton.u, near)))
-        turning = bool(skeleton.turning[start + 1 : seen + 1].any())
-        turning = turning or not self._machine.keeps_tool(axis[start])
-        if skeleton.stop[start]:
-            jet = np.concatenate([tip[start], skeleton.top[start]])[None]
-            self._lead = None
-            line, following = Polyline.at(tip[start], axis[start], start), start + 1
-        else:
-            leg = choose_end_line(skeleton, start, 1, last, ended)
-            self._lead = leg
-            line = Polyline.at(*leg.pose, -1)
-            line, jet = with_end_line(line, leg, leg.goal, leg.vertex, skeleton, height)
-            following = leg.vertex + 1
-        longest = longest_spacing(skeleton, start + 1)
-        pole = None if self._machine.pole is None else np.array(self._machine.pole)
-        self._run = Run(line, jet, turning, height, longest, self._share, pole)
+        skeleton, v = self._skeleton, self._skeleton.vertices
+        longest = LONGEST * float(skeleton.tolerance[start + 1].min())
+        seen = min(last, int(np.searchsorted(v.u, v.u[start] + AHEAD * longest)))
+        turning = bool(v.turning[start + 1 : seen + 1].any())
+        turning = turning or not self._machine.keeps_tool(v.pose[start, 3:])
+        line, following, self._lead = lone_vertex(v.pose[start], start), start + 1, None
+        jet = np.concatenate([v.pose[start, :3], v.top[start]])[None]
+        if not skeleton.stop[start]:
+            leg, line, jet = with_end_line(line, v, start, 1, last, ended, self._height)
+            self._lead, following = leg, leg.vertex + 1
+        pole = np.array(self._machine.pole or (), dtype=np.float64)
+        curve = Curve(turning, self._height, self._share, pole)
+        self._run = Run(line, jet, longest, curve)
         self._start, self._next = start, following
 
     def _follow(self, run: Run) -> bool:
         """Process one window of the run; return False if more blocks are necessary."""
         skeleton, start = self._skeleton, self._start
+        found = None
         if not run.ended:
-            last, ended, _ = self._extent(start)
+            last, ended, _ = run_end(skeleton.vertices, start, self._corners.decided)
             turned = np.flatnonzero(skeleton.turning[start + 1 : last + 1])
-            if not run.turning and len(turned):
+            if not run.curve.turning and len(turned):
                 # The tool did not turn up to here, so this curve ends where it begins to turn.
                 skeleton.corner[start + int(turned[0])] = True
-                last, ended, _ = self._extent(start)
+                last, ended, _ = run_end(skeleton.vertices, start, self._corners.decided)
             if last >= self._next:
-                rows = slice(self._next, last + 1)
-                run.line = run.line.extended(
-                    skeleton.blocks.tip[rows], skeleton.blocks.axis[rows],
-                    np.arange(last + 1)[rows],
-                    skeleton.used[rows], skeleton.narrow[rows], skeleton.feed[rows],
-                    skeleton.row[rows],
-                    skeleton.blocks.line_number[rows], self._height,
-                )  # fmt: skip
+                run.line = extended(run.line, skeleton.vertices, self._next, last, self._height)
                 self._next = last + 1
-            found = run.window(final=False)
+            found = run.window()
             if found is None:
                 if not ended:
                     return False
                 self._end(run, last)
         if run.ended:
-            found = run.window(final=True)
+            found = run.window()
         assert found is not None
-        if found.spans is None:
-            self._retreat(run, found.worst)
-            return True
-        self._commit(run, found)
+        if found.found:
+            self._commit(run, found)
+        else:
+            self._retreat(run, found.t)
         return True
 
     def _end(self, run: Run, last: int) -> None:
         """Complete the polyline of a run with its end line."""
-        skeleton = self._skeleton
-        self._last = last
-        if skeleton.stop[last]:
-            self._tail = None
-            pose = np.concatenate([skeleton.blocks.tip[last], skeleton.top[last]])[None]
-            run.end(run.line, pose)
-            return
-        leg = choose_end_line(skeleton, last, -1, self._start, True)
-        self._tail = leg
-        line = run.line.upto(leg.vertex)
-        run.end(*with_end_line(line, leg, leg.pose, -1, skeleton, self._height))
+        v, self._last = self._skeleton.vertices, last
+        line, self._tail = run.line, None
+        jet = np.concatenate([v.pose[last, :3], v.top[last]])[None]
+        if not self._skeleton.stop[last]:
+            self._tail, line, jet = with_end_line(
+                line, v, last, -1, self._start, True, self._height
+            )
+        run.end(line, jet)
 
     def _commit(self, run: Run, found: Window) -> None:
         """Send the first spans of a window, and the lines before and after the curve."""
@@ -248,11 +228,12 @@ class Compressor:
         if self._lead is not None:
             lead, self._lead = self._lead, None
             self._line(lead.segment, lead, leads=True)
-        assert found.spans is not None
         smooth = run.begun or not bool(skeleton.stop[self._start])
         k = self._last if found.last else self._start + 1
         stop = found.last and self._tail is None
-        self._rows.append(curve_row(skeleton, k, found, stop, smooth))
+        pose = np.concatenate([found.bottom[-1, 5], found.axis])
+        tolerance, feed = skeleton.tolerance[k], skeleton.blocks.feedrate[k]
+        self._made.append(Made(k, pose, tolerance, np.zeros(2), feed, stop, smooth, False, found))
         run.begun = True
         self._after_curve = True
         if not found.last:
@@ -263,7 +244,7 @@ class Compressor:
         self._at = last
         if tail is None:
             self._after_curve = False
-        elif skeleton.ends[last]:
+        elif skeleton.closed[last] or skeleton.corner[last]:
             self._line(last, tail)
 
     def _retreat(self, run: Run, worst: float) -> None:
@@ -327,41 +308,79 @@ class Compressor:
         self._last -= first
         if self._run is not None:
             self._run.shift(first)
-        self._lead, self._tail = (leg and leg.shifted(first) for leg in (self._lead, self._tail))
+        self._lead, self._tail = (
+            leg and leg._replace(segment=leg.segment - first, vertex=leg.vertex - first)
+            for leg in (self._lead, self._tail)
+        )
 
 
-def line_row(
-    skeleton: Skeleton, k: int, leg: EndLine | None, leads: bool, off: FloatArray | None,
-    smooth: bool,
-) -> Rows:  # fmt: skip
-    """Return the row of the line to vertex k."""
-    block, tolerance = skeleton.blocks[k : k + 1], skeleton.tolerance[k]
-    changed: dict[str, Any] = {'exact_stop': skeleton.stop[k : k + 1].copy()}
-    if leg is not None:
-        off, tolerance = leg.used, leg.tolerance
-        if not block.rapid[0]:
-            changed['feedrate'] = np.array([leg.feed])
-        if leads:
-            changed |= {
-                'tip': leg.pose[0][None].copy(), 'axis': leg.pose[1][None].copy(),
-                'rotary': np.full((1, 2), np.nan), 'exact_stop': np.zeros(1, dtype=bool),
-            }  # fmt: skip
-    elif off is None:
-        off = skeleton.used[k]
-    assert off is not None
-    changed['contour_tolerance'] = tolerance[:1] - off[0]
-    changed['orientation_tolerance'] = tolerance[1:] - off[1]
-    block = replace(block, **changed)
-    return Rows.line(block, int(skeleton.row[k]), off, smooth=smooth, leads=leads)
+@njit(cache=True, nogil=True)
+def run_end(v: Vertices, start: int, decided: int) -> tuple[int, bool, bool]:
+    """
+    Find the end of a run that begins at a vertex, among those that are decided.
+
+    Returns the last known vertex of the run, whether the run ends there, and whether enough is
+    known to decide if there is a run.
+    """
+    if start + 1 < len(v.u) and v.kind[start + 1] != SHORT:
+        return start, True, True
+    if start + 1 >= decided:
+        return start, False, False
+    for k in range(start + 1, decided):
+        if v.closed[k] or v.corner[k] or (k + 1 < len(v.u) and v.kind[k + 1] != SHORT):
+            return k, True, True
+    last = decided - 1
+    longest = LONGEST * min(v.tolerance[start + 1, 0], v.tolerance[start + 1, 1])
+    long = v.u[last] >= v.u[start] + AHEAD * longest
+    return last, False, long and last - start >= FEWEST_BLOCKS
 
 
-def curve_row(skeleton: Skeleton, k: int, found: Window, stop: bool, smooth: bool) -> Rows:
-    """Return the row of the committed part of a curve."""
-    spans = found.spans
-    assert spans is not None
-    block = replace(
-        skeleton.blocks[k : k + 1], tip=spans.bottom[-1:, 5].copy(), axis=found.axis[None],
-        rotary=np.full((1, 2), np.nan), line_number=spans.line_number[-1:].copy(),
-        exact_stop=np.array([stop]),
+class Made(NamedTuple):
+    """A row that is made: what it has in another way than its vertex."""
+
+    vertex: int  #: Its vertex of the skeleton.
+    pose: FloatArray | None  #: (6,): Where it ends, if not at the vertex.
+    #: (2,): Tolerances that are left, and those used by a line [m].
+    tolerance: FloatArray
+    used: FloatArray
+    feed: float
+    stop: bool
+    #: Whether a curve joins it smoothly at its start, and at the end of a line.
+    smooth: bool
+    leads: bool
+    curve: Window | None = None
+
+
+def rows_of(skeleton: Skeleton, made: Sequence[Made]) -> Rows:
+    """Return rows that are made as a table."""
+    k = np.array([one.vertex for one in made])
+    blocks, row = skeleton.blocks[k], skeleton.row[k]
+    tip, axis, rotary = blocks.tip.copy(), blocks.axis.copy(), blocks.rotary.copy()
+    line = blocks.line_number.copy()
+    for i, one in enumerate(made):
+        if one.pose is not None:
+            tip[i], axis[i], rotary[i] = one.pose[:3], one.pose[3:], np.nan
+        if one.curve is not None:
+            row[i], line[i] = one.curve.origin[-1, 1]
+    tolerance = np.array([one.tolerance for one in made])
+    blocks = replace(
+        blocks, tip=tip, axis=axis, rotary=rotary, line_number=line,
+        exact_stop=np.array([one.stop for one in made]),
+        feedrate=np.array([one.feed for one in made]),
+        contour_tolerance=tolerance[:, 0], orientation_tolerance=tolerance[:, 1],
     )  # fmt: skip
-    return Rows.curve(block, spans, smooth)
+    curves = [one.curve for one in made if one.curve is not None]
+    spans = Spans.none()
+    if curves:
+        bottom, top, feed, origin, deviation = map(
+            np.concatenate, zip(*(curve[5:] for curve in curves), strict=True)
+        )
+        spans = Spans(
+            bottom, top, np.repeat(feed[:, None], 2, axis=1), origin[:, :, 0], origin[:, 1, 1],
+            deviation[:, :2], deviation[:, 2],
+        )  # fmt: skip
+    return Rows(
+        blocks, row, np.array([one.used for one in made]),
+        np.array([one.smooth for one in made]), np.array([one.leads for one in made]),
+        np.array([0 if one.curve is None else len(one.curve.feed) for one in made]), spans,
+    )  # fmt: skip

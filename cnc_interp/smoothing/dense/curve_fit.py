@@ -2,39 +2,62 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import quintic_end_jet
 from cnc_interp.core.bspline import clamped_knots, quintic_bezier_matrices, quintic_bezier_points
-from cnc_interp.smoothing.dense import certificate, knots, polyline, tube_fit
-from cnc_interp.smoothing.dense.path_rows import Spans
-from cnc_interp.smoothing.dense.polyline import Polyline
-from cnc_interp.smoothing.orientation import rotations_between
-from cnc_interp.smoothing.pole import shares_near_pole
+from cnc_interp.smoothing.dense.certificate import certify
+from cnc_interp.smoothing.dense.knots import (
+    AHEAD,
+    LONGEST,
+    knot_spacings,
+    place_knots,
+    sample_points,
+)
+from cnc_interp.smoothing.dense.polyline import Polyline, pieces
+from cnc_interp.smoothing.dense.tube_fit import STIFFNESS, TYPICAL, fit
+from cnc_interp.smoothing.orientation import rotation_between
+from cnc_interp.smoothing.pole import share_near_pole
 
-#: Longest and shortest spacing of knots, in tolerances.
-LONGEST, FINEST = 100.0, 2.0
 #: Spans in a window, spans committed of it, and most spans in the last window of a run.
 WINDOW, COMMIT, LAST = 40, 20, 60
 #: Smallest number of spans of a curve between its ends.
 LEAST = 6
-#: Distance after a window up to which the polyline influences its knots, in longest spacings.
-AHEAD = 3.0
 #: Attempts for a window, in order: fewest and most sweeps, aim, factor of the knot spacing.
 ATTEMPTS = ((1, 40, 0.85, 1.0), (1, 80, 0.7, 1.0), (1, 60, 0.75, 0.5), (1, 60, 0.75, 0.25))
 
 
-@dataclass(frozen=True)
-class Window:
+class Curve(NamedTuple):
+    """What all windows of a run have in common."""
+
+    turning: bool  #: Whether the tool turns; else only the tip is fitted.
+    height: float  #: Flank height [m].
+    share: float  #: Part of the tolerances that the curve may use [-].
+    #: (3,) or (0,): Direction beside which it leaves a part of the orientation tolerance [-].
+    pole: FloatArray
+
+
+class Window(NamedTuple):
     """The result of a window."""
 
-    spans: Spans | None  #: Spans to commit; None if no curve within the tolerances was found.
-    axis: FloatArray  #: (3,): Tool axis at the end of these spans [-].
+    found: bool  #: Whether a curve within the tolerances was found; else there are no spans.
     last: bool  #: Whether the run ends there.
-    worst: float  #: Curve parameter at which the deviation was too large [m].
+    t: float  #: Curve parameter at its end, or where the deviation was too large [m].
+    axis: FloatArray  #: (3,): Tool axis there [-].
+    jet: FloatArray  #: (5, 6): Value and derivatives there, divided by factorials.
+    #: (n, 6, 3): Bezier points of tip and second point of the spans to commit [m].
+    bottom: FloatArray
+    top: FloatArray
+    feed: FloatArray  #: (n,): Programmed speed [m/s].
+    #: (n, 2, 2): Row and line of the program in the middle of the first and second half.
+    origin: IntArray
+    #: (n, 3): Contour and orientation deviation, and what is left of that tolerance [m].
+    deviation: FloatArray
 
 
 class Run:
@@ -42,21 +65,16 @@ class Run:
     A run of short blocks, and the curve through it as far as it is committed.
 
     The polyline grows while blocks arrive. ``jet`` (m, 6) has value and derivatives at the start
-    of the curve, divided by factorials of their order. Beside the direction ``pole`` the curve
-    leaves a part of the orientation tolerance.
+    of the curve, divided by factorials of their order.
     """
 
-    def __init__(
-        self, line: Polyline, jet: FloatArray, turning: bool, height: float, longest: float,
-        share: float, pole: FloatArray | None = None,
-    ):  # fmt: skip
+    def __init__(self, line: Polyline, jet: FloatArray, longest: float, curve: Curve):
         self.line = self.whole = line
-        self.turning = turning
+        self.curve = curve
         self.t = 0.0
         self.begun = self.ended = False
         self._jet, self._end_jet = jet, jet[:0]
-        self._height, self._longest, self._share = height, longest, share
-        self._pole = pole
+        self._longest = longest
 
     @property
     def passed(self) -> int:
@@ -77,130 +95,39 @@ class Run:
 
     def shift(self, first: int) -> None:
         """Renumber the skeleton vertices after the first ones were dropped."""
-        lines = [self.line] if self.whole is self.line else [self.line, self.whole]
-        for line in lines:
-            line.vertex = np.where(line.vertex >= 0, line.vertex - first, -1)
+        same = self.whole is self.line
+        self.line, self.whole = (
+            line._replace(vertex=np.where(line.vertex >= 0, line.vertex - first, -1))
+            for line in (self.line, self.whole)
+        )
+        if same:
+            self.whole = self.line
 
-    def window(self, final: bool) -> Window | None:
-        """Fit the next window, the last one if ``final``; None if more blocks are necessary."""
-        if not final:
+    def window(self) -> Window | None:
+        """Fit the next window; None if more blocks are necessary."""
+        if not self.ended:
             self.whole = self.line
         line, end = self.line, float(self.line.u[-1])
         limit = end
-        if not final:  # the spacing at a vertex depends on the vertices up to AHEAD after it
+        if not self.ended:  # the spacing at a vertex depends on the vertices up to AHEAD after it
             known = int(np.searchsorted(line.u, end - AHEAD * self._longest, 'right')) - 1
             limit = float(line.u[max(known, 0)])
             if limit <= self.t:
                 return None
-        left = self._share * line.tolerance - line.used
-        if self.turning and self._pole is not None:
-            turn = rotations_between(line.axis[:-1], line.axis[1:])
-            angle = line.tolerance[:, 1] / self._height
-            left[:, 1] *= shares_near_pole(self._pole, line.axis[:-1], turn, angle)
-        least = line.tolerance.min(axis=1)
-        wanted = knots.knot_spacings(
-            line.tip, line.axis, line.u, left, self._height, self._longest,
-            LONGEST * least, FINEST * least,
+        window: Window
+        enough, window = fit_window(
+            line, self.curve, self.t, limit, self._longest, self.begun, self.ended, self._jet,
+            self._end_jet,
         )  # fmt: skip
-        worst = self.t
-        for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
-            found = knots.place_knots(line.u, wanted, self.t, limit, factor, LAST)
-            whole = found[-1] >= limit
-            if not final and (len(found) <= WINDOW or found[WINDOW] > limit):
-                if attempt == 0:
-                    return None
-                continue
-            last = final and whole
-            found = self._to_the_end(found, end) if last else found[: WINDOW + 1]
-            fitted = self._fitted(found, left, last, (fewest, most), aim)
-            if not isinstance(fitted, float):
-                return fitted
-            worst = fitted
-        return Window(None, line.axis[-1], False, worst)
-
-    def _to_the_end(self, found: FloatArray, end: float) -> FloatArray:
-        """Return knots that end at the end of the run, with enough spans for both ends."""
-        count = len(found) - 1
-        found = self.t + (found - self.t) * ((end - self.t) / (found[-1] - self.t))
-        if count < LEAST:
-            found = np.interp(np.arange(LEAST + 1) * (count / LEAST), np.arange(count + 1), found)
-        found[-1] = end
-        return found
-
-    def _fitted(
-        self, found: FloatArray, left: FloatArray, last: bool, sweeps: tuple[int, int], aim: float
-    ) -> Window | float:
-        """Return the spans to commit, or the place where the deviation is too large [m]."""
-        line, height = self.line, self._height
-        spans = len(found) - 1
-        full = clamped_knots(found)
-        matrices = quintic_bezier_matrices(full, spans)
-        samples = knots.sample_points(line.tip, line.axis, line.u, left, found, height)
-        narrow = self._tolerances(np.minimum, found)
-        stiffness = tube_fit.STIFFNESS * narrow.min() / tube_fit.TYPICAL
-        coefficients, _ = tube_fit.fit(
-            full, matrices, found, self._jet, self._end_jet if last else self._jet[:0], samples,
-            self.turning, sweeps, aim, stiffness,
-        )  # fmt: skip
-        count = spans if last else COMMIT
-        points = quintic_bezier_points(coefficients, matrices, count)
-        if last:  # exact to the last bit
-            points[-1, 5] = self._end_jet[0, : points.shape[2]]
-        deviation, excess, advances = certificate.certify(
-            points, found, line.tip, line.axis, line.u, line.used, height, self.turning,
-            self._share * line.tolerance,
-        )  # fmt: skip
-        excess = np.where(advances, excess.max(axis=1), np.inf)
-        if not excess.max() <= 1.0:  # also true for NaN, if the solution broke down
-            worst = int(np.argmax(excess))
-            return float(0.5 * (found[worst] + found[worst + 1]))
-        # Each piece lies in blocks of equal tolerances, and keeps its own.
-        apart = (self._tolerances(np.maximum, found) > narrow).any(axis=1)[:count]
-        source, cut, ends, speed, segment = polyline.pieces(
-            points, found, line.u, line.feed, line.tolerance, apart
-        )
-        deviation, narrow = deviation[source], narrow[source]
-        if apart.any():
-            deviation, _, _ = certificate.certify(
-                cut, ends, line.tip, line.axis, line.u, line.used, height, self.turning,
-                self._share * line.tolerance,
-            )  # fmt: skip
-            narrow = self._tolerances(np.minimum, ends)
-        # The motion starts in the first block and ends in the last one, however short they are.
-        if not self.begun:
-            segment[0, 0] = 0
-        if last:
-            segment[-1, 1] = len(line.row) - 1
-        bottom = np.ascontiguousarray(cut[:, :, :3])
-        axis = line.axis[-1]
-        if self.turning:
-            top = np.ascontiguousarray(cut[:, :, 3:])
-            tool = top[-1, 5] - bottom[-1, 5]
-            axis = line.axis[-1] if last else tool / np.sqrt(tool @ tool)
-        else:
-            top = bottom + height * axis
-        jet = quintic_end_jet(points[-1], found[count] - found[count - 1])
-        self.t = float(found[count])
-        here = min(int(np.searchsorted(line.u, self.t, 'right')), len(line.row)) - 1
-        self._longest = LONGEST * float(line.tolerance[here].min())
-        self._jet = jet if self.turning else np.concatenate([jet, np.zeros((5, 3))], axis=1)
-        if not last:
-            self._drop()
-        return Window(
-            Spans(
-                bottom, top, np.repeat(speed[:, None], 2, axis=1), line.row[segment],
-                line.line[segment[:, 1]], deviation, narrow[:, 1] - deviation[:, 1],
-            ),
-            axis, last, self.t,
-        )  # fmt: skip
-
-    def _tolerances(self, extreme: np.ufunc, knots: FloatArray) -> FloatArray:
-        """Return the extreme tolerances between these parameters, shape (n - 1, 2) [m]."""
-        line = self.line
-        first = np.searchsorted(line.u, knots[:-1], 'right') - 1
-        after = np.maximum(np.searchsorted(line.u, knots[1:]), first + 1)
-        known = np.vstack([line.tolerance, line.tolerance[-1:]])
-        return np.asarray(extreme.reduceat(known, np.stack([first, after], 1).ravel())[::2])
+        if not enough:
+            return None
+        if window.found:
+            self.t, self._jet = window.t, window.jet
+            here = min(int(np.searchsorted(line.u, self.t, 'right')), len(line.feed)) - 1
+            self._longest = LONGEST * float(line.tolerance[here].min())
+            if not window.last:
+                self._drop()
+        return window
 
     def _drop(self) -> None:
         """Drop vertices that no later window depends on."""
@@ -209,3 +136,158 @@ class Run:
         first = int(np.searchsorted(self.line.u, self.t - 1.05 * AHEAD * self._longest)) - 1
         if first > 256:
             self.line = self.line.part(first, len(self.line.u) - 1)
+
+
+@njit(cache=True, nogil=True)
+def fit_window(
+    line: Polyline, curve: Curve, t: float, limit: float, longest: float, begun: bool,
+    ended: bool, jet: FloatArray, end_jet: FloatArray,
+) -> tuple[bool, Window]:  # fmt: skip
+    """Fit a window from t on, with knots up to a limit; False if more blocks are necessary."""
+    left = _left_over(line, curve)
+    wanted = knot_spacings(line, left, curve.height, longest)
+    window = _nothing(t)
+    for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
+        knots = place_knots(line.u, wanted, t, limit, factor, LAST)
+        last = ended and knots[-1] >= limit
+        if not ended and (len(knots) <= WINDOW or knots[WINDOW] > limit):
+            if attempt == 0:
+                return False, window
+            continue
+        knots = _to_the_end(knots, line.u[-1]) if last else knots[: WINDOW + 1]
+        window = _fitted(
+            line, curve, left, knots, begun, last, jet, end_jet if last else jet[:0], fewest, most,
+            aim,
+        )  # fmt: skip
+        if window.found:
+            break
+    return True, window
+
+
+@njit(cache=True, nogil=True)
+def _left_over(line: Polyline, curve: Curve) -> FloatArray:
+    """Return the tolerances that are left for a curve on each segment, shape (n, 2) [m]."""
+    left = np.empty((len(line.feed), 2))
+    for k in range(len(left)):
+        for i in range(2):
+            left[k, i] = curve.share * line.tolerance[k, i] - line.used[k, i]
+        if curve.turning and len(curve.pole):
+            axis = line.pose[k, 3:]
+            turn = rotation_between(axis, line.pose[k + 1, 3:])
+            angle = line.tolerance[k, 1] / curve.height
+            left[k, 1] *= share_near_pole(curve.pole, axis, turn, angle, False)
+    return left
+
+
+@njit(cache=True, nogil=True)
+def _nothing(t: float) -> Window:
+    """Return a window without spans; the deviation is too large at t."""
+    none = np.empty((0, 6, 3))
+    return Window(
+        False, False, t, np.empty(3), np.empty((5, 6)), none, none, np.empty(0),
+        np.empty((0, 2, 2), np.int64), np.empty((0, 3)),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _to_the_end(knots: FloatArray, end: float) -> FloatArray:
+    """Return knots that end at the end of the run, with enough spans for both ends."""
+    count, t = len(knots) - 1, knots[0]
+    stretch = (end - t) / (knots[-1] - t)
+    for i in range(count + 1):
+        knots[i] = t + (knots[i] - t) * stretch
+    if count < LEAST:
+        known, knots = knots, np.empty(LEAST + 1)
+        for i in range(LEAST):
+            x = i * (count / LEAST)
+            j = int(x)
+            knots[i] = (known[j + 1] - known[j]) * (x - j) + known[j]
+    knots[-1] = end
+    return knots
+
+
+@njit(cache=True, nogil=True)
+def _fitted(
+    line: Polyline, curve: Curve, left: FloatArray, knots: FloatArray, begun: bool, last: bool,
+    jet: FloatArray, end_jet: FloatArray, fewest: int, most: int, aim: float,
+) -> Window:  # fmt: skip
+    """Return the spans to commit, or the place where the deviation is too large."""
+    height, turning, spans = curve.height, curve.turning, len(knots) - 1
+    full = clamped_knots(knots)
+    matrices = quintic_bezier_matrices(full, spans)
+    samples = sample_points(line, left, knots, height)
+    narrow, apart = _tolerances(line, knots)
+    coefficients, _ = fit(
+        full, matrices, knots, jet, end_jet, samples, turning, (fewest, most), aim,
+        STIFFNESS * narrow.min() / TYPICAL,
+    )  # fmt: skip
+    count = spans if last else COMMIT
+    points = quintic_bezier_points(coefficients, matrices, count)
+    if last:  # exact to the last bit
+        for i in range(points.shape[2]):
+            points[count - 1, 5, i] = end_jet[0, i]
+    deviation, excess, advances = certify(points, knots, line, height, turning, curve.share)
+    worst, most_excess = 0, 0.0
+    for s in range(count):
+        here = max(excess[s, 0], excess[s, 1]) if advances[s] else np.inf
+        if here > most_excess:
+            worst, most_excess = s, here
+    if most_excess > 1.0:
+        nothing: Window = _nothing(0.5 * (knots[worst] + knots[worst + 1]))
+        return nothing
+    # Each piece lies in blocks of equal tolerances, and keeps its own.
+    source, cut, ends, speed, segment = pieces(points, knots, line, apart)
+    n = len(source)
+    if apart[:count].any():
+        deviation, _, _ = certify(cut, ends, line, height, turning, curve.share)
+        narrow, _ = _tolerances(line, ends)
+        source = np.arange(n)
+    # The motion starts in the first block and ends in the last one, however short they are.
+    if not begun:
+        segment[0, 0] = 0
+    if last:
+        segment[-1, 1] = len(line.feed) - 1
+    end = quintic_end_jet(points[-1], knots[count] - knots[count - 1])
+    axis = line.pose[-1, 3:].copy()
+    bottom, top = np.empty((n, 6, 3)), np.empty((n, 6, 3))
+    origin, spent = np.empty((n, 2, 2), np.int64), np.empty((n, 3))
+    for s in range(n):
+        for i in range(2):
+            spent[s, i] = deviation[source[s], i]
+            for half in range(2):
+                origin[s, half, i] = line.origin[segment[s, half], i]
+        spent[s, 2] = narrow[source[s], 1] - spent[s, 1]
+        for k in range(6):
+            for i in range(3):
+                bottom[s, k, i] = cut[s, k, i]
+                other = cut[s, k, 3 + i] if turning else cut[s, k, i] + height * axis[i]
+                top[s, k, i] = other
+    size = 0.0
+    if turning and not last:
+        for i in range(3):
+            axis[i] = top[-1, 5, i] - bottom[-1, 5, i]
+            size += axis[i] ** 2
+        for i in range(3):
+            axis[i] /= sqrt(size)
+    found = np.zeros((5, 6))
+    for k in range(5):
+        for i in range(points.shape[2]):
+            found[k, i] = end[k, i]
+    return Window(True, last, knots[count], axis, found, bottom, top, speed, origin, spent)
+
+
+@njit(cache=True, nogil=True)
+def _tolerances(line: Polyline, knots: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the least tolerances between knots, shape (n, 2) [m]; and where they change."""
+    n = len(knots) - 1
+    least, apart = np.empty((n, 2)), np.zeros(n, np.bool_)
+    for s in range(n):
+        first = min(np.searchsorted(line.u, knots[s], 'right'), len(line.feed)) - 1
+        after = max(np.searchsorted(line.u, knots[s + 1]), first + 1)
+        for i in range(2):
+            most = least[s, i] = line.tolerance[first, i]
+            for k in range(first + 1, after):
+                most = max(most, line.tolerance[k, i])
+                least[s, i] = min(least[s, i], line.tolerance[k, i])
+            apart[s] |= most > least[s, i]
+    return least, apart

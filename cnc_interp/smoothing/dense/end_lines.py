@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.smoothing.dense import thinning
-from cnc_interp.smoothing.dense.curve_fit import AHEAD, LONGEST
-from cnc_interp.smoothing.dense.polyline import Polyline
-from cnc_interp.smoothing.dense.skeleton import Skeleton
-from cnc_interp.smoothing.orientation import rotations_between, turned_by
+from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
+from cnc_interp.smoothing.dense.polyline import (
+    Polyline,
+    line_jet,
+    lone_vertex,
+    parts_between,
+    pose_between,
+    put,
+    with_room,
+)
+from cnc_interp.smoothing.dense.skeleton import Vertices
+from cnc_interp.smoothing.dense.thinning import longest_chord
 
 #: Wanted length of a chord at a corner, and the part of it for the corner, both in tolerances.
 CHORD, CORNER_PART = 20.0, 14.0
@@ -26,122 +35,143 @@ CUT = 0.5
 LEAD, LEAD_SHARE = 2.0, 0.4
 
 
-@dataclass(frozen=True)
-class EndLine:
+class EndLine(NamedTuple):
     """The line on which a run starts or ends."""
 
     segment: int  #: Segment of the skeleton that the line replaces.
     vertex: int  #: Skeleton vertex at the inner end of the line.
-    pose: tuple[FloatArray, FloatArray]  #: Tip [m] and tool axis [-] where line and curve meet.
-    goal: tuple[FloatArray, FloatArray]  #: Tip [m] and tool axis [-] of ``vertex``.
-    #: (2,): Deviation of the line from the blocks [m].
+    pose: FloatArray  #: (6,): Tip [m] and tool axis [-] where line and curve meet.
+    #: (2,): Deviation of the line from the blocks, and its tolerances [m].
     used: FloatArray
     tolerance: FloatArray
     feed: float  #: Smallest feed of the blocks that the line replaces [m/s].
-    #: (m,): Borders of these blocks between ``pose`` and ``goal``, from 0 to 1 in the direction of
-    #: motion [-].
+    #: (m,): Borders of these blocks between ``pose`` and ``vertex``, from 0 to 1 in the direction
+    #: of motion [-].
     cuts: FloatArray
     pieces: IntArray  #: (m + 1,): Segments of the skeleton between these borders.
 
-    def shifted(self, first: int) -> EndLine:
-        """Return the line after the first vertices of the skeleton were dropped."""
-        return replace(self, segment=self.segment - first, vertex=self.vertex - first)
+
+@njit(cache=True, nogil=True)
+def _spacing(v: Vertices, k: int) -> tuple[float, float]:
+    """Return the longest spacing of knots at a segment, and its smaller tolerance."""
+    least = min(v.tolerance[k, 0], v.tolerance[k, 1])
+    return LONGEST * least, least
 
 
-def longest_spacing(skeleton: Skeleton, k: int) -> float:
-    """Return the longest spacing of knots at a segment."""
-    return LONGEST * float(skeleton.tolerance[k].min())
-
-
-def choose_end_line(
-    skeleton: Skeleton, vertex: int, step: int, other: int, ended: bool
-) -> EndLine:
-    """
-    Choose the line on which a run begins or ends.
-
-    Next to a long block it is that block. At a corner it is a chord over the short blocks near it.
-    """
-    tip, axis = skeleton.blocks.tip, skeleton.blocks.axis
-    here = tip[vertex], axis[vertex]
-    if not skeleton.ends[vertex]:
+@njit(cache=True, nogil=True)
+def _end_line(v: Vertices, vertex: int, step: int, other: int, ended: bool) -> EndLine:
+    """Choose the line: a long block beside the run; at a corner, a chord over short blocks."""
+    here, pose = v.pose[vertex], np.empty(6)
+    if not (v.closed[vertex] or v.corner[vertex]):
         k = vertex if step > 0 else vertex + 1
-        far = vertex - step
-        length = float(np.linalg.norm(tip[far] - tip[vertex]))
-        share = min(LEAD_SHARE, LEAD * longest_spacing(skeleton, k) / length)
-        pose = _pose_between(*here, tip[far], axis[far], share)
-        feed, piece = float(skeleton.feed[k]), np.array([k])
-        used, tolerance = skeleton.used[k], skeleton.narrow[k]
-        return EndLine(k, vertex, pose, here, used, tolerance, feed, np.zeros(0), piece)
+        there = v.pose[vertex - step]
+        longest, least = _spacing(v, k)
+        pose_between(here, there, min(LEAD_SHARE, LEAD * longest / _distance(here, there)), pose)
+        pieces = np.empty(1, np.int64)
+        pieces[0] = k
+        return EndLine(k, vertex, pose, v.used[k], v.narrow[k], v.feed[k], np.empty(0), pieces)
     k = vertex + 1 if step > 0 else vertex
-    longest, least = longest_spacing(skeleton, k), float(skeleton.tolerance[k].min())
-    whole = abs(float(skeleton.u[other] - skeleton.u[vertex]))
+    longest, least = _spacing(v, k)
+    whole = abs(v.u[other] - v.u[vertex])
     reach = whole / 3.0 if ended and whole < AHEAD * longest else REACH * least
-    beyond = np.searchsorted(skeleton.u, skeleton.u[vertex] + step * reach, 'right')
-    if step > 0:
-        far = min(max(int(beyond) - 1, vertex + 1), other)
-    else:
-        far = max(min(int(beyond), vertex - 1), other)
-    narrow = skeleton.narrow
-    room = narrow[min(vertex, far) + 1 : max(vertex, far) + 1].min(axis=0)
-    end, off, off_top = thinning.longest_chord(
-        tip, skeleton.top, room, vertex, step, far, CHORD * least, OFF
-    )
+    far = vertex if vertex == other else vertex + step
+    while far != other:
+        way = v.u[far + step] - (v.u[vertex] + step * reach)
+        if way > 0.0 if step > 0 else way <= 0.0:
+            break
+        far += step
+    room, used, tolerance = np.empty(2), np.empty(2), np.empty(2)
+    for i in range(2):
+        room[i] = v.narrow[min(vertex, far) + 1 : max(vertex, far) + 1, i].min()
+    end, off, off_top = longest_chord(v.pose, v.top, room, vertex, step, far, CHORD * least, OFF)
     low, high = min(vertex, end), max(vertex, end)
-    used = np.array([off, off_top]) + skeleton.used[low + 1 : high + 1].max(axis=0)
-    length = float(np.linalg.norm(tip[end] - tip[vertex]))
+    for i in range(2):
+        used[i] = (off, off_top)[i] + v.used[low + 1 : high + 1, i].max()
+        tolerance[i] = v.narrow[low + 1 : high + 1, i].min()
+    there = v.pose[end]
+    length = _distance(here, there)
     share = min(0.5, CORNER_PART * least / length)
-    pose = _pose_between(*here, tip[end], axis[end], share)
-    covered = np.arange(low + 1, high + 1)
-    # Feet of the inner vertices on the chord, as part of the distance from the pose to its end.
-    along = (tip[covered[:-1]] - tip[vertex]) @ (tip[end] - tip[vertex]) / length**2
-    place = (along - share) / (1.0 - share)
-    if step < 0:
-        place = 1.0 - place
-    cuts, pieces = _borders(place, covered, CUT * least / (length * (1.0 - share)))
-    feed = float(skeleton.feed[low + 1 : high + 1].min())
-    tolerance = narrow[low + 1 : high + 1].min(axis=0)
-    return EndLine(k, end, pose, (tip[end], axis[end]), used, tolerance, feed, cuts, pieces)
+    pose_between(here, there, share, pose)
+    # Borders are the feet of the inner vertices on the chord, from the pose to its end.
+    apart = CUT * least / (length * (1.0 - share))
+    cuts, pieces = np.empty(high - low), np.empty(high - low, np.int64)
+    count = 0
+    pieces[0] = low + 1
+    for j in range(low + 1, high):
+        along = 0.0
+        for i in range(3):
+            along += (v.pose[j, i] - here[i]) * (there[i] - here[i])
+        place = (along / length**2 - share) / (1.0 - share)
+        if step < 0:
+            place = 1.0 - place
+        if place < apart:  # before the line begins
+            pieces[count] = j + 1
+        elif place <= 1.0 - apart and (count == 0 or place >= cuts[count - 1] + apart):
+            cuts[count] = place
+            count += 1
+            pieces[count] = j + 1
+    return EndLine(
+        k, end, pose, used, tolerance, v.feed[low + 1 : high + 1].min(), cuts[:count],
+        pieces[: count + 1],
+    )  # fmt: skip
 
 
-def _borders(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatArray, IntArray]:
-    """Return borders between segments in [0, 1], at least ``apart`` apart, and the segments."""
-    cuts: list[float] = []
-    pieces = [int(segments[0])]
-    for x, following in zip(place, segments[1:], strict=True):
-        if x < apart:  # before the line begins
-            pieces[-1] = int(following)
-        elif x <= 1.0 - apart and x >= (cuts[-1] if cuts else 0.0) + apart:
-            cuts.append(float(x))
-            pieces.append(int(following))
-    return np.array(cuts), np.array(pieces)
+@njit(cache=True, nogil=True)
+def _distance(a: FloatArray, b: FloatArray) -> float:
+    """Return the distance between the tips of two poses [m]."""
+    return sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
 
 
-def _pose_between(
-    tip: FloatArray, axis: FloatArray, far_tip: FloatArray, far_axis: FloatArray, share: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the pose at a part of the line from one pose to another."""
-    rotation = rotations_between(axis[None], far_axis[None])
-    return tip + share * (far_tip - tip), turned_by(axis[None], rotation, share)[0]
-
-
+@njit(cache=True, nogil=True)
 def with_end_line(
-    line: Polyline, leg: EndLine, pose: tuple[FloatArray, FloatArray], vertex: int,
-    skeleton: Skeleton, height: float,
-) -> tuple[Polyline, FloatArray]:  # fmt: skip
-    """Extend a polyline by an end line, and return the motion at the outer end of that line."""
-    n = len(leg.pieces)
-    before = line.tip[-1], line.axis[-1]
-    inner = [_pose_between(*before, *pose, float(cut)) for cut in leg.cuts]
-    straight = Polyline.at(*before, -1).extended(
-        pose[0][None], pose[1][None], np.array([-1]), leg.used[None], leg.tolerance[None],
-        np.ones(1), leg.pieces[:1], leg.pieces[:1], height,
+    line: Polyline, v: Vertices, vertex: int, step: int, other: int, ended: bool, height: float
+) -> tuple[EndLine, Polyline, FloatArray]:  # fmt: skip
+    """
+    Choose the line on which a run begins at a vertex (``step`` 1) or ends there (-1).
+
+    Returns it, the polyline with it, and the motion at its outer end. ``other`` is the last vertex
+    of the run that is known, in the other direction; ``ended`` tells whether the run ends there.
+    """
+    leg = _end_line(v, vertex, step, other, ended)
+    if step > 0:
+        line, n, pose, vertex = lone_vertex(leg.pose, -1), 1, v.pose[leg.vertex], leg.vertex
+    else:
+        n, pose, vertex = len(line.u), leg.pose, -1
+        while n > 1 and line.vertex[n - 1] != leg.vertex:
+            n -= 1
+    before = line.pose[n - 1].copy()
+    parts = parts_between(before, pose)
+    to = np.empty(6)
+    straight = with_room(lone_vertex(before, -1), 1, parts)
+    put(straight, 1, pose, -1, leg.used, leg.tolerance, 1.0, 0, 0, height)
+    jet = line_jet(straight, 0 if step > 0 else parts - 1, 0 if step > 0 else parts, height)
+    line = with_room(line, n, parts + 2 * len(leg.cuts))
+    for i, k in enumerate(leg.pieces):
+        inner = i < len(leg.cuts)
+        if inner:
+            pose_between(before, pose, leg.cuts[i], to)
+        n = put(
+            line, n, to if inner else pose, -1 if inner else vertex, leg.used, leg.tolerance,
+            leg.feed, v.row[k], v.line_number[k], height,
+        )  # fmt: skip
+    line = Polyline(
+        line.pose[:n], line.u[:n], line.vertex[:n], line.used[: n - 1], line.tolerance[: n - 1],
+        line.feed[: n - 1], line.origin[: n - 1],
     )  # fmt: skip
-    at_end = vertex < 0
-    jet = straight.line_jet(len(straight.feed) - 1 if at_end else 0, at_end, height)
-    line = line.extended(
-        np.array([tip for tip, _ in [*inner, pose]]), np.array([axis for _, axis in [*inner,
-        pose]]), np.append(np.full(n - 1, -1), vertex), np.repeat(leg.used[None], n, axis=0),
-        np.repeat(leg.tolerance[None], n, axis=0), np.full(n, leg.feed), skeleton.row[leg.pieces],
-        skeleton.blocks.line_number[leg.pieces], height,
-    )  # fmt: skip
-    return line, jet
+    return leg, line, jet
+
+
+@njit(cache=True, nogil=True)
+def extended(line: Polyline, v: Vertices, first: int, last: int, height: float) -> Polyline:
+    """Return a polyline with the vertices first ... last of the skeleton at its end."""
+    n, more = len(line.u), 0
+    for k in range(first, last + 1):
+        before = line.pose[n - 1] if k == first else v.pose[k - 1]
+        more += parts_between(before, v.pose[k])
+    line = with_room(line, n, more)
+    for k in range(first, last + 1):
+        n = put(
+            line, n, v.pose[k], k, v.used[k], v.narrow[k], v.feed[k], v.row[k], v.line_number[k],
+            height,
+        )  # fmt: skip
+    return line

@@ -14,7 +14,12 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.smoothing.dense.polyline import Polyline
 
+#: Longest and shortest spacing of knots, in tolerances.
+LONGEST, FINEST = 100.0, 2.0
+#: Distance after a window up to which the polyline influences its knots, in longest spacings.
+AHEAD = 3.0
 #: Number of spacings that are tried; each one is half of the spacing before.
 LADDER = 7
 #: Largest second difference of the polyline over one spacing, in tolerances.
@@ -26,35 +31,28 @@ DENSITY = 0.35
 
 
 @njit(cache=True, nogil=True)
-def _write_pose(
-    tip: FloatArray, axis: FloatArray, u: FloatArray, k: int, x: float, height: float,
-    out: FloatArray,
-) -> None:  # fmt: skip
+def _write_pose(line: Polyline, k: int, x: float, height: float, out: FloatArray) -> None:
     """Write tip and top at u = x on segment k of a polyline; its ends continue straight."""
-    share = (x - u[k]) / (u[k + 1] - u[k])
-    size = 0.0
-    for i in range(3):
-        out[i] = tip[k, i] + share * (tip[k + 1, i] - tip[k, i])
-        out[3 + i] = axis[k, i] + share * (axis[k + 1, i] - axis[k, i])
-        size += out[3 + i] * out[3 + i]
+    share = (x - line.u[k]) / (line.u[k + 1] - line.u[k])
+    for i in range(6):
+        out[i] = line.pose[k, i] + share * (line.pose[k + 1, i] - line.pose[k, i])
+    size = out[3] * out[3] + out[4] * out[4] + out[5] * out[5]
     size = height / sqrt(size)
     for i in range(3):
         out[3 + i] = out[i] + size * out[3 + i]
 
 
 @njit(cache=True, nogil=True)
-def knot_spacings(
-    tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, height: float,
-    longest: float, most: FloatArray, finest: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """
-    Return the wanted spacing of knots in u at each vertex of a polyline, shape (n,) [m].
+def knot_spacings(line: Polyline, left: FloatArray, height: float, longest: float) -> FloatArray:
+    """Return the wanted spacing of knots at each vertex of a polyline, shape (n,) [m].
 
-    It is the longest spacing over which the second difference of the polyline stays below ``BEND``
-    tolerances. Along u it changes at most by ``GROWTH``. ``most`` and ``finest`` (n - 1,) bound it
-    on each segment.
+    It is the longest one over which the second difference of the polyline stays below ``BEND``
+    tolerances that are ``left`` (n - 1, 2). Along u it changes at most by ``GROWTH``.
     """
-    n = len(u)
+    u, n = line.u, len(line.u)
+    least = np.empty(n - 1)
+    for k in range(n - 1):
+        least[k] = min(line.tolerance[k, 0], line.tolerance[k, 1])
     wanted = np.full(n, longest)
     before, here, after = np.empty(6), np.empty(6), np.empty(6)
     d = longest
@@ -66,20 +64,19 @@ def knot_spacings(
             while forth < n - 2 and u[forth + 1] < u[j] + d:
                 forth += 1
             k = min(j, n - 2)
-            if wanted[j] == d and d >= finest[k]:  # longer spacings have been rejected
-                _write_pose(tip, axis, u, back, u[j] - d, height, before)
-                _write_pose(tip, axis, u, k, u[j], height, here)
-                _write_pose(tip, axis, u, forth, u[j] + d, height, after)
+            if wanted[j] == d and d >= FINEST * least[k]:  # longer spacings have been rejected
+                _write_pose(line, back, u[j] - d, height, before)
+                _write_pose(line, k, u[j], height, here)
+                _write_pose(line, forth, u[j] + d, height, after)
                 bottom, top = 0.0, 0.0
                 for i in range(3):
                     bottom += (before[i] - 2.0 * here[i] + after[i]) ** 2
                     top += (before[3 + i] - 2.0 * here[3 + i] + after[3 + i]) ** 2
-                least = tolerance[k]
-                if sqrt(bottom) > BEND * least[0] or sqrt(top) > BEND * least[1]:
-                    wanted[j] = max(0.5 * d, finest[k])
+                if sqrt(bottom) > BEND * left[k, 0] or sqrt(top) > BEND * left[k, 1]:
+                    wanted[j] = max(0.5 * d, FINEST * least[k])
         d *= 0.5
     for j in range(n):
-        wanted[j] = min(wanted[j], most[min(j, n - 2)], most[max(j - 1, 0)])
+        wanted[j] = min(wanted[j], LONGEST * min(least[min(j, n - 2)], least[max(j - 1, 0)]))
     for j in range(1, n):
         wanted[j] = min(wanted[j], wanted[j - 1] + GROWTH * (u[j] - u[j - 1]))
     for j in range(n - 2, -1, -1):
@@ -91,11 +88,7 @@ def knot_spacings(
 def place_knots(
     u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, most: int,
 ) -> FloatArray:  # fmt: skip
-    """
-    Place knots one after the other, with the wanted spacing times ``factor``, from start to end.
-
-    Inside a long segment the spacing grows from both ends. There are at most ``most`` spans.
-    """
+    """Place knots; inside a long segment the spacing grows from both ends."""
     knots = np.empty(most + 1)
     knots[0] = start
     count, k = 0, 0
@@ -118,17 +111,14 @@ def place_knots(
 
 @njit(cache=True, nogil=True)
 def sample_points(
-    tip: FloatArray, axis: FloatArray, u: FloatArray, tolerance: FloatArray, knots: FloatArray,
-    height: float,
+    line: Polyline, left: FloatArray, knots: FloatArray, height: float
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """
-    Return sample points of a polyline between the first and the last knot, m rows each.
+    """Return samples of a polyline between the first and the last knot, m rows each.
 
-    These are parameters [m], spans between knots, tip and top (m, 6) [m], tool axes, contour and
-    orientation tolerances (m, 2) [m], and weights of Simpson's rule, or of the trapezoidal rule on
-    short segments [m].
+    Parameters [m], spans, tip and top (m, 6) [m], tool axes, tolerances (m, 2) [m], and weights of
+    Simpson's rule, or of the trapezoidal rule on short segments [m].
     """
-    spans = len(knots) - 1
+    u, spans = line.u, len(knots) - 1
     first = 0
     while first < len(u) - 2 and u[first + 1] <= knots[0]:
         first += 1
@@ -160,15 +150,15 @@ def sample_points(
                 if p == 0 and count > 0:
                     at = count - 1  # the last point of the part before
                     for i in range(2):
-                        allowed[at, i] = min(allowed[at, i], tolerance[k, i])
+                        allowed[at, i] = min(allowed[at, i], left[k, i])
                 else:
                     at = count
                     count += 1
                     x[at] = position + step * p / pieces if p < pieces else end
-                    _write_pose(tip, axis, u, k, x[at], height, point[at])
+                    _write_pose(line, k, x[at], height, point[at])
                     for i in range(3):
                         tool[at, i] = (point[at, 3 + i] - point[at, i]) / height
-                    allowed[at, 0], allowed[at, 1] = tolerance[k, 0], tolerance[k, 1]
+                    allowed[at, 0], allowed[at, 1] = left[k, 0], left[k, 1]
                 if pairs == 0:
                     weight[at] += 0.5 * step
                 else:

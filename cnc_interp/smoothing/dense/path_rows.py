@@ -123,24 +123,3 @@ class Rows(Table):
             blocks, first + np.arange(n), np.zeros((n, 2)), no, no,
             np.zeros(n, dtype=np.int64), Spans.none(),
         )  # fmt: skip
-
-    @staticmethod
-    def line(block: Blocks, row: int, used: FloatArray, smooth: bool, leads: bool) -> Rows:
-        """
-        Return one line: ``row`` is the program row at whose end it ends.
-
-        ``used`` has its deviations from the program [m], ``smooth`` and ``leads`` tell whether a
-        curve joins smoothly at its start and its end.
-        """
-        return Rows(
-            block, np.array([row]), used[None].copy(), np.array([smooth]), np.array([leads]),
-            np.zeros(1, dtype=np.int64), Spans.none(),
-        )  # fmt: skip
-
-    @staticmethod
-    def curve(block: Blocks, spans: Spans, smooth: bool) -> Rows:
-        """Return one part of a curve; ``block`` has its end pose."""
-        return Rows(
-            block, spans.block[-1:, 1].copy(), np.zeros((1, 2)), np.array([smooth]),
-            np.zeros(1, dtype=bool), np.array([len(spans)]), spans,
-        )  # fmt: skip

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from math import ceil, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import quintic_part
-from cnc_interp.smoothing.orientation import dot, norm, rotations_between, turned_by
+from cnc_interp.smoothing.orientation import rotation_between, turn_axis
 
 #: Largest turn between two vertices [rad]; on so short an arc, chord and great circle agree.
 TURN = 0.03
@@ -17,113 +18,144 @@ TURN = 0.03
 SAME_FEED = 1e-3
 
 
-@dataclass
-class Polyline:
+class Polyline(NamedTuple):
     """A polyline of n vertices; segment k connects the vertices k and k + 1."""
 
-    #: Tip [m], tool axis [-] and curve parameter [m].
-    tip: FloatArray
-    axis: FloatArray
-    u: FloatArray
+    pose: FloatArray  #: (n, 6): Tip [m] and tool axis [-].
+    u: FloatArray  #: (n,): Curve parameter [m].
     #: (n,): Index of the skeleton vertex, or -1 where a turning block was divided.
     vertex: IntArray
     #: (n - 1, 2): Deviation of the segments from the program, and their tolerances [m].
     used: FloatArray
     tolerance: FloatArray
     feed: FloatArray  #: (n - 1,): Programmed speed of the tip [m/s].
-    #: (n - 1,): Row and line of the program.
-    row: IntArray
-    line: IntArray
-
-    @staticmethod
-    def at(tip: FloatArray, axis: FloatArray, vertex: int) -> Polyline:
-        """Return a polyline with one vertex, whose curve parameter is 0."""
-        return Polyline(
-            tip[None].copy(), axis[None].copy(), np.zeros(1), np.array([vertex]),
-            np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64),
-            np.zeros(0, np.int64),
-        )  # fmt: skip
-
-    def extended(
-        self, tip: FloatArray, axis: FloatArray, vertex: IntArray, used: FloatArray,
-        tolerance: FloatArray, feed: FloatArray, row: IntArray, line: IntArray, height: float,
-    ) -> Polyline:  # fmt: skip
-        """Return the polyline with k more vertices and the segments that end there."""
-        begin, begin_axis = np.vstack([self.tip[-1:], tip]), np.vstack([self.axis[-1:], axis])
-        rotation = rotations_between(begin_axis[:-1], begin_axis[1:])
-        counts = np.maximum(np.ceil(norm(rotation) / TURN), 1.0).astype(np.int64)
-        if (counts > 1).any():
-            segment = np.repeat(np.arange(len(tip)), counts)
-            number = np.arange(len(segment)) - (np.cumsum(counts) - counts)[segment] + 1
-            final = number == counts[segment]
-            share = number / counts[segment]
-            cut_tip = begin[segment] + share[:, None] * (tip - begin[:-1])[segment]
-            cut_axis = turned_by(begin_axis[segment], rotation[segment], share)
-            tip = np.where(final[:, None], tip[segment], cut_tip)
-            axis = np.where(final[:, None], axis[segment], cut_axis)
-            vertex = np.where(final, vertex[segment], -1)
-            used, tolerance, feed = used[segment], tolerance[segment], feed[segment]
-            row, line = row[segment], line[segment]
-        all_tip, all_axis = np.vstack([self.tip, tip]), np.vstack([self.axis, axis])
-        m = len(self.tip) - 1
-        step = np.diff(all_tip[m:], axis=0)
-        top = step + height * np.diff(all_axis[m:], axis=0)
-        du = np.sqrt(0.5 * (dot(step, step) + dot(top, top)))
-        u = np.cumsum(np.concatenate([self.u[-1:], du]))  # the same bits for any batches
-        return Polyline(
-            all_tip, all_axis, np.concatenate([self.u, u[1:]]),
-            np.concatenate([self.vertex, vertex]), np.vstack([self.used, used]),
-            np.vstack([self.tolerance, tolerance]), np.concatenate([self.feed, feed]),
-            np.concatenate([self.row, row]), np.concatenate([self.line, line]),
-        )  # fmt: skip
+    #: (n - 1, 2): Row and line of the program.
+    origin: IntArray
 
     def part(self, first: int, last: int) -> Polyline:
         """Return the polyline of the vertices first ... last."""
-        columns = [getattr(self, field.name) for field in fields(self)]
+        at, between = slice(first, last + 1), slice(first, last)
         return Polyline(
-            *(c[first : last + 1] for c in columns[:4]), *(c[first:last] for c in columns[4:])
-        )
+            self.pose[at], self.u[at], self.vertex[at], self.used[between],
+            self.tolerance[between], self.feed[between], self.origin[between],
+        )  # fmt: skip
 
     def upto(self, vertex: int) -> Polyline:
         """Return the polyline up to a skeleton vertex, or its first vertex if it starts later."""
         found = np.flatnonzero(self.vertex == vertex)
         return self.part(0, int(found[0]) if len(found) else 0)
 
-    def line_jet(self, k: int, end: bool, height: float) -> FloatArray:
-        """
-        Return position and derivatives of tip and top at one end of segment k.
 
-        The tip moves straight. The top T = p + h o moves on an arc with o_u = w x o.
-        """
-        du = self.u[k + 1] - self.u[k]
-        at = k + 1 if end else k
-        p, o = self.tip[at], self.axis[at]
-        rate = rotations_between(self.axis[k], self.axis[k + 1]) / du
-        jet = np.zeros((4, 6))
-        jet[0] = np.concatenate([p, p + height * o])
-        turned = o
-        for order, factorial in ((1, 1.0), (2, 2.0), (3, 6.0)):
-            turned = np.cross(rate, turned)
-            jet[order, 3:] = height * turned / factorial
-        straight = (self.tip[k + 1] - self.tip[k]) / du
-        jet[1, :3] += straight
-        jet[1, 3:] += straight
-        return jet
+@njit(cache=True, nogil=True)
+def parts_between(a: FloatArray, b: FloatArray) -> int:
+    """Return into how many parts the turn between two poses is divided."""
+    turn = rotation_between(a[3:], b[3:])
+    return max(1, ceil(sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2) / TURN))
+
+
+@njit(cache=True, nogil=True)
+def pose_between(a: FloatArray, b: FloatArray, share: float, out: FloatArray) -> None:
+    """Write the pose at a part of the line from one pose to another."""
+    for i in range(3):
+        out[i] = a[i] + share * (b[i] - a[i])
+    turn_axis(a[3:], rotation_between(a[3:], b[3:]), share, out[3:])
+
+
+@njit(cache=True, nogil=True)
+def with_room(line: Polyline, n: int, more: int) -> Polyline:
+    """Copy the first n vertices of a polyline, with room for more at the end."""
+    m = n + more
+    longer = Polyline(
+        np.empty((m, 6)), np.empty(m), np.empty(m, np.int64), np.empty((m - 1, 2)),
+        np.empty((m - 1, 2)), np.empty(m - 1), np.empty((m - 1, 2), np.int64),
+    )  # fmt: skip
+    for k in range(n):
+        longer.u[k], longer.vertex[k] = line.u[k], line.vertex[k]
+        for i in range(6):
+            longer.pose[k, i] = line.pose[k, i]
+    for k in range(n - 1):
+        longer.feed[k] = line.feed[k]
+        for i in range(2):
+            longer.used[k, i], longer.tolerance[k, i] = line.used[k, i], line.tolerance[k, i]
+            longer.origin[k, i] = line.origin[k, i]
+    return longer
+
+
+@njit(cache=True, nogil=True)
+def lone_vertex(pose: FloatArray, vertex: int) -> Polyline:
+    """Return a polyline with one vertex, whose curve parameter is 0."""
+    line = Polyline(
+        np.empty((1, 6)), np.zeros(1), np.empty(1, np.int64), np.empty((0, 2)), np.empty((0, 2)),
+        np.empty(0), np.empty((0, 2), np.int64),
+    )  # fmt: skip
+    line.vertex[0] = vertex
+    for i in range(6):
+        line.pose[0, i] = pose[i]
+    return line
+
+
+@njit(cache=True, nogil=True)
+def put(
+    line: Polyline, n: int, pose: FloatArray, vertex: int, used: FloatArray,
+    tolerance: FloatArray, feed: float, row: int, number: int, height: float,
+) -> int:  # fmt: skip
+    """Write a vertex after the first n ones, and those that divide its segment; return n after."""
+    begin = line.pose[n - 1].copy()
+    parts = parts_between(begin, pose)
+    for part in range(1, parts + 1):
+        here, before = line.pose[n], line.pose[n - 1]
+        if part == parts:
+            for i in range(6):
+                here[i] = pose[i]
+        else:
+            pose_between(begin, pose, part / parts, here)
+        tips, tops = 0.0, 0.0
+        for i in range(3):
+            tips += (here[i] - before[i]) ** 2
+            tops += (here[i] - before[i] + height * (here[3 + i] - before[3 + i])) ** 2
+        line.u[n] = line.u[n - 1] + sqrt(0.5 * (tips + tops))
+        line.vertex[n] = vertex if part == parts else -1
+        for i in range(2):
+            line.used[n - 1, i], line.tolerance[n - 1, i] = used[i], tolerance[i]
+        line.feed[n - 1] = feed
+        line.origin[n - 1, 0], line.origin[n - 1, 1] = row, number
+        n += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def line_jet(line: Polyline, k: int, at: int, height: float) -> FloatArray:
+    """Return tip and top with derivatives on segment k, at its vertex ``at``; o_u = w x o."""
+    du = line.u[k + 1] - line.u[k]
+    turn = rotation_between(line.pose[k, 3:], line.pose[k + 1, 3:])
+    x, y, z = turn[0] / du, turn[1] / du, turn[2] / du
+    jet = np.zeros((4, 6))
+    a, b, c = line.pose[at, 3], line.pose[at, 4], line.pose[at, 5]
+    for i in range(3):
+        jet[0, i] = line.pose[at, i]
+        jet[0, 3 + i] = line.pose[at, i] + height * line.pose[at, 3 + i]
+    for order, factorial in ((1, 1.0), (2, 2.0), (3, 6.0)):
+        a, b, c = y * c - z * b, z * a - x * c, x * b - y * a
+        jet[order, 3] = height * a / factorial
+        jet[order, 4] = height * b / factorial
+        jet[order, 5] = height * c / factorial
+    for i in range(3):
+        straight = (line.pose[k + 1, i] - line.pose[k, i]) / du
+        jet[1, i] += straight
+        jet[1, 3 + i] += straight
+    return jet
 
 
 @njit(cache=True, nogil=True)
 def pieces(
-    points: FloatArray, knots: FloatArray, u: FloatArray, feed: FloatArray,
-    tolerance: FloatArray, apart: BoolArray,
+    points: FloatArray, knots: FloatArray, line: Polyline, apart: BoolArray
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
-    """
-    Divide the spans of a curve where the programmed feed changes; if ``apart``, the tolerances.
+    """Divide spans where the programmed feed changes; if ``apart``, the tolerances.
 
-    ``points`` (n, 6, d) are Bezier points. Returns for m pieces: their spans, Bezier points, curve
-    parameters at their ends (m + 1,), programmed speed [m/s], and the polyline segments in the
-    middle of their first and second half (m, 2).
+    Returns for m pieces: their spans, Bezier points, curve parameters at their ends (m + 1,),
+    speed [m/s], and the segments in the middle of their first and second half (m, 2).
     """
-    n = len(points)
+    n, u, feed, tolerance = len(points), line.u, line.feed, line.tolerance
     most = 2 * n + len(u)
     source, cut = np.empty(most, dtype=np.int64), np.empty((most, 6, points.shape[2]))
     ends, speed, segment = np.empty(most + 1), np.empty(most), np.empty((most, 2), dtype=np.int64)

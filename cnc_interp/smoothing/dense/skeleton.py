@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,24 @@ SHORT, LONG, FIXED = 0, 1, 2
 LONGEST = 500.0
 #: Smallest movement of the tip on a curve, as part of the movement of the top [-].
 LEAST_TIP = 0.02
+
+
+class Vertices(NamedTuple):
+    """Columns of ``Skeleton``, as kernels take them; ``pose`` (n, 6) has tips and tool axes."""
+
+    pose: FloatArray
+    top: FloatArray
+    u: FloatArray
+    used: FloatArray
+    tolerance: FloatArray
+    narrow: FloatArray
+    feed: FloatArray
+    row: IntArray
+    line_number: IntArray
+    kind: IntArray
+    turning: BoolArray
+    closed: BoolArray
+    corner: BoolArray
 
 
 @dataclass
@@ -62,11 +81,6 @@ class Skeleton:
         """Return the skeleton without its first vertices."""
         return Skeleton(*(getattr(self, field.name)[first:] for field in fields(self)))
 
-    @property
-    def ends(self) -> BoolArray:
-        """Return whether a curve must end at each vertex, shape (n,)."""
-        return self.closed | self.corner
-
     @cached_property
     def tolerance(self) -> FloatArray:
         """Return contour and orientation tolerance of each segment, shape (n, 2) [m]."""
@@ -84,6 +98,15 @@ class Skeleton:
         narrow[1:] = np.minimum(narrow[1:], own[:-1])
         narrow[:-1] = np.minimum(narrow[:-1], own[1:])
         return narrow
+
+    @cached_property
+    def vertices(self) -> Vertices:
+        """Return what kernels read; marks that change later change there, too."""
+        pose = np.hstack([self.blocks.tip, self.blocks.axis])
+        return Vertices(
+            pose, self.top, self.u, self.used, self.tolerance, self.narrow, self.feed, self.row,
+            self.blocks.line_number, self.kind, self.turning, self.closed, self.corner,
+        )  # fmt: skip
 
 
 class SkeletonBuilder:

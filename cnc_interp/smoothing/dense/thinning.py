@@ -62,11 +62,10 @@ def _distance(points: FloatArray, a: int, b: int) -> float:
 def select_vertices(
     tip: FloatArray, top: FloatArray, tolerance: FloatArray, must: BoolArray
 ) -> tuple[IntArray, FloatArray]:
-    """
-    Select the vertices of the skeleton among rows of tip and top; row 0 is the last one kept.
+    """Select vertices of the skeleton among rows; row 0 is the last one kept, ``must`` are kept.
 
     Returns the rows kept after it, as far as they can be decided, and (m, 2) the largest distances
-    of dropped rows from the chord that ends at each of them [m]. Rows in ``must`` are kept.
+    of dropped rows from the chord that ends at each of them [m].
     """
     n = len(tip)
     kept, used = np.empty(n, dtype=np.int64), np.zeros((n, 2))
@@ -131,11 +130,7 @@ def vertex_turns(
     tip: FloatArray, top: FloatArray, u: FloatArray, closed: BoolArray, tolerance: FloatArray,
     first: int, last: int,
 ) -> FloatArray:  # fmt: skip
-    """
-    Return the larger turn of tip and top at the vertices first ... last - 1 [rad].
-
-    It is 0 where no chord is long enough. No chord crosses a ``closed`` vertex.
-    """
+    """Return the larger turn of tip and top at vertices [rad]; 0 where no chord is long enough."""
     n = len(u)
     found = np.zeros(last - first)
     for j in range(first, last):
@@ -163,11 +158,10 @@ def find_corners(
     turn: FloatArray, u: FloatArray, closed: BoolArray, tolerance: FloatArray, least: float,
     first: int, last: int,
 ) -> BoolArray:  # fmt: skip
-    """
-    Tell which of the vertices first ... last - 1 are corners.
+    """Tell which of the vertices first ... last - 1 are corners.
 
-    A corner turns by more than ``least`` [rad], and by more than all vertices near it; a
-    ``closed`` vertex ends the comparison.
+    A corner turns by more than ``least`` [rad], and by more than all vertices near it, up to a
+    ``closed`` one.
     """
     found = np.zeros(last - first, dtype=np.bool_)
     n = len(u)
@@ -193,12 +187,10 @@ def longest_chord(
     tip: FloatArray, top: FloatArray, tolerance: FloatArray, a: int, step: int, last: int,
     most: float, share: float,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """
-    Find the farthest vertex whose chord to vertex a keeps near all vertices between.
+    """Find the farthest vertex whose chord to vertex a keeps near all vertices between.
 
-    ``step`` is +1 or -1. A chord of the length ``most`` [m] is long enough. ``share`` is the
-    largest distance of the vertices between in tolerances. Returns the vertex, and the largest
-    distances of tip and top from the chord [m].
+    ``step`` is +1 or -1; a chord of the length ``most`` [m] is long enough. Returns also the
+    largest distances of tip and top from the chord, at most ``share`` of the tolerances [m].
     """
     best, best_off, best_top = a + step, 0.0, 0.0
     k = a + step

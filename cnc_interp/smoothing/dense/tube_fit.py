@@ -57,11 +57,7 @@ def _bend_bands(matrices: FloatArray, knots: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _solve_bands(bands: FloatArray, right: FloatArray, first: int, last: int) -> bool:
-    """
-    Solve the rows first ... last - 1 of a banded symmetric system in place (Cholesky).
-
-    Returns False if rounding made the matrix indefinite.
-    """
+    """Solve some rows of a symmetric system in place (Cholesky); False if it is indefinite."""
     width, columns = bands.shape[1], right.shape[1]
     for i in range(first, last):
         if not bands[i, 0] > 0.0:
@@ -92,11 +88,9 @@ def _deviations(
     coefficients: FloatArray, basis: FloatArray, span: IntArray, point: FloatArray,
     tool: FloatArray, allowed: FloatArray, turning: bool, out: FloatArray,
 ) -> float:  # fmt: skip
-    """
-    Write the deviation of each sample as part of its tolerance, and return the largest one.
+    """Write the deviation of each sample as part of its tolerance, and return the largest one.
 
-    Only the direction of D = top - tip matters. So the component of the top error along the tool
-    axis is replaced by that of the tip error.
+    Only the direction of D = top - tip matters: along the tool axis, the error is that of the tip.
     """
     largest = 0.0
     gap = np.zeros(6)
@@ -128,13 +122,11 @@ def fit(
     end: FloatArray, samples: Samples, turning: bool, sweeps: tuple[int, int], aim: float,
     stiffness: float,
 ) -> tuple[FloatArray, float]:  # fmt: skip
-    """
-    Fit the smoothest quintic spline within the tolerance tube.
+    """Fit the smoothest quintic spline within the tolerance tube.
 
     ``full`` is the knot vector with multiple ends, ``start`` and ``end`` (m, 6) have value and
-    derivatives divided by factorials of their order. Without ``turning`` only the tip is computed.
-    ``aim`` is the wanted deviation as part of the tolerance [-]. Returns the control points, and
-    the largest deviation of a sample as part of its tolerance.
+    derivatives over factorials, ``aim`` is the wanted deviation as part of the tolerance [-].
+    Returns the control points and the largest deviation of a sample.
     """
     x, span, point, tool, allowed, simpson = samples
     columns = 6 if turning else 3

@@ -92,28 +92,33 @@ def _end_line(v: Vertices, vertex: int, step: int, other: int, ended: bool) -> E
     length = _distance(here, there)
     share = min(0.5, CORNER_PART * least / length)
     pose_between(here, there, share, pose)
-    # Borders are the feet of the inner vertices on the chord, from the pose to its end.
-    apart = CUT * least / (length * (1.0 - share))
-    cuts, pieces = np.empty(high - low), np.empty(high - low, np.int64)
-    count = 0
-    pieces[0] = low + 1
-    for j in range(low + 1, high):
+    # Feet of the inner vertices on the chord, as part of the distance from the pose to its end.
+    place = np.empty(high - low - 1)
+    for j in range(len(place)):
         along = 0.0
         for i in range(3):
-            along += (v.pose[j, i] - here[i]) * (there[i] - here[i])
-        place = (along / length**2 - share) / (1.0 - share)
+            along += (v.pose[low + 1 + j, i] - here[i]) * (there[i] - here[i])
+        place[j] = (along / length**2 - share) / (1.0 - share)
         if step < 0:
-            place = 1.0 - place
-        if place < apart:  # before the line begins
-            pieces[count] = j + 1
-        elif place <= 1.0 - apart and (count == 0 or place >= cuts[count - 1] + apart):
-            cuts[count] = place
+            place[j] = 1.0 - place[j]
+    apart = CUT * least / (length * (1.0 - share))
+    cuts, pieces = _borders(place, np.arange(low + 1, high + 1), apart)
+    feed = v.feed[low + 1 : high + 1].min()
+    return EndLine(k, end, pose, used, tolerance, feed, cuts, pieces)
+
+
+@njit(cache=True, nogil=True)
+def _borders(place: FloatArray, segments: IntArray, apart: float) -> tuple[FloatArray, IntArray]:
+    """Return borders between segments in [0, 1], at least ``apart`` apart, and the segments."""
+    cuts, pieces, count = np.empty(len(place)), segments.copy(), 0
+    for x, following in zip(place, segments[1:]):
+        if x < apart:  # before the line begins
+            pieces[count] = following
+        elif x <= 1.0 - apart and (count == 0 or x >= cuts[count - 1] + apart):
+            cuts[count] = x
             count += 1
-            pieces[count] = j + 1
-    return EndLine(
-        k, end, pose, used, tolerance, v.feed[low + 1 : high + 1].min(), cuts[:count],
-        pieces[: count + 1],
-    )  # fmt: skip
+            pieces[count] = following
+    return cuts[:count], pieces[: count + 1]
 
 
 @njit(cache=True, nogil=True)

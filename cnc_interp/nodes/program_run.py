@@ -32,6 +32,8 @@ PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s
 FORGOTTEN = 1.0
 #: Within this, the machine stands where a line by hand starts [m, rad].
 SAME = 1e-9
+#: Place of a start at the line of the first motion [m]: above 0, for it waits like any other.
+FIRST_MOTION = 5e-14
 MACHINE = RECEIVERS['setpoints']
 PLANNERS = {RECEIVERS['blocks'], RECEIVERS['segments']}
 
@@ -208,9 +210,11 @@ class ProgramRun:
 
     @property
     def start_at(self) -> float:
-        """Path length at which the run starts [m]; 0 at the top."""
+        """Path length at which the run starts [m]; 0 at the top, without a line to start at."""
         program = self.preparation.prepared
-        return program.start.s if program is not None and program.start is not None else 0.0
+        if program is None or program.start is None:
+            return 0.0
+        return max(program.start.s, FIRST_MOTION)
 
     def is_stale(self, setup: JobSetup) -> bool:
         """Tell whether the run waits and was checked with another setup of the machine."""

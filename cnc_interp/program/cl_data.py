@@ -27,7 +27,7 @@ from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import Place, Source
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.targets import NO_ARC, TargetColumns
+from cnc_interp.program.targets import AT_M0, NO_ARC, TargetColumns
 from cnc_interp.settings.choices import Settings
 
 _FARTHEST = 1e5 * MM
@@ -329,7 +329,8 @@ class ClReader:
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
             stands = self.targets.stands
-            self._notice(major, codes.NOT_YET if stands else text)
+            not_yet = codes.NOT_STOPPED if kind == AT_M0 else codes.NOT_YET
+            self._notice(major, not_yet if stands else text)
             if not stands:
                 self.targets.stop_here(kind)
         elif major in ('MSYS', 'CSYS') and (system := self._system_of(minor)) is not None:

@@ -124,7 +124,9 @@ REFUSED_G: dict[str, str] = {
     'G111': f'polar coordinates are not supported; {_LINEAR}',
 }
 
-NOT_YET = 'ignored before the first motion'
+#: Of stops before the first motion, M1 and M0.
+NOT_YET = 'before the first motion nothing waits'
+NOT_STOPPED = f'{WARNING}the machine does NOT stop there: it goes to the start and on at once'
 DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}

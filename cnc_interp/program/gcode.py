@@ -477,7 +477,8 @@ class GcodeReader:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         self.mover.end_corner()
         if self.mover.targets.stands and not self.splines.open:
-            self.notice(f'{code} at the start', codes.NOT_YET)
+            told = codes.NOT_YET if code == 'M1' else codes.NOT_STOPPED
+            self.notice(f'{code} at the start', told)
         else:
             self.notice(code, codes.STOP_M[code])
             self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)

@@ -60,7 +60,7 @@ def waits(client, reason):
 
 
 def test_without_a_terminal_it_waits_for_cycle_start(program):
-    run = start(program, '--from-line', '4')
+    run = start(program, '--from-line', '3')  # that of the first motion waits, too
     try:
         # before anything moves, and not as a note among others
         assert any(line.startswith('line 1: M3: WARNING: ') for line in run.stderr)

@@ -11,6 +11,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_program, read_text, targets
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
+from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.choices import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
@@ -129,8 +130,10 @@ def test_program_stops_say_whom_they_wait_for():
 def test_nobody_is_waited_for_before_the_first_motion():
     program = read('M1\nG0 X0\nM0\nG1 X1 F600\nX2')
     assert not program.blocks.program_stop.any()
-    notices = ' '.join(program.notices)
-    assert 'M1 at the start' in notices and 'M0 at the start' in notices
+    notices = program.notices
+    assert any('M1 at the start: before the first motion nothing waits' in one for one in notices)
+    (warned,) = warnings_of(notices)  # told in red before the motion
+    assert warned.startswith('line 3: M0 at the start: WARNING: the machine does NOT stop there')
 
 
 def test_g64_keeps_the_path_within_p_whatever_q_allows():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -65,6 +66,7 @@ class ProgramNode(Node):
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
+        self._waits_since = math.inf
         self._queue = ProgramQueue()
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._modes = ActiveModesTopic(self)
@@ -110,7 +112,7 @@ class ProgramNode(Node):
         self._mdi.tell()
         run = self._run
         if run is None:
-            self._see_unknown_run()
+            self._see_unknown_run(now)
             return bool(self._queue.names)
         if now - self._worked_at > FROZEN:
             self._peers.trust(now)
@@ -153,10 +155,14 @@ class ProgramNode(Node):
             run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
         )
 
-    def _see_unknown_run(self) -> None:
-        """Return what to do if cycle_start was called for a run that this node has not begun."""
+    def _see_unknown_run(self, now: float) -> None:
+        """Tell what to do if the machine waits in vain in a run that this node has not begun."""
         state = self._peers.state
-        if state is not None and state.start_wanted and state.program_id:
+        if state is None or not state.program_id:
+            return
+        waits = state.waits_for == MachineState.WAITS_FOR_SETPOINTS
+        self._waits_since = min(self._waits_since, now) if waits else math.inf
+        if state.start_wanted or now - self._waits_since > self._values['peer_timeout']:
             text = 'the program of this run is not known here any more; reset, then run it again'
             self._diagnostics.say('program', WARN, text)
 

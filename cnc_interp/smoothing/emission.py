@@ -79,11 +79,7 @@ class Emission:
         )  # fmt: skip
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
-        """
-        Return the part of each line between its corners, and rotations of a resting tool.
-
-        The first value has the index of the vertex before each of these segments.
-        """
+        """Return lines between corners, and rotations; first the vertices before them."""
         rows, legs, outer, stop = self.rows, self.legs, self.outer, self.vertex == STOP
         blocks = rows.blocks
         start, end = outer[:last, 1], legs.length[:last] - outer[1 : last + 1, 0]
@@ -191,11 +187,7 @@ class Emission:
         ), own
 
     def _resting_way(self, rows: IntArray, swept: FloatArray) -> FloatArray:
-        """
-        Return the path length of blocks whose tip rests [m], shape (n,).
-
-        It is flank height times angle; where extra axes move, too, both count at right angles.
-        """
+        """Return the length of blocks whose tip rests [m]: height times angle, and extra axes."""
         moved = self.legs.extra_step[rows]
         turned = self.style.height * swept
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
@@ -236,13 +228,7 @@ class Emission:
         return found
 
     def _feed(self, rows: IntArray, swept: FloatArray) -> FloatArray:
-        """
-        Return the programmed ds/dt of the blocks after the vertices ``rows``, shape (k,) [m/s].
-
-        A duration (G93) gives length / duration. A rotation with the tip at rest is limited only
-        by its duration or by the axes. Where only extra axes move, F is their
-        speed.
-        """
+        """Return the programmed ds/dt after vertices [m/s]; inf where only the axes limit it."""
         blocks, legs = self.rows.blocks, self.legs
         duration = blocks.duration[rows + 1]
         timed = np.isfinite(duration)
@@ -267,23 +253,17 @@ class Emission:
             )
         zero = np.zeros(n)
         return PathSegments(
-            kind=np.full(n, CORNER),
-            bottom=padded(curves.bottom),
-            top=padded(curves.top),
-            connection=curves.connection,
-            parametrization=curves.parametrization,
+            kind=np.full(n, CORNER), bottom=padded(curves.bottom), top=padded(curves.top),
+            connection=curves.connection, parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
-            rotation=np.zeros((n, 3)),
-            rotary=no_rotary(n),
-            length=np.full(n, np.nan),
+            rotation=np.zeros((n, 3)), rotary=no_rotary(n), length=np.full(n, np.nan),
             feed=np.stack([self._feed(rows - 1, zero), self._feed(rows, zero)], axis=1),
             block=np.stack([lines.row[rows], lines.row[rows + 1]], axis=1),
-            line_number=blocks.line_number[rows + 1],
-            stop=np.zeros(n, dtype=bool),
+            line_number=blocks.line_number[rows + 1], stop=np.zeros(n, dtype=bool),
             deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
             extra=self._extra_on_corners(rows, inner),
             room=np.maximum(self._orientation_tolerance(rows) - deviation[:, 1], 0.0),
-        )
+        )  # fmt: skip
 
 
 def no_segments(style: Style) -> PathSegments:

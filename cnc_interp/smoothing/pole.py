@@ -20,10 +20,8 @@ from its vertex: at the part f of its leg by about ``(1 - f)^4`` of its largest 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan2, cos, sin, sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import UM
@@ -33,12 +31,6 @@ from cnc_interp.smoothing.orientation import cross, norm
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM
-#: Part of the tolerance that can move a path onto the pole [-].
-MOVED = 0.8
-#: Smallest share of corners and curves, and distance that a path keeps from the pole [-].
-LEAST, KEPT = 0.1, 0.7
-#: The deviation of a corner at f is at most this times ``(1 - f)^4`` of the largest [-].
-FADING = 1.4
 
 
 class Upright:
@@ -97,50 +89,3 @@ class Upright:
             axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
             orientation_tolerance=blocks.orientation_tolerance - used,
         )
-
-
-@njit(cache=True, nogil=True)
-def share_near_pole(
-    pole: FloatArray, axis: FloatArray, rotation: tuple[float, float, float], tolerance: float,
-    corner: bool,
-) -> float:  # fmt: skip
-    """Return what a corner or curve may use of the orientation tolerance beside a great circle."""
-    sense = -1.0 if axis[0] * pole[0] + axis[1] * pole[1] + axis[2] * pole[2] < 0.0 else 1.0
-    x, y, z = rotation
-    turn = sqrt(x * x + y * y + z * z)
-    if turn > 0.0:
-        x, y, z = x / turn, y / turn, z / turn
-    p = sense * pole[0], sense * pole[1], sense * pole[2]
-    a = axis[0], axis[1], axis[2]
-    side = y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]
-    along = a[0] * p[0] + a[1] * p[1] + a[2] * p[2]
-    across = side[0] * p[0] + side[1] * p[1] + side[2] * p[2]
-    foot = min(max(atan2(across, along), 0.0), turn)
-    c, s = cos(foot), sin(foot)
-    near = c * a[0] + s * side[0], c * a[1] + s * side[1], c * a[2] + s * side[2]
-    off = (
-        near[1] * p[2] - near[2] * p[1],
-        near[2] * p[0] - near[0] * p[2],
-        near[0] * p[1] - near[1] * p[0],
-    )
-    along = near[0] * p[0] + near[1] * p[1] + near[2] * p[2]
-    distance = atan2(sqrt(off[0] ** 2 + off[1] ** 2 + off[2] ** 2), along) / tolerance
-    part = foot / turn if corner and turn > 0.0 else 0.0
-    fading = min(max(FADING * (1.0 - part) ** 4, 1e-3), 1.0)
-    through = (MOVED - distance) / (fading + MOVED)
-    return min(max(through, (distance - KEPT) / fading, LEAST), 1.0)
-
-
-@njit(cache=True, nogil=True)
-def shares_at_corners(
-    pole: FloatArray, axis: FloatArray, turns: FloatArray, tolerance: FloatArray
-) -> FloatArray:
-    """Return these shares at n corners; ``turns`` (n, 2, 3) lead from them along both lines."""
-    shares = np.ones(len(axis))
-    for k in range(len(axis)):
-        if turns[k].any():
-            for side in range(2):
-                x, y, z = 0.5 * turns[k, side]
-                share = share_near_pole(pole, axis[k], (x, y, z), tolerance[k], True)
-                shares[k] = min(shares[k], share)
-    return shares

@@ -102,11 +102,7 @@ def may_be_slow(
 def ways_of_run(
     skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
 ) -> tuple[list[Way], list[Way]]:
-    """
-    Return a run and the lines beside it as lines, and as a curve.
-
-    The lines are rounded; where a corner is doubtful, they are also all stops.
-    """
+    """Return a run as lines, at a doubtful corner also as stops, and as a curve."""
     first = start if skeleton.stop[start] else start - 1
     end = last if skeleton.stop[last] else last + 1
     blocks = skeleton.blocks[first : end + 1]

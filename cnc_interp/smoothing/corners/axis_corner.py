@@ -108,11 +108,7 @@ class AxisCorners:
         rows: IntArray, blocks: Blocks, axes: AxisLegs, still: BoolArray, machine: Transform,
         height: float,
     ) -> AxisCorners:  # fmt: skip
-        """
-        Collect the corners at inner vertices with a linear block on at least one side.
-
-        ``still`` tells which blocks of poses are lines in any coordinates: the tip moves alone.
-        """
+        """Collect corners beside linear blocks; ``still``: blocks where the tip moves alone."""
         before, after = rows - 1, rows
         first, second = axes.linear[before], axes.linear[after]
         in_axes = (first & axes.in_axes[before]) | (second & axes.in_axes[after])
@@ -181,12 +177,7 @@ class AxisCorners:
         return np.stack([moved[:, 0], np.maximum(moved[:, 1], turned)], axis=1)
 
     def deviation(self, inner: FloatArray, outer: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Bound the deviation of corners with L1, shape (n,), and L2, shape (n, 2) [m].
-
-        Returns contour and orientation deviation, shape (n, 2) [m], and the largest use of a
-        tolerance with both measured at the same programmed points, shape (n,) [-].
-        """
+        """Bound both deviations of corners (n, 2) [m], and the largest use of both (n,)."""
         ways = self.legs[:, 0], self.legs[:, 1], self.legs.sum(axis=1)
         gains = [self.gains(outer, way) for way in ways]
         deviation = np.stack(

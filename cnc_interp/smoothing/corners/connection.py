@@ -102,12 +102,7 @@ def lacking(
     d: tuple[FloatArray, FloatArray, FloatArray], axis: FloatArray, turning: FloatArray,
     rho: FloatArray | float, free: BoolArray | bool = True,
 ) -> FloatArray:  # fmt: skip
-    """
-    Return what the first three derivatives of D lack to those of rho o, shape (3, n, 3) [m].
-
-    ``turning`` has the derivatives of the tool axis o by the same parameter. The length rho
-    follows D where it is free; else it is constant.
-    """
+    """Return what three derivatives of D lack to those of rho o [m]; rho follows D where free."""
     d1, d2, d3 = d
     o1, o2, o3 = turning
     free = np.asarray(free)[..., None]
@@ -153,12 +148,7 @@ def matching_slopes(
 def _sextic(
     first: tuple[FloatArray, FloatArray], last: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """
-    Return the Bezier values of f on its only span, shape (n, 7), with f(0.5) = 0.5.
-
-    Then the inner knots of both curves coincide. ``first`` has f' and f'' at u = 0. ``last`` has
-    the derivatives of 1 - f at u = 1, counted backwards.
-    """
+    """Return the Bezier values of f, (n, 7), with f(0.5) = 0.5, so that inner knots coincide."""
     f1, f2 = first
     g1, g2 = last
     b1, b5 = f1 / 6.0, 1.0 - g1 / 6.0

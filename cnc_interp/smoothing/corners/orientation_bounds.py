@@ -83,11 +83,7 @@ def bound_interval(
     half: float, tip: FloatArray, tool: FloatArray, lines: FloatArray, side: int, top_side: int,
     height: float, largest_seen: float, both: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Return a proven bound of the errors on an interval, and the largest error seen so far.
-
-    Without ``both``, the axis error does not count.
-    """
+    """Return a proven bound of the errors on an interval, and the largest error seen so far."""
     swing, tips, axes = (
         np.empty((DEGREE + 1, 3)),
         np.empty((DEGREE + 1, 3)),
@@ -162,11 +158,7 @@ def _remainders(
     half: float, tip: FloatArray, tool: FloatArray, line: FloatArray, top_line: FloatArray,
     height: float,
 ) -> FloatArray:  # fmt: skip
-    """
-    Bound the interpolation remainders, shape (4,) [m].
-
-    They belong to the axis error, the distance from the corner, the top error and the foot.
-    """
+    """Bound the remainders of axis error, distance from the corner, top error and foot [m]."""
     found = np.full(4, np.inf)
     straight = sqrt(scalar_product(tool[0], tool[0]))
     chord = sqrt(scalar_product(top_line[CHORD], top_line[CHORD]))
@@ -316,11 +308,7 @@ def _bound_piece(
     parametrization: FloatArray, lines: FloatArray, height: float, largest_seen: float,
     proven: float, both: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Raise the largest error seen and the bound to those of one smooth piece.
-
-    The piece is halved where its bound is not close enough. Returns both values [m].
-    """
+    """Return the largest error seen and the bound, raised to those of one smooth piece [m]."""
     stack = np.empty((HALVINGS + 2, 3))
     stack[0, 0], stack[0, 1], stack[0, 2] = low, high, 0.0
     count = 1

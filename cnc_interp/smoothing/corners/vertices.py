@@ -14,8 +14,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
-from cnc_interp.smoothing.orientation import dot, norm, rotations_between
-from cnc_interp.smoothing.pole import shares_at_corners
+from cnc_interp.smoothing.orientation import dot, norm, rotations_between, shares_at_corners
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9

@@ -77,11 +77,7 @@ def certify(
     points: FloatArray, knots: FloatArray, line: Polyline, height: float, turning: bool,
     tolerance_share: float,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    """Bound contour and orientation deviation of n spans (n, 2) [m], and shares of tolerances.
-
-    ``points`` (n, 6, d) are Bezier points of the tip, and of the top if the tool turns. Also
-    tells whether the tip certainly moves forward everywhere in each span.
-    """
+    """Return deviations of spans [m] and as shares of tolerances, and where the tip advances."""
     n, u, tip, axis = len(points), line.u, line.pose[:, :3], line.pose[:, 3:]
     deviation, excess = np.zeros((n, 2)), np.zeros((n, 2))
     advances = np.ones(n, dtype=np.bool_)

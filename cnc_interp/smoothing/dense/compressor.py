@@ -16,7 +16,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
@@ -27,18 +26,10 @@ from cnc_interp.smoothing.dense.end_lines import EndLine, extended, with_end_lin
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 from cnc_interp.smoothing.dense.path_rows import Rows, Spans
 from cnc_interp.smoothing.dense.polyline import lone_vertex
-from cnc_interp.smoothing.dense.skeleton import (
-    LONG,
-    SHORT,
-    CornerSearch,
-    Skeleton,
-    SkeletonBuilder,
-    Vertices,
-)
+from cnc_interp.smoothing.dense.skeleton import CornerSearch, Skeleton, SkeletonBuilder
+from cnc_interp.smoothing.dense.thinning import FEWEST_BLOCKS, LONG, SHORT, run_end
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
-#: Smallest number of blocks in a run.
-FEWEST_BLOCKS = 3
 #: Number of vertices that are kept before the last one sent.
 KEPT_VERTICES = 2048
 #: Shortest distance between the committed curve and the end of its run, in tolerances.
@@ -312,27 +303,6 @@ class Compressor:
             leg and leg._replace(segment=leg.segment - first, vertex=leg.vertex - first)
             for leg in (self._lead, self._tail)
         )
-
-
-@njit(cache=True, nogil=True)
-def run_end(v: Vertices, start: int, decided: int) -> tuple[int, bool, bool]:
-    """
-    Find the end of a run that begins at a vertex, among those that are decided.
-
-    Returns the last known vertex of the run, whether the run ends there, and whether enough is
-    known to decide if there is a run.
-    """
-    if start + 1 < len(v.u) and v.kind[start + 1] != SHORT:
-        return start, True, True
-    if start + 1 >= decided:
-        return start, False, False
-    for k in range(start + 1, decided):
-        if v.closed[k] or v.corner[k] or (k + 1 < len(v.u) and v.kind[k + 1] != SHORT):
-            return k, True, True
-    last = decided - 1
-    longest = LONGEST * min(v.tolerance[start + 1, 0], v.tolerance[start + 1, 1])
-    long = v.u[last] >= v.u[start] + AHEAD * longest
-    return last, False, long and last - start >= FEWEST_BLOCKS
 
 
 class Made(NamedTuple):

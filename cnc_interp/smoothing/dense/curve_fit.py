@@ -21,8 +21,7 @@ from cnc_interp.smoothing.dense.knots import (
 )
 from cnc_interp.smoothing.dense.polyline import Polyline, pieces
 from cnc_interp.smoothing.dense.tube_fit import STIFFNESS, TYPICAL, fit
-from cnc_interp.smoothing.orientation import rotation_between
-from cnc_interp.smoothing.pole import share_near_pole
+from cnc_interp.smoothing.orientation import rotation_between, share_near_pole
 
 #: Spans in a window, spans committed of it, and most spans in the last window of a run.
 WINDOW, COMMIT, LAST = 40, 20, 60

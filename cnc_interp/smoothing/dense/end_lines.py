@@ -19,8 +19,7 @@ from cnc_interp.smoothing.dense.polyline import (
     put,
     with_room,
 )
-from cnc_interp.smoothing.dense.skeleton import Vertices
-from cnc_interp.smoothing.dense.thinning import longest_chord
+from cnc_interp.smoothing.dense.thinning import Vertices, longest_chord
 
 #: Wanted length of a chord at a corner, and the part of it for the corner, both in tolerances.
 CHORD, CORNER_PART = 20.0, 14.0

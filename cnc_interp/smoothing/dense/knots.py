@@ -113,11 +113,7 @@ def place_knots(
 def sample_points(
     line: Polyline, left: FloatArray, knots: FloatArray, height: float
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Return samples of a polyline between the first and the last knot, m rows each.
-
-    Parameters [m], spans, tip and top (m, 6) [m], tool axes, tolerances (m, 2) [m], and weights of
-    Simpson's rule, or of the trapezoidal rule on short segments [m].
-    """
+    """Return parameters, spans, poses, tool axes, tolerances and weights of m samples."""
     u, spans = line.u, len(knots) - 1
     first = 0
     while first < len(u) - 2 and u[first + 1] <= knots[0]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,34 +12,15 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.choices import Settings
 from cnc_interp.smoothing.dense import thinning
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
+from cnc_interp.smoothing.dense.thinning import FIXED, LONG, SHORT, Vertices
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 
 #: Poses of a curve with a smaller difference are one pose [m]; small steps do not add up here.
 REPEATED = 0.1 * STANDSTILL
-#: Kinds of segments: short enough for a curve, too long, or never part of a curve.
-SHORT, LONG, FIXED = 0, 1, 2
 #: A block longer than this always stays a straight line [tolerances].
 LONGEST = 500.0
 #: Smallest movement of the tip on a curve, as part of the movement of the top [-].
 LEAST_TIP = 0.02
-
-
-class Vertices(NamedTuple):
-    """Columns of ``Skeleton``, as kernels take them; ``pose`` (n, 6) has tips and tool axes."""
-
-    pose: FloatArray
-    top: FloatArray
-    u: FloatArray
-    used: FloatArray
-    tolerance: FloatArray
-    narrow: FloatArray
-    feed: FloatArray
-    row: IntArray
-    line_number: IntArray
-    kind: IntArray
-    turning: BoolArray
-    closed: BoolArray
-    corner: BoolArray
 
 
 @dataclass
@@ -88,11 +68,7 @@ class Skeleton:
 
     @cached_property
     def narrow(self) -> FloatArray:
-        """
-        Return the smallest tolerances of each segment and of those beside it, shape (n, 2) [m].
-
-        At a vertex the smaller tolerance counts, and so it does near the vertex.
-        """
+        """Return the smallest tolerances of each segment and of those beside it, (n, 2) [m]."""
         own = self.tolerance
         narrow = own.copy()
         narrow[1:] = np.minimum(narrow[1:], own[:-1])

@@ -11,11 +11,13 @@ tolerances, because the angles between shorter chords are noise.
 from __future__ import annotations
 
 from math import acos, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 
 #: Shortest step of the skeleton, and largest distance of a dropped vertex, in tolerances.
 STEP, DROP = 0.5, 0.1
@@ -24,8 +26,28 @@ MOST_DROPPED = 512
 #: Shortest chord between which a corner is measured, and the distance in u within which such a
 #: chord is searched, both in tolerances.
 CHORD, REACH = 3.0, 6.0
-#: Two poses that differ less are one [m].
-SAME = 1e-9
+#: Kinds of segments: short enough for a curve, too long, or never part of a curve.
+SHORT, LONG, FIXED = 0, 1, 2
+#: Smallest number of blocks in a run.
+FEWEST_BLOCKS = 3
+
+
+class Vertices(NamedTuple):
+    """Columns of ``Skeleton``, as kernels take them; ``pose`` (n, 6) has tips and tool axes."""
+
+    pose: FloatArray
+    top: FloatArray
+    u: FloatArray
+    used: FloatArray
+    tolerance: FloatArray
+    narrow: FloatArray
+    feed: FloatArray
+    row: IntArray
+    line_number: IntArray
+    kind: IntArray
+    turning: BoolArray
+    closed: BoolArray
+    corner: BoolArray
 
 
 @njit(cache=True, nogil=True)
@@ -158,11 +180,7 @@ def find_corners(
     turn: FloatArray, u: FloatArray, closed: BoolArray, tolerance: FloatArray, least: float,
     first: int, last: int,
 ) -> BoolArray:  # fmt: skip
-    """Tell which of the vertices first ... last - 1 are corners.
-
-    A corner turns by more than ``least`` [rad], and by more than all vertices near it, up to a
-    ``closed`` one.
-    """
+    """Tell which vertices turn more than ``least`` [rad], and more than all near them."""
     found = np.zeros(last - first, dtype=np.bool_)
     n = len(u)
     for j in range(first, last):
@@ -187,11 +205,7 @@ def longest_chord(
     tip: FloatArray, top: FloatArray, tolerance: FloatArray, a: int, step: int, last: int,
     most: float, share: float,
 ) -> tuple[int, float, float]:  # fmt: skip
-    """Find the farthest vertex whose chord to vertex a keeps near all vertices between.
-
-    ``step`` is +1 or -1; a chord of the length ``most`` [m] is long enough. Returns also the
-    largest distances of tip and top from the chord, at most ``share`` of the tolerances [m].
-    """
+    """Find the farthest vertex whose chord to a keeps near all between; how near [m]."""
     best, best_off, best_top = a + step, 0.0, 0.0
     k = a + step
     while _distance(tip, a, k) < most and k != last:
@@ -205,3 +219,19 @@ def longest_chord(
         if _distance(tip, a, k) > _distance(tip, a, best):  # blocks may lead back to their start
             best, best_off, best_top = k, off, off_top
     return best, best_off, best_top
+
+
+@njit(cache=True, nogil=True)
+def run_end(v: Vertices, start: int, decided: int) -> tuple[int, bool, bool]:
+    """Return the last known vertex of a run, whether it ends, and whether enough is known."""
+    if start + 1 < len(v.u) and v.kind[start + 1] != SHORT:
+        return start, True, True
+    if start + 1 >= decided:
+        return start, False, False
+    for k in range(start + 1, decided):
+        if v.closed[k] or v.corner[k] or (k + 1 < len(v.u) and v.kind[k + 1] != SHORT):
+            return k, True, True
+    last = decided - 1
+    longest = LONGEST * min(v.tolerance[start + 1, 0], v.tolerance[start + 1, 1])
+    long = v.u[last] >= v.u[start] + AHEAD * longest
+    return last, False, long and last - start >= FEWEST_BLOCKS

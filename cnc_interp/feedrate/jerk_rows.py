@@ -175,10 +175,7 @@ def term_rows(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def slope_rows(
-    slopes: FloatArray, q: int, lo: int, hi: int ) -> tuple[ FloatArray, FloatArray, FloatArray,
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
-]:  # fmt: skip
+def slope_rows(slopes: FloatArray, q: int, lo: int, hi: int) -> tuple[FloatArray, ...]:
     """Return the derivatives of the three terms of place q by m_{i-1}, then m_i, then m_{i+1}."""
     e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
     if q == 2:

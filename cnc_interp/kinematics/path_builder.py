@@ -79,8 +79,7 @@ class AxisPathBuilder:
     def __init__(self, transform: Transform, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
-        self._rotary: FloatArray | None = None
-        self._branch = 1.0
+        self._begun, self._rotary, self._branch = False, np.zeros(2), 1.0
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
         extra = 5 + np.arange(len(self.machine.extra_names))
         self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
@@ -96,7 +95,7 @@ class AxisPathBuilder:
         self._rotary, self._branch = start_positions(
             self.transform, axis, rotary, np.zeros(2), line_number
         )
-        self._may_turn_at_once = not np.isfinite(rotary).all()
+        self._begun, self._may_turn_at_once = True, not np.isfinite(rotary).all()
         self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
         return self._rotary
 
@@ -110,9 +109,9 @@ class AxisPathBuilder:
             )
         motion, n = self._motions(segments), len(segments)
         guides, turn_first = np.tile(NO_GUIDE, (n, 1)), np.full(n, np.nan)
+        if n and not self._begun:
+            self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
         if self.machine.has_rotary and n:
-            if self._rotary is None:
-                self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
             released = self.passages.take(segments, motion)
             segments, motion = released.segments, released.motion
             guides, turn_first = released.guides, released.turn_first
@@ -120,8 +119,6 @@ class AxisPathBuilder:
         parts: list[Cells] = []
         first, n = 0, len(segments)
         while first < n:
-            if self._rotary is None:
-                self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
             if np.isfinite(turn_first[first]):
                 parts.extend(self._turn_outer(segments[first : first + 1], turn_first[first]))
             # Together: what follows the tool axis, and what has the rotary axes as coordinates.
@@ -131,7 +128,6 @@ class AxisPathBuilder:
             changes[1:] |= np.isfinite(turn_first[first + 1 :])
             ends = np.flatnonzero(changes)
             last = first + (int(ends[0]) if len(ends) else n - first)
-            assert self._rotary is not None
             if last == first:
                 parts.extend(self._linear(segments[first : first + 1]))
                 first += 1
@@ -169,7 +165,6 @@ class AxisPathBuilder:
 
     def _linear(self, one: PathSegments) -> list[Cells]:
         """Cut a rotation with linear rotary axes; they turn to its start first if they must."""
-        assert self._rotary is not None
         start, end = one.rotary[0, :2]
         parts = []
         if np.abs(start - self._rotary).max() > SAME_ANGLE:
@@ -182,7 +177,6 @@ class AxisPathBuilder:
 
     def _turn_outer(self, one: PathSegments, turn: float) -> list[Cells]:
         """Turn the outer axis at rest under a tool on the pole, before a segment leaves it."""
-        assert self._rotary is not None
         outer, target = self.transform.outer, self._rotary.copy()
         gap = turn - target[outer]
         target[outer] += gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
@@ -193,18 +187,16 @@ class AxisPathBuilder:
         return parts
 
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
-        assert self._rotary is not None
         turn = target - self._rotary
         still = replace(
             one, kind=np.array([ROTATION]), extra=np.repeat(one.extra[:, :1], POINTS, axis=1),
-            length=np.array([self.flank_height * float(np.linalg.norm(turn))]), feed=np.full((1,
-            2), np.inf), stop=np.array([True]),
+            length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
+            feed=np.full((1, 2), np.inf), stop=np.array([True]),
         )  # fmt: skip
         return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
         """Insert whole turns missing at the start of coordinates; refuse other differences."""
-        assert self._rotary is not None
         start = run.rotary[0, 0]
         gap = start - self._rotary
         if np.abs(gap).max() <= SAME_ANGLE:
@@ -229,9 +221,7 @@ class AxisPathBuilder:
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
     ) -> Cells:
         guides = np.tile(NO_GUIDE, (len(segments), 1)) if guides is None else guides
-        rotary = np.array([0.0, 0.0, self._branch, self.flank_height])
-        if self._rotary is not None:
-            rotary[:2] = self._rotary
+        rotary = np.array([*self._rotary, self._branch, self.flank_height])
         status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed, float(np.sin(self.machine.singular_cone)), self._axes,
             segments.kind, shapes_of(segments), beside_of(segments), segments.parametrization,
@@ -244,12 +234,8 @@ class AxisPathBuilder:
         lines = segments.line_number[segment[sound]]
         check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
         if status != FINE:
-            refuse(
-                self.machine,
-                self.transform.outer,
-                status,
-                int(segments.line_number[len(counts) - 1]),
-            )
+            line = int(segments.line_number[len(counts) - 1])
+            refuse(self.machine, self.transform.outer, status, line)
         if motion[0] == LINEAR and segments.kind[0] == ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])

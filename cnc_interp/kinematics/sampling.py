@@ -98,8 +98,9 @@ def roomier(array: FloatArray, cells: int) -> FloatArray:
 def sample_segments(
     packed: FloatArray, cone_sine: float, axes: IntArray, kinds: IntArray, shapes: FloatArray,
     extra: FloatArray, f: FloatArray, lengths: FloatArray, motion: IntArray, guides: FloatArray,
-    rotary: FloatArray, ) -> tuple[ int, IntArray, IntArray, FloatArray, FloatArray, FloatArray,
-    FloatArray, FloatArray,
+    rotary: FloatArray,
+) -> tuple[
+    int, IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
 ]:  # fmt: skip
     """Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
 

@@ -50,9 +50,7 @@ class Homing:
         self._machine = playback.axes.machine
         self._names = self._machine.axis_names
         self._groups: list[tuple[str, ...]] = []
-        self._stages: dict[
-            str, AxisHoming
-        ] = {}  # of the axes of a group; empty while none is homed
+        self._stages: dict[str, AxisHoming] = {}  # of a group; empty while none is homed
         self._unknown = set(self._machine.homing.switches)
         self._seen = playback.state
 
@@ -68,9 +66,8 @@ class Homing:
     @property
     def must_home(self) -> list[str]:
         """Return the axes that must be homed before a program may start."""
-        return (
-            sorted(self._unknown, key=self._names.index) if self._machine.homing.required else []
-        )
+        required = self._machine.homing.required
+        return sorted(self._unknown, key=self._names.index) if required else []
 
     def forget(self) -> None:
         """Count all axes with a switch as not homed, as after the drives were off."""

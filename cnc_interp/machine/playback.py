@@ -256,12 +256,9 @@ class Playback:
             self.buffer.push(pushed)
 
     def _written(
-        self, chunk: Chunk, lines: list[int], tail_lines: list[int], first: int
+        self, chunk: Chunk, lines: list[int], tails: list[int], first: int
     ) -> BufferedChunk:
-        rows, tail = (
-            SourcedSetpoints(chunk.samples, lines),
-            SourcedSetpoints(chunk.tail, tail_lines),
-        )
+        rows, tail = SourcedSetpoints(chunk.samples, lines), SourcedSetpoints(chunk.tail, tails)
         return BufferedChunk(self.cycle.push(chunk), self.run_id, first, chunk, rows, tail)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:

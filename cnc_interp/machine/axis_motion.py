@@ -17,8 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
-# Differences of valid setpoints exceed a limit by rounding at most.
-ROUNDING = 1.01
+ROUNDING = 1.01  #: Differences of valid setpoints exceed a limit by rounding at most.
 
 
 def beyond_travel(machine: Machine, positions: FloatArray) -> str:

@@ -28,8 +28,7 @@ from cnc_interp.wire.settings_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
-#: A machine that has left its run for so long was reset or started again [s].
-FORGOTTEN = 1.0
+FORGOTTEN = 1.0  #: A machine that has left its run for so long was reset or started again [s].
 #: Within this, the machine stands where a line by hand starts [m, rad].
 SAME = 1e-9
 #: Place of a start at the line of the first motion [m]: above 0, for it waits like any other.

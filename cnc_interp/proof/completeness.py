@@ -13,12 +13,9 @@ from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes
 from cnc_interp.proof.programmed_path import distances_to_vertices, peaks
 from cnc_interp.proof.verdict import Ledger
 
-# Largest accepted distance between an exact stop and its vertex [m].
-STOP_DISTANCE = 1e-6
-# Samples before and after a vertex among which a rest is looked for.
-SEARCHED = 20_000
-# Rotary words are met within this at an exact stop [rad].
-STOP_ANGLE = 1e-6
+STOP_DISTANCE = 1e-6  #: Largest accepted distance between an exact stop and its vertex [m].
+SEARCHED = 20_000  #: Samples before and after a vertex among which a rest is looked for.
+STOP_ANGLE = 1e-6  #: Rotary words are met within this at an exact stop [rad].
 # At the pole the tool axis does not show a turn; nearer than this number of orientation tolerances
 # the outer rotary axis is held to its word as if the tool were so far away.
 POLE_TOLERANCES = 4.0

@@ -21,8 +21,7 @@ from cnc_interp.proof.plan_files import Stored, held, spans
 from cnc_interp.proof.program_shapes import ProgramShapes
 from cnc_interp.proof.programmed_path import peaks
 
-# Between vertices a distance of so many tolerances is in order.
-ROOM = 2.0
+ROOM = 2.0  #: Between vertices a distance of so many tolerances is in order.
 # Likewise where tip, rotary and extra axes are compared together, at the vertices too.
 JOINT_ROOM = 3.0
 # A circle becomes pieces of the polygon that are so near to it, in tolerances.

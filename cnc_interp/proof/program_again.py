@@ -27,19 +27,16 @@ from cnc_interp.proof.plan_files import Columns, PlanFiles
 # Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
 # share [-].
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
-# An angle is printed within so many last digits.
-ROUNDED = 0.75
+ROUNDED = 0.75  #: An angle is printed within so many last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: some curves of the
 # machine become lines of poses.
 CHORD = 0.11
-# Sine of the angle up to which a normal is parallel to the tool.
-PARALLEL = 1e-6
+PARALLEL = 1e-6  #: Sine of the angle up to which a normal is parallel to the tool.
 # Contour and orientation tolerance of settings that are not known [m].
 UNKNOWN = (float('nan'), float('nan'))
 # Cycles that LinuxCNC ends otherwise than other controls.
 _OTHER_HOLES = re.compile(r'(?<![A-Z<_])G[ \t]*0*(?:74|84|89)(?![\d.])', re.IGNORECASE)
-# Longest program that is read [bytes].
-LONGEST = 64 << 20
+LONGEST = 64 << 20  #: Longest program that is read [bytes].
 
 
 @dataclass(frozen=True)

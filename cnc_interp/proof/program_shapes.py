@@ -14,8 +14,7 @@ from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_axes import ProgrammedAxes
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath
 
-# Distances below this are zero [m].
-SLACK = 1e-9
+SLACK = 1e-9  #: Distances below this are zero [m].
 # A search is widened by this number of tolerances where blocks are tiny. There one path segment
 # covers many rows, but each of its halves names one row: the middle one, or the first or last row
 # of a curve. A half is 50 tolerances long at most, counted as the root mean square of tip and

@@ -19,17 +19,14 @@ from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_path import Deviation
 
-# Two tool axes that differ by less are equal [-], a tip that moves less rests [m].
-SAME = 1e-9
-# A use of the tolerances below this is not improved by a search [-].
-SMALL_USE = 0.02
+SAME = 1e-9  #: Two tool axes that differ by less are equal [-], a tip that moves less rests [m].
+SMALL_USE = 0.02  #: A use of the tolerances below this is not improved by a search [-].
 # Golden section: number of steps, and the share of the bracket that each one keeps.
 STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
 # Way from a row whose rotary axes run linearly up to which rows are compared in its coordinates:
 # short ones are joined to one line, so that a corner reaches over several of them [m].
 JOINED = 5e-3
-# Half the bracket around the nearest point, in tolerances.
-BRACKET = 8.0
+BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,12 @@ from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
-# Rows searched on either side of the row to which a setpoint belongs.
-WINDOW = 2
+WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
 # Largest number of rows searched on either side where blocks are shorter than the tolerance.
 WIDE_WINDOW = 500
 # Largest turn between two starting points of the search for the nearest point of T [rad].
 TURN_PER_START = 0.1
-# Two distances that differ by less than this are equal [m].
-TIE = 1e-9
+TIE = 1e-9  #: Two distances that differ by less than this are equal [m].
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from cnc_interp.proof.program_again import Agreement
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
-# The limit that only some axes have.
-TORQUE = 'torque'
+TORQUE = 'torque'  #: The limit that only some axes have.
 
 
 @dataclass(frozen=True)

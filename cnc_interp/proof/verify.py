@@ -40,8 +40,7 @@ from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
-# Uses of limits agree when they differ by less [-].
-SAME_USE = 1e-6
+SAME_USE = 1e-6  #: Uses of limits agree when they differ by less [-].
 # Where the plan does not say which blocks may become curves: those up to this length [m].
 LONGEST_BLOCK = 5e-3
 

@@ -25,8 +25,7 @@ OVERLAP = 0.02  #: A trajectory begins by so much before what the controller exe
 RESERVE = 0.25  #: Share of the delay by which news must leave before they are due [-].
 LATEST = 1.0  #: Age up to which reports are compared with what was commanded then [s].
 SILENCE_OF_A_CALL = 0.05  #: Most silence that one call adds: this program may stand [s].
-#: Longest wait for the controller, and for its axes to settle before the power is on [s].
-POWER_UP, SETTLING = 5.0, 0.1
+POWER_UP, SETTLING = 5.0, 0.1  #: Longest waits for the controller, and for its axes to settle [s].
 
 
 class Trajectory(NamedTuple):

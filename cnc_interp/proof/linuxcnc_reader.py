@@ -249,10 +249,8 @@ ROTATION = 10  #: The parameter of the rotation of a work offset, from its first
 class Setup:
     """What LinuxCNC starts with."""
 
-    #: Numbered parameters [inch, deg].
-    parameters: Mapping[int, float] = field(default_factory=dict)
-    #: Length of tools by their numbers [m].
-    tool_lengths: Mapping[int, float] = field(default_factory=dict)
+    parameters: Mapping[int, float] = field(default_factory=dict)  #: By number [inch, deg].
+    tool_lengths: Mapping[int, float] = field(default_factory=dict)  #: By their numbers [m].
     tool: int = 0  #: The tool in the spindle; 0: none.
 
 

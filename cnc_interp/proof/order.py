@@ -22,10 +22,8 @@ from cnc_interp.proof.program_shapes import ProgramShapes
 from cnc_interp.proof.programmed_path import peaks
 
 ROOM = 2.0  #: Between vertices a distance of so many tolerances is in order.
-# Likewise where tip, rotary and extra axes are compared together, at the vertices too.
-JOINT_ROOM = 3.0
-# A circle becomes pieces of the polygon that are so near to it, in tolerances.
-CHORD_SHARE = 0.05
+JOINT_ROOM = 3.0  #: Likewise for tip, rotary and extra axes together, at the vertices too.
+CHORD_SHARE = 0.05  #: The pieces that replace a circle are so near to it, in tolerances.
 
 
 @dataclass(frozen=True)
@@ -62,8 +60,7 @@ class Pursuit:
     """How far a motion, taken chunk by chunk, has followed some pieces."""
 
     pieces: list[FloatArray]  #: Start, way and room of the P pieces; place and room of their ends.
-    #: (P,): Least part of each piece that can be reached at the last sample; infinite where none.
-    low: FloatArray
+    low: FloatArray  #: (P,): Least part of each piece in reach at the last sample, or infinite.
     #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
     begin: int = 0
     stop: int = 1

@@ -13,16 +13,14 @@ from cnc_interp.proof.axis_limits import limits_at
 from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles, held, spans
 from cnc_interp.proof.verdict import Ledger
 
-# Largest accepted distance between setpoints, forward kinematics and the path file [m, rad].
-ROUND_TRIP = 1e-8
+ROUND_TRIP = 1e-8  #: Largest distance of setpoints, forward kinematics and path file [m, rad].
 SAME = 1e-6  #: Largest accepted relative difference of figures that are computed twice [-].
 ROUNDED = 1e-14  #: Values of axes are rounded by less [m, rad].
 # Speeds that differ by less agree [-], and those that differ by less than this [m/s].
 SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
-# A path that is longer than the way of its tip by this factor turns about a resting tip [-].
-TURNS = 1e6
+TURNS = 1e6  #: A path that is longer than its tip's way by this factor turns at rest [-].
 ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
 

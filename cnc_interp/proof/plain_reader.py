@@ -68,8 +68,7 @@ class ReadMove:
     worded: bool = False  #: Whether the text has named a rotary axis so far.
     #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
     normal: FloatArray | None = None
-    #: Radius of the cutter beyond its corner, and radius of the corner [m].
-    cutter: tuple[float, float] = (0.0, 0.0)
+    cutter: tuple[float, float] = (0.0, 0.0)  #: Radius beyond its corner, and of the corner [m].
 
 
 def read_plainly(

@@ -49,8 +49,7 @@ BLOCK_COLUMNS = {
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
-# Columns that may be infinite (no limit).
-MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))
+MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
 # Largest feed override that the nodes accept, and the periods that can be chosen [s].
 LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
 # Largest number of columns of a file. A larger file than this [bytes] may unpack to so many times

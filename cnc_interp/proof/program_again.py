@@ -32,8 +32,7 @@ ROUNDED = 0.75  #: An angle is printed within so many last digits.
 # machine become lines of poses.
 CHORD = 0.11
 PARALLEL = 1e-6  #: Sine of the angle up to which a normal is parallel to the tool.
-# Contour and orientation tolerance of settings that are not known [m].
-UNKNOWN = (float('nan'), float('nan'))
+UNKNOWN = (float('nan'), float('nan'))  #: Tolerances of settings that are not known [m].
 # Cycles that LinuxCNC ends otherwise than other controls.
 _OTHER_HOLES = re.compile(r'(?<![A-Z<_])G[ \t]*0*(?:74|84|89)(?![\d.])', re.IGNORECASE)
 LONGEST = 64 << 20  #: Longest program that is read [bytes].

@@ -17,10 +17,8 @@ from numba import njit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
-# Largest number of rows searched on either side where blocks are shorter than the tolerance.
-WIDE_WINDOW = 500
-# Largest turn between two starting points of the search for the nearest point of T [rad].
-TURN_PER_START = 0.1
+WIDE_WINDOW = 500  #: The most rows searched where blocks are shorter than the tolerance.
+TURN_PER_START = 0.1  #: Largest turn between two starts of the search for the nearest point [rad].
 TIE = 1e-9  #: Two distances that differ by less than this are equal [m].
 
 

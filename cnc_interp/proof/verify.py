@@ -41,8 +41,7 @@ from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
 SAME_USE = 1e-6  #: Uses of limits agree when they differ by less [-].
-# Where the plan does not say which blocks may become curves: those up to this length [m].
-LONGEST_BLOCK = 5e-3
+LONGEST_BLOCK = 5e-3  #: Blocks up to this length may become curves, if the plan does not say [m].
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:

@@ -135,7 +135,7 @@ def compare_places(
 class _Comparison:
     """Follows the rows of a plan with the motions of its text, by the numbers of the lines."""
 
-    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float] = UNKNOWN):
+    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float]):
         self.blocks, self.machine, self.tolerances = blocks, machine, tolerances
         self.transform = Transform.of(machine)
         self.faults: list[str] = []
@@ -353,7 +353,7 @@ class _Comparison:
 class _FollowPlaces(_Comparison):
     """Follows the rows by their places, with motions whose lines are not known."""
 
-    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float] = UNKNOWN):
+    def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float]):
         super().__init__(blocks, machine, tolerances)
         self.tiny = 0  # motions shorter than the last digit, which may have rows
         # The row after those of the same line, for each row.

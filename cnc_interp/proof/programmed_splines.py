@@ -85,11 +85,11 @@ def _renumbered(
 
 
 def chords(
-    blocks: Columns, first: int, last: int, height: float, chord: float = CHORD
+    blocks: Columns, first: int, last: int, height: float
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
     """Replace a native spline, rows ``first`` to ``last``, by n linear rows and poses (n, 6).
 
-    Poses are tips and points at flank height, within ``chord`` of the curve [m]. Raises
+    Poses are tips and points at flank height, within ``CHORD`` of the curve. Raises
     InterpError if the control points do not form a clamped curve.
     """
     line = int(blocks['line'][first])
@@ -107,7 +107,7 @@ def chords(
         begin, end = knots[i + 2], knots[i + 3]
         probe = _poses(curve, np.linspace(begin, end, PROBES), height)
         bend = np.abs(np.diff(probe, 2, axis=0)).max() * (PROBES - 1) ** 2
-        pieces = max(1, int(np.ceil(np.sqrt(3.0 * bend / (8.0 * chord)))))
+        pieces = max(1, int(np.ceil(np.sqrt(3.0 * bend / (8.0 * CHORD)))))
         u.append(np.linspace(begin, end, pieces + 1)[1:])
         row.append(np.full(pieces, first + i))
     places, rows = np.concatenate(u)[1:], np.concatenate(row)[1:]

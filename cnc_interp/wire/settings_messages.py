@@ -15,11 +15,8 @@ from cnc_interp.settings.choices import Settings, texts_of, with_texts
 from cnc_interp.settings.declaration import Stage, choices
 
 
-def pairs_of(settings: Settings, names: Iterable[str] | None = None) -> list[KeyValue]:
-    """Return choices as messages: those of some names, or all."""
-    texts = texts_of(settings)
-    wanted = texts if names is None else names
-    return [KeyValue(key=name, value=texts[name]) for name in wanted]
+def pairs_of(settings: Settings) -> list[KeyValue]:
+    return [KeyValue(key=name, value=text) for name, text in texts_of(settings).items()]
 
 
 def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:

@@ -23,6 +23,11 @@ class ThreeAxes:
     axis_names = ('X', 'Y', 'Z')
     extra_names, extra_direction, control = (), (), {}
 
+    @property
+    def machine(self):
+        """The same: what of a machine is read with its transformation."""
+        return self
+
     def tool_axis(self, rotary):
         raise AssertionError('a machine without rotary axes is never asked')
 

@@ -18,7 +18,12 @@ class TableAC:
 
     axis_names = ('X', 'Y', 'Z', 'A', 'C')
     extra_names, extra_direction, control = (), (), {}
-    pole_cone = np.radians(0.02)
+    singular_cone = np.radians(0.02)
+
+    @property
+    def machine(self):
+        """The same: what of a machine is read with its transformation."""
+        return self
 
     def nearest_to_pole(self, start, end):
         share = np.linspace(0.0, 1.0, 2001)[:, None]

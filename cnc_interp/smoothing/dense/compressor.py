@@ -31,7 +31,7 @@ from cnc_interp.smoothing.dense.thinning import FEWEST_BLOCKS, LONG, SHORT, run_
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
 #: Number of vertices that are kept before the last one sent.
-KEPT_VERTICES = 2048
+KEPT_VERTICES = 512
 #: Shortest distance between the committed curve and the end of its run, in tolerances.
 SHORTEST_REST = 40.0
 

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Protocol
 
 from cnc_interp.batch.processes import PRELOADED, EndedCall, Loss, Processes, total_memory
-from cnc_interp.batch.task import Job, Jobs, Row, Task, TaskOutcome, Verdict
+from cnc_interp.batch.task import BatchEntry, Jobs, Row, Task, TaskOutcome, Verdict
 from cnc_interp.batch.task_work import carry_out
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
@@ -77,7 +77,7 @@ def run_batch(
     store: Store,
     progress: Callable[[Progress], None],
     processes: int = 1,
-) -> list[tuple[Job, TaskOutcome]]:
+) -> list[tuple[BatchEntry, TaskOutcome]]:
     """Carry out all jobs; ``store`` keeps each result, ``processes`` plan one program together."""
     keys: dict[int, str] = {}
     found: dict[int, TaskOutcome] = {}

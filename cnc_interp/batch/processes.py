@@ -57,7 +57,7 @@ class EndedCall(Generic[R]):
 
 
 @dataclass(frozen=True)
-class _Call(Generic[A]):
+class _Attempt(Generic[A]):
     """A call that waits: its argument is made when it begins, and some time is left for it [s]."""
 
     number: int
@@ -70,11 +70,11 @@ class _Call(Generic[A]):
 class _Running(Generic[A]):
     """A call, its process, and the time at which it has no time left [s]."""
 
-    call: _Call[A]
+    call: _Attempt[A]
     process: ForkServerProcess
     deadline: float
 
-    def again(self) -> _Call[A] | None:
+    def again(self) -> _Attempt[A] | None:
         """Return the call to begin again after a kill; None if it may not be."""
         left = self.deadline - time.monotonic()
         if left <= 0 or self.call.kills >= MOST_KILLS:
@@ -111,8 +111,8 @@ class Processes:
         self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]
     ) -> Iterator[EndedCall[R]]:
         """Call a function with each argument; yield what has ended, in the order of the ends."""
-        killed: deque[_Call[A]] = deque()
-        coming = (_Call(n, make, self._longest) for n, make in enumerate(arguments))
+        killed: deque[_Attempt[A]] = deque()
+        coming = (_Attempt(n, make, self._longest) for n, make in enumerate(arguments))
         running: dict[Connection, _Running[A]] = {}
         try:
             while True:
@@ -148,7 +148,7 @@ class Processes:
                 connection.close()
 
     def _start(
-        self, function: Callable[[A], R], call: _Call[A], running: dict[Connection, _Running[A]]
+        self, function: Callable[[A], R], call: _Attempt[A], running: dict[Connection, _Running[A]]
     ) -> None:
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(

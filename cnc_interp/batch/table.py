@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.batch.task import Job, TaskOutcome
+from cnc_interp.batch.task import BatchEntry, TaskOutcome
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
 
-Results = Sequence[tuple[Job, TaskOutcome]]
+Results = Sequence[tuple[BatchEntry, TaskOutcome]]
 #: Columns of the table: name with its unit, and type. All but the first two and ``cost`` are
 #: fields of ``Row``.
 COLUMNS = {
@@ -34,7 +34,7 @@ def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
     return [_row(job, outcome, rate) for job, outcome in results]
 
 
-def _row(job: Job, outcome: TaskOutcome, rate: float | None) -> dict[str, Any]:
+def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str, Any]:
     row = outcome.row
     own = {
         'program': job.program,
@@ -56,7 +56,7 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
     return [table, *_parquet(rows, folder / 'table.parquet'), costs]
 
 
-def _cost(job: Job, outcome: TaskOutcome) -> list[object]:
+def _cost(job: BatchEntry, outcome: TaskOutcome) -> list[object]:
     cost = outcome.cost
     return [job.program, job.model.name, f'{cost.seconds:.3f}', f'{cost.processor:.3f}',
             f'{cost.memory / 1e6:.0f}']  # fmt: skip

@@ -140,7 +140,7 @@ def engine() -> str:
 
 
 @dataclass(frozen=True)
-class Job:
+class BatchEntry:
     """One program on one machine."""
 
     path: Path  #: File of the program.
@@ -163,7 +163,7 @@ class Jobs:
         self._plans = plans.resolve() if plans else None
         models = [_model(name) for name in dict.fromkeys(machines)]
         found = [
-            Job(path, name, model, path.stat().st_size)
+            BatchEntry(path, name, model, path.stat().st_size)
             for path, name in programs_of(programs)
             for model in models
         ]
@@ -177,10 +177,10 @@ class Jobs:
     def __len__(self) -> int:
         return len(self._jobs)
 
-    def __iter__(self) -> Iterator[Job]:
+    def __iter__(self) -> Iterator[BatchEntry]:
         return iter(self._jobs)
 
-    def task(self, job: Job) -> Task:
+    def task(self, job: BatchEntry) -> Task:
         """Return the task of a job; its files are read now."""
         text = job.path.read_bytes()
         files = ((job.path.name, text), *called_files(job.path, text).items())

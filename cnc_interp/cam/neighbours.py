@@ -22,7 +22,7 @@ GOUGE = 1.0 * UM
 #: Parts shorter than this are left out [m].
 SHORTEST = 1.0 * MM
 
-Rows = Callable[[FloatArray], FloatArray]
+RowsAt = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Neighbours:
         return np.asarray(found)
 
     def free_parts(
-        self, rows: Rows, cutter: Cutter, parts: list[tuple[float, float]]
+        self, rows: RowsAt, cutter: Cutter, parts: list[tuple[float, float]]
     ) -> list[tuple[float, float]]:
         """Cut parts of a pass back to where the mill stays out of the neighbours."""
         free = []

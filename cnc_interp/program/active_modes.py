@@ -74,12 +74,7 @@ class ModesOfBlocks:
         return float(found)
 
     def see(self, states: FloatArray, first: int) -> None:
-        """
-        Take the states of further blocks.
-
-        ``states`` (n, 3): number of the state, motion code, and feed of each block, as for
-        ``moving``.
-        """
+        """Take number of the state, motion code and feed of further blocks, (n, 3)."""
         before = np.vstack([self._last, states[:-1]])
         rows = np.flatnonzero((states != before).any(axis=1))
         self._last = states[-1]

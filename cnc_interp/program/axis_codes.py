@@ -12,7 +12,7 @@ from cnc_interp.program.dialects import FANUC, LINUXCNC
 from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
-from cnc_interp.program.moves import EXTRA_LETTERS
+from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.program.words import BlockWords
 
 #: Largest rotation of a work offset [deg].

@@ -25,9 +25,10 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_cycles import ClCycle, cycle_of, way_to
 from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
 from cnc_interp.program.notices import Notices, Refusals
-from cnc_interp.program.source import Place, Source
+from cnc_interp.program.source import LineStart, Source
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.targets import AT_M0, NO_ARC, TargetColumns
+from cnc_interp.program.target_row import AT_M0, NO_ARC
+from cnc_interp.program.targets import TargetColumns
 from cnc_interp.settings.choices import Settings
 
 _FARTHEST = 1e5 * MM
@@ -100,12 +101,7 @@ class ClReader:
         return self.targets.start
 
     def blocks(self) -> Iterator[Blocks]:
-        """
-        Read all statements up to FINI, and yield the blocks in batches.
-
-        Raises ProgramError if statements are refused: all of them, at the end of the file. No
-        blocks are yielded after the first.
-        """
+        """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         refused = Refusals()
@@ -157,7 +153,7 @@ class ClReader:
         while text := self.source.lines(self.place):
             yield from text.decode('utf-8', 'replace').splitlines()
             offset = self.place.offset + len(text)
-            self.place = Place(offset, self.place.line + text.count(b'\n'))
+            self.place = LineStart(offset, self.place.line + text.count(b'\n'))
 
     def _statements(self, lines: Iterable[str]) -> Iterator[tuple[int, str]]:
         """Join continued lines; yield the number of the first line and the statement."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import codes
-from cnc_interp.program.targets import AT_M0, AT_M1
+from cnc_interp.program.target_row import AT_M0, AT_M1
 
 #: Words that are followed by text to the end of the line.
 TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')

@@ -38,22 +38,18 @@ Fault = Callable[[str], ProgramError]
 
 
 @dataclass(frozen=True)
-class Cutter:
+class ToolShape:
     """A filleted cutter."""
 
     radius: float  #: Radius of its cylinder [m].
     corner_radius: float  #: Radius of its corner, at most ``radius`` [m].
 
-    def beyond(self, other: Cutter) -> Cutter:
+    def beyond(self, other: ToolShape) -> ToolShape:
         """Return the differences to another cutter; they may be negative."""
-        return Cutter(self.radius - other.radius, self.corner_radius - other.corner_radius)
+        return ToolShape(self.radius - other.radius, self.corner_radius - other.corner_radius)
 
     def shift(self, normal: FloatArray, axis: FloatArray) -> FloatArray:
-        """
-        Return the way from the contact point to the tip, (3,) [m].
-
-        ``normal``, ``axis`` (3,): unit normal of the surface, and unit tool axis [-].
-        """
+        """Return the way from the contact point to the tip, (3,) [m], by normal and tool axis."""
         across = normal - (normal @ axis) * axis
         sine = float(np.linalg.norm(across))
         side = across / sine if sine > PARALLEL else np.zeros(3)
@@ -64,18 +60,13 @@ class Cutter:
 class ContactPath:
     """One stretch of compensation along contact normals, from G41.2 or G42.2 to G40."""
 
-    def __init__(self, cutter: Cutter):
+    def __init__(self, cutter: ToolShape):
         self._cutter = cutter
         self._normal: FloatArray | None = None  # the last one
         self._before: tuple[FloatArray, FloatArray, float] | None = None
 
     def take(self, words: BlockWords, turn: FloatArray, fault: Fault) -> None:
-        """
-        Take the normal out of a block: I J K, or A5 B5 C5. Without one, the last one counts.
-
-        ``turn`` (3, 3): rotation from its coordinates to W. Raises ProgramError if it has no
-        direction.
-        """
+        """Take the normal (I J K, or A5 B5 C5) out of a block; without one the last one counts."""
         named = {name: value for name, value in words.sets if name in NORMAL_WORDS}
         given = [float(named.get(name, 0.0)) for name in NORMAL_WORDS]
         if not named:
@@ -88,13 +79,7 @@ class ContactPath:
         self._normal = np.asarray(turn @ (np.array(given) / length))
 
     def tip(self, point: FloatArray, axis: FloatArray, cuts: bool, fault: Fault) -> FloatArray:
-        """
-        Return the tip of the tool at the end of a block.
-
-        ``point`` (3,): programmed point [m]; ``axis`` (3,): unit tool axis at the point [-];
-        ``cuts``: whether the motion there is a feed. Raises ProgramError if there is no normal, or
-        the tool cannot touch the surface or would cut into it.
-        """
+        """Return the tip of the tool, (3,) [m]; raise if it cannot touch, or would cut in."""
         normal = self._normal
         if normal is None:
             raise fault('write the contact normal in the block: I J K, or A5= B5= C5=; without '
@@ -114,11 +99,7 @@ class ContactPath:
     def _demand_room(
         self, point: FloatArray, normal: FloatArray, cosine: float, cuts: bool, fault: Fault
     ) -> None:
-        """
-        Raise if the surface is more hollow than the cutter.
-
-        Then the centre of the corner, or the axis where the flank cuts, runs backwards.
-        """
+        """Raise if the surface is hollower than the cutter: its centre or axis runs backwards."""
         before, self._before = self._before, (point, normal, cosine)
         if before is None or not cuts:
             return

@@ -35,10 +35,10 @@ class Corner:
         fault: Fault,
     ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:  # fmt: skip
         """
-        Return where the first line ends, where the second begins, and the arc between them.
+        Return where the first line ends, where the second begins, and the arc between [m].
 
-        The points (3,) are in the order of the program [m]; the columns of ``frame`` (3, 3) are
-        both axes of the plane and its normal. None where a modal rounding has no corner.
+        The columns of ``frame`` (3, 3) are both axes of the plane and its normal. None where a
+        modal rounding has no corner.
         """
         start, vertex, end = (complex(*(frame[:, :2].T @ p)) for p in (here, corner, after))
         heights = [float(p @ frame[:, 2]) for p in (here, corner, after)]

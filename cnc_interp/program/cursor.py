@@ -15,7 +15,7 @@ from typing import Any
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.program.expressions import ProgramVariables
 from cnc_interp.program.files import subprogram_file
-from cnc_interp.program.source import Place, Source
+from cnc_interp.program.source import LineStart, Source
 
 _DEEPEST_CALL = 20
 _PERCENT = re.compile(rb'(?m)^[ \t]*%')
@@ -26,7 +26,7 @@ class Loop:
     """A running loop: its label, its first line, and the rounds that remain."""
 
     label: str
-    begin: Place
+    begin: LineStart
     rounds: int = 0
 
 
@@ -35,9 +35,9 @@ class _Call:
     """A running subprogram: where the caller continues, and the rounds that remain."""
 
     source: Source
-    back: Place
+    back: LineStart
     line: int
-    begin: Place
+    begin: LineStart
     rounds: int
     own_variables: bool
     loops: list[Loop]
@@ -64,7 +64,7 @@ class Cursor:
         self.returned = 0.0, 0.0  # the value of the last O- RETURN, and whether it gave one
         self.row, self.window, self._window_of = 0, source.window(source.start), source
 
-    def go(self, place: Place) -> None:
+    def go(self, place: LineStart) -> None:
         """Continue at a place of the present text."""
         row = self.window.row_of(place) if self._window_of is self.source else None
         if row is None:
@@ -117,7 +117,7 @@ class Cursor:
         self.source.close()
         self.main.close()
 
-    def back_or_on(self, place: Place) -> None:
+    def back_or_on(self, place: LineStart) -> None:
         """Jump to a place; backward jumps are counted."""
         if place.offset <= self.window.place(self.row).offset:
             self._count_jump()
@@ -166,7 +166,7 @@ class Cursor:
         source, begin = self.source, self.source.find(search, self.source.start)
         if begin is None or begin.offset > self._last_percent(source):
             source = self._file_beside(stem)
-            begin = source.find(search, source.start) or Place(0, 0)
+            begin = source.find(search, source.start) or LineStart(0, 0)
         begin = source.after(begin) if begin.line else source.start
         self._calls.append(
             _Call(self.source, back, line, begin, rounds - 1, own_variables, self.loops)

@@ -26,18 +26,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MM
-from cnc_interp.program.moves import (
-    CENTRE,
-    CONTOUR,
-    DURATION,
-    EXACT_STOP,
-    FEEDRATE,
-    LINE,
-    NORMAL,
-    POINT,
-    ROTARY,
-    SWEEP,
-)
+from cnc_interp.program import target_row as col
 
 #: Two elements meet without a corner if their directions differ by less [rad].
 SMOOTH = 1e-6
@@ -123,7 +112,7 @@ class Element:
         end = self.end + 1j * distance * self.direction(self.end)
         if self.is_arc:
             left = distance if self.sweep > 0.0 else -distance
-            if self.radius - left < SHORTEST:
+            if min(self.radius, abs(self.end - self.centre)) - left < SHORTEST:
                 return None
         return replace(self, start=start, end=end)
 
@@ -182,8 +171,8 @@ class CutterRadius:
     ):  # fmt: skip
         self._distance, self._frame, self._source = distance, frame, source
         self._own_entry, self._told = own_entry, told
-        self._rotary, self._point = before[ROTARY].copy(), before[POINT].copy()
-        self._here = self._flat(before[POINT])
+        self._rotary, self._point = before[col.ROTARY].copy(), before[col.POINT].copy()
+        self._here = self._flat(before[col.POINT])
         self._last: Element | None = None  # offset, from where the one before it ends
         self._before: Element | None = None  # the last one, as programmed
         self._stood: complex | None = None  # where the line began that leads to the contour
@@ -203,14 +192,14 @@ class CutterRadius:
 
     def _moved(self, row: FloatArray, place: complex) -> FloatArray:
         """Return a row whose point has another place in the plane."""
-        change = place - self._flat(row[POINT])
+        change = place - self._flat(row[col.POINT])
         moved = row.copy()
-        moved[POINT] += change.real * self._frame[:, 0] + change.imag * self._frame[:, 1]
+        moved[col.POINT] += change.real * self._frame[:, 0] + change.imag * self._frame[:, 1]
         return moved
 
     def _fault(self, message: str, row: FloatArray) -> ProgramError:
         """Return an error at the line of a row."""
-        return ProgramError(message, self._source, int(row[LINE]))
+        return ProgramError(message, self._source, int(row[col.LINE]))
 
     @property
     def waits(self) -> bool:
@@ -219,16 +208,11 @@ class CutterRadius:
 
     def stop_here(self, kind: float) -> None:
         """Stop at the end of the row that came last, as ``TargetColumns.stop_here``."""
-        self._rows[-1][EXACT_STOP] = max(self._rows[-1][EXACT_STOP], kind)
+        self._rows[-1][col.EXACT_STOP] = max(self._rows[-1][col.EXACT_STOP], kind)
 
     def push(self, row: FloatArray) -> list[FloatArray]:
-        """
-        Take the next row of the program.
-
-        Returns rows of the path of the tool centre that are final. Raises ProgramError if the
-        cutter does not fit, or the row cannot be compensated.
-        """
-        if np.abs(np.nan_to_num(row[ROTARY] - self._rotary)).max() > 0.0:
+        """Take the next row of the program; return the rows of the tool centre that are final."""
+        if np.abs(np.nan_to_num(row[col.ROTARY] - self._rotary)).max() > 0.0:
             raise self._fault('rotary motion in cutter compensation; write G40 before', row)
         element = self._element(row)
         if element is None:
@@ -253,13 +237,14 @@ class CutterRadius:
 
     def _pace(self, element: Element, row: FloatArray) -> None:
         """Give a row of inverse time (G93) the speed of its contour; corners have it, too."""
-        rise = float((row[POINT] - self._point) @ self._frame[:, 2])
-        self._point = row[POINT].copy()
-        if isfinite(row[DURATION]):
+        rise = float((row[col.POINT] - self._point) @ self._frame[:, 2])
+        self._point = row[col.POINT].copy()
+        if isfinite(row[col.DURATION]):
             length = abs(element.end - element.start)
             if element.is_arc:
                 length = element.radius * abs(element.sweep)
-            row[FEEDRATE], row[DURATION] = float(np.hypot(length, rise)) / row[DURATION], nan
+            row[col.FEEDRATE] = float(np.hypot(length, rise)) / row[col.DURATION]
+            row[col.DURATION] = nan
 
     def _enter(self, element: Element, row: FloatArray) -> None:
         """Begin with a line that ends beside its own end, or with an arc that does."""
@@ -282,14 +267,14 @@ class CutterRadius:
 
     def _element(self, row: FloatArray) -> Element | None:
         """Return the motion to a row in the plane; None if it runs along the normal only."""
-        end = self._flat(row[POINT])
-        if not isfinite(row[SWEEP]):
+        end = self._flat(row[col.POINT])
+        if not isfinite(row[col.SWEEP]):
             return Element.line(self._here, end) if abs(end - self._here) > SHORTEST else None
-        turn = float(row[NORMAL] @ self._frame[:, 2])
+        turn = float(row[col.NORMAL] @ self._frame[:, 2])
         if abs(abs(turn) - 1.0) > SMOOTH:
             raise self._fault('an arc in another plane in cutter compensation', row)
-        sweep = float(np.copysign(1.0, turn) * row[SWEEP])
-        return Element(self._here, end, self._flat(row[CENTRE]), sweep)
+        sweep = float(np.copysign(1.0, turn) * row[col.SWEEP])
+        return Element(self._here, end, self._flat(row[col.CENTRE]), sweep)
 
     def _corner(self, element: Element, offset: Element, row: FloatArray) -> list[FloatArray]:
         """Join the last element with the next; return the rows up to there."""
@@ -310,12 +295,13 @@ class CutterRadius:
             ready, self._last = self._to(offset.start, row), offset
         elif turn * self._distance < 0.0:
             ready = self._to(vertex + 1j * self._distance * leaves, row)
-            about = Element(self._flat(ready[-1][POINT]), offset.start, vertex, turn)
+            about = Element(self._flat(ready[-1][col.POINT]), offset.start, vertex, turn)
             self._path.append((self._count - 1, about))
             around = self._row_of(about, ready[-1])
-            if isfinite(row[FEEDRATE]):
-                around[FEEDRATE] = row[FEEDRATE]  # F of the element to which the corner leads
-            around[EXACT_STOP] = float(ready[-1][EXACT_STOP] == 1.0)  # nobody waits at its end
+            if isfinite(row[col.FEEDRATE]):
+                around[col.FEEDRATE] = row[col.FEEDRATE]  # F of the element after the corner
+            # Nobody waits at its end.
+            around[col.EXACT_STOP] = float(ready[-1][col.EXACT_STOP] == 1.0)
             ready.append(around)
             self._last = offset
         else:
@@ -327,7 +313,7 @@ class CutterRadius:
                     break
             else:
                 ready = self._to(vertex + 1j * self._distance * leaves, row)
-                joined = offset.between(self._flat(ready[-1][POINT]), offset.end)
+                joined = offset.between(self._flat(ready[-1][col.POINT]), offset.end)
                 if abs(turn) > NEARLY_SMOOTH or joined is None:
                     raise self._fault(_NO_FIT, row)
                 self._last = joined
@@ -355,10 +341,10 @@ class CutterRadius:
         made = self._moved(row, part.end)
         if not part.is_arc:
             return made
-        made[CENTRE] = made[POINT]
+        made[col.CENTRE] = made[col.POINT]
         away = part.centre - part.end
-        made[CENTRE] += away.real * self._frame[:, 0] + away.imag * self._frame[:, 1]
-        made[NORMAL], made[SWEEP] = self._frame[:, 2], part.sweep
+        made[col.CENTRE] += away.real * self._frame[:, 0] + away.imag * self._frame[:, 1]
+        made[col.NORMAL], made[col.SWEEP] = self._frame[:, 2], part.sweep
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
@@ -391,7 +377,7 @@ class CutterRadius:
 
         What may be a lead, before or after a closed contour, is judged when that is known.
         """
-        if distance >= abs(self._distance) - row[CONTOUR]:
+        if distance >= abs(self._distance) - row[col.CONTOUR]:
             return
         before, after = sorted((one, other))
         begin, end = self._closed

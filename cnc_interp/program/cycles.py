@@ -22,7 +22,7 @@ from cnc_interp.program.codes import DWELL
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
-from cnc_interp.program.targets import AT_M0
+from cnc_interp.program.target_row import AT_M0
 from cnc_interp.program.words import BlockWords
 
 #: Clearance above the last peck, and retract distance of G73, by unit [m].

@@ -28,11 +28,7 @@ def subprogram_file(folder: Path, stem: str) -> Path | None:
 
 
 def called_files(path: Path, text: bytes) -> dict[str, bytes]:
-    """
-    Return the files beside a program that it may call, and that these may call.
-
-    Returns name and content of each file. There may be too many, never too few.
-    """
+    """Return names and contents of files beside a program that it and they may call, or more."""
     found: dict[str, bytes] = {}
     waiting = [text]
     while waiting:

@@ -14,7 +14,7 @@ from math import floor, inf
 from cnc_interp.program.cursor import Loop
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
 from cnc_interp.program.siemens_flow import SiemensFlow
-from cnc_interp.program.source import Place
+from cnc_interp.program.source import LineStart
 from cnc_interp.program.words import BlockWords
 
 # One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
@@ -41,12 +41,7 @@ class Flow(SiemensFlow):
     # --- statements ----------------------------------------------------------------------------
 
     def execute(self, line: str) -> str | None:
-        """
-        Execute a line if it is a flow statement.
-
-        ``line``: the line in upper case, without comments and line number. Returns the rest of the
-        line after a label or THEN; None if nothing is left.
-        """
+        """Execute a flow statement; return what is left of the line after a label or THEN."""
         if ':' in line and (match := _LABEL.match(line)):
             line = line[match.end() :]
             if not line:
@@ -64,7 +59,7 @@ class Flow(SiemensFlow):
             self._while(f'DO{match[2]}', match[1], rb'END\s*' + match[2].encode() + rb'(?!\d)')
             return None
         if head == 'E' and (match := _END.fullmatch(line)):
-            self._again(f'DO{match[1]}', line)
+            self.back_or_on(self.loop_of(f'DO{match[1]}', line).begin)
             return None
         if head == 'G' and (match := _GOTO.fullmatch(line)):
             self.jump(match[1], match[2])
@@ -88,7 +83,7 @@ class Flow(SiemensFlow):
         self.jump(match[2][4:], match[3])
         return None
 
-    def _skip(self, pattern: bytes, what: str) -> Place:
+    def _skip(self, pattern: bytes, what: str) -> LineStart:
         """Return the place of the next line that matches; raise if there is none."""
         place = self.source.find(
             re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + pattern), self.window.place(self.row + 1)
@@ -108,25 +103,17 @@ class Flow(SiemensFlow):
                 self.back_or_on(self.loops[-1].begin)
             else:
                 self.loops.pop()
-                self.go(self.window.place(self.row + 1))
+                self.on()
             return
         running = bool(self.loops) and self.loops[-1].begin == place
         if self.condition(condition):
             if not running:
                 self.loops.append(Loop(label, place))
-            self.go(self.window.place(self.row + 1))
+            self.on()
             return
         if running:
             self.loops.pop()
-        self.go(self.source.after(self._skip(end, f'the end of {label}')))
-
-    def _again(self, label: str, word: str) -> None:
-        """Process the end of a loop: jump back to its head."""
-        while self.loops and self.loops[-1].label != label:
-            self.loops.pop()
-        if not self.loops:
-            raise self.fault('this loop was not begun; add its first line', word)
-        self.back_or_on(self.loops[-1].begin)
+        self.after(self._skip(end, f'the end of {label}'))
 
     def _o_word(self, label: str, word: str, rest: str) -> None:
         """Execute an O word of LinuxCNC."""
@@ -154,7 +141,7 @@ class Flow(SiemensFlow):
         elif word == 'ENDWHILE':
             if rest:
                 raise self.fault('write O- ENDWHILE alone', rest)
-            self._again(label, shown)
+            self.back_or_on(self.loop_of(label, shown).begin)
         elif word == 'DO':
             self.on()
             self.loops.append(Loop(label, self.window.place(self.row)))
@@ -174,53 +161,45 @@ class Flow(SiemensFlow):
         if self.depth or (inner is not None and inner.offset < end.offset):
             raise self.fault('a subprogram within a subprogram; write one after the other',
                              f'O{label} SUB')  # fmt: skip
-        self.go(self.source.after(end))
+        self.after(end)
 
     def _break_or_continue(self, label: str, word: str, name: bytes) -> None:
         """Process BREAK, and CONTINUE: the next round begins, if there is one."""
-        while self.loops and self.loops[-1].label != label:
-            self.loops.pop()
-        if not self.loops:
-            raise self.fault('this loop was not begun; add its first line', f'O{label} {word}')
+        self.loop_of(label, f'O{label} {word}')
         ends = rb'(?:ENDWHILE|ENDREPEAT|WHILE)(?![A-Z_])'
         end = self._skip(name + ends, f'the end of O{label}')
         if word == 'CONTINUE':
             self.go(end)
         else:
             self.loops.pop()
-            self.go(self.source.after(end))
+            self.after(end)
 
     def _repeat(self, label: str, rest: str, name: bytes) -> None:
         """Enter a REPEAT loop with its number of rounds, or skip it."""
         (count, *_) = self._values(rest) or [0.0]
         if count >= 1.0:
             self.loops.append(Loop(label, self.window.place(self.row + 1), round(count) - 1))
-            self.go(self.window.place(self.row + 1))
+            self.on()
         else:
-            self.go(self.source.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT')))
+            self.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT'))
 
     def _end_repeat(self, label: str) -> None:
         """Process ENDREPEAT: begin the next round, or leave the loop."""
-        while self.loops and self.loops[-1].label != label:
-            self.loops.pop()
-        if not self.loops:
-            raise self.fault('this loop was not begun; add its first line', f'O{label} ENDREPEAT')
-        loop = self.loops[-1]
+        loop = self.loop_of(label, f'O{label} ENDREPEAT')
         if loop.rounds > 0:
             loop.rounds -= 1
             self.back_or_on(loop.begin)
         else:
             self.loops.pop()
-            self.go(self.window.place(self.row + 1))
+            self.on()
 
     def _o_if(self, label: str, word: str, rest: str, name: bytes) -> None:
         """Enter the branch of an IF whose condition is true; at its end, leave the IF."""
         if word == 'ENDIF':
-            self.go(self.window.place(self.row + 1))
+            self.on()
             return
         if word in ('ELSE', 'ELSEIF'):  # the end of the branch that was executed
-            end = self._skip(name + b'ENDIF', f'O{label} ENDIF')
-            self.go(self.source.after(end))
+            self.after(self._skip(name + b'ENDIF', f'O{label} ENDIF'))
             return
         holds = bool(self.condition(rest))
         place = self.window.place(self.row)
@@ -231,7 +210,7 @@ class Flow(SiemensFlow):
             line = self.window.line(self.row).upper()
             match = re.search(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)', line)
             holds = match is None or match[1] != 'ELSEIF' or bool(self.condition(match[2]))
-        self.go(self.window.place(self.row + 1))
+        self.on()
 
     # --- subprograms ---------------------------------------------------------------------------
 

@@ -75,7 +75,7 @@ class Frames:
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
         """
-        Return the change of a work offset by G10 L2, or by L20 if the position is given.
+        Return the change of a work offset by G10 L2, or by L20 where the position is given.
 
         With L20 the coordinates of the offset read the words. Those without a word keep what they
         read, so both X and Y of a turned offset change.
@@ -129,20 +129,12 @@ class Frames:
         self.shifts = tuple(code for code, counts in found.items() if counts)
 
     def point(self, program: Vector) -> Vector:
-        """
-        Convert program coordinates to points, (3,) [m].
-
-        ``program`` (3,): program coordinates [m].
-        """
+        """Convert program coordinates to points, (3,) or (n, 3) [m]."""
         turned = program @ self.turn.T if self.rotated else program
         return np.asarray(turned + self.origin)
 
     def program(self, point: Vector) -> Vector:
-        """
-        Convert a point to program coordinates, (3,) [m].
-
-        ``point`` (3,): point [m].
-        """
+        """Convert a point to program coordinates, (3,) [m]."""
         return np.asarray(self.turn.T @ (point - self.origin))
 
     def machine_point(self, axis: int, coordinate: float) -> float:
@@ -154,11 +146,7 @@ class Frames:
         self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''
 
     def tilt(self, code: str, shift: Vector, turn: FloatArray) -> None:
-        """
-        Shift the frame along its own axes, then turn it by a code of the program.
-
-        ``shift`` (3,): shift [m]; ``turn`` (3, 3): rotation.
-        """
+        """Shift the frame along its own axes (3,) [m], then turn it by a code of the program."""
         self.tilt_code = code
         self.shift = self.shift + self.programmed_turn @ shift
         self.programmed_turn = self.programmed_turn @ turn
@@ -173,11 +161,7 @@ class Frames:
         self.update()
 
     def move(self, shift: Vector) -> None:
-        """
-        Shift the frame along its own axes.
-
-        ``shift`` (3,): shift [m].
-        """
+        """Shift the frame along its own axes, (3,) [m]."""
         self.shift = self.shift + self.programmed_turn @ shift
         self.update()
 

@@ -37,7 +37,8 @@ from cnc_interp.program.siemens_cycles import SiemensCycle
 from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.targets import AT_M0, AT_M1, TargetColumns
+from cnc_interp.program.target_row import AT_M0, AT_M1
+from cnc_interp.program.targets import TargetColumns
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.choices import Settings
@@ -139,12 +140,7 @@ class GcodeReader:
         return number, motion, mover.feed_word
 
     def blocks(self) -> Iterator[Blocks]:
-        """
-        Read the program and yield its blocks in batches.
-
-        Raises ProgramError if lines are refused: all of them, at the end of the program. No blocks
-        are yielded after the first.
-        """
+        """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         flow, targets, refused = self.flow, self.mover.targets, Refusals()
         while self._goes_on(refused):
             try:

@@ -27,7 +27,7 @@ from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_frames import HeidenhainFrames
 from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
 from cnc_interp.program.motion import NO_CORNER
-from cnc_interp.program.source import Place
+from cnc_interp.program.source import LineStart
 from cnc_interp.program.words import BlockWords
 
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
@@ -144,7 +144,7 @@ class HeidenhainReader(GcodeReader):
         number = rb'0*%d(?!\d)' % int(label) if label.isdigit() else re.escape(label.encode())
         return rb'(?:\d+\s+)?LBL\s*' + number
 
-    def _label(self, label: str) -> Place:
+    def _label(self, label: str) -> LineStart:
         """Return the line of a label."""
         source = self.flow.source
         pattern = re.compile(rb'(?mi)^[ \t/]*' + self._pattern(label))

@@ -18,8 +18,8 @@ from cnc_interp.program.dialects import PLAIN
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
-from cnc_interp.program.moves import EXTRA_LETTERS
 from cnc_interp.program.notices import Notices
+from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.program.targets import TargetColumns
 from cnc_interp.settings.choices import Settings
 
@@ -258,6 +258,15 @@ class ModalState:
         return bool(self.rotary_letters or self.extra_letters) and not self.tcp
 
     @property
+    def tool_axis(self) -> FloatArray:
+        """Unit tool axis in W where the rotary axes stand, or that of direction words, (3,)."""
+        if self.vector is not None:
+            return self.vector
+        if not self.rotary_letters:
+            return np.array([0.0, 0.0, 1.0])
+        return np.asarray(self.geometry.tool_axis(self.rotary[None])[0])
+
+    @property
     def on_great_circle(self) -> bool:
         """True where the tool axis turns on a great circle, or cannot turn."""
         return self.great_circle and not (self.by_axes and self.rotary_letters)
@@ -269,7 +278,7 @@ class ModalState:
 
     def switch_tcp(self, word: str) -> None:
         """
-        Switch tool-tip programming on (by a word) or off (empty); the axes do not move.
+        Switch tool-tip programming on by a word, or off (empty); the axes do not move.
 
         On a tilted plane X Y Z stay positions of the tool tip.
         """

@@ -8,7 +8,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.contact_normal import Cutter
+from cnc_interp.program.contact_normal import ToolShape
 from cnc_interp.program.job import ALL_OFFSETS, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
@@ -58,11 +58,7 @@ class Modes:
         frames.update()
 
     def cutter_radius(self, code: str, words: BlockWords, tool: int) -> None:
-        """
-        Process G40, and G41, G42, G41.1, G42.1 with D: the tool runs beside the contour.
-
-        G41.2, G42.2, and G41, G42 after CUT3DF, follow contact normals.
-        """
+        """Process G40, G41, G42; as G41.2, or after CUT3DF, they follow contact normals."""
         mover = self._mover
         if code == 'G40':
             if not mover.radius_code:
@@ -110,18 +106,18 @@ class Modes:
         if corner is None:
             raise self.fault('the corner radius of the tool is not known; write R (0: flat end, '
                              'the radius: ball), or corner_radius in the setup', code)  # fmt: skip
-        cutter = Cutter(chosen.radius, corner)
+        cutter = ToolShape(chosen.radius, corner)
         self._demand_corner(cutter, words.texts.get('R', code))
         if ('Q' in values) != ('P' in values):
             raise self.fault('Q is the radius and P the corner radius of the tool of the program; '
                              'write both', code)  # fmt: skip
         if 'Q' in values:
-            posted = Cutter(values.pop('Q') * mover.unit, values.pop('P') * mover.unit)
+            posted = ToolShape(values.pop('Q') * mover.unit, values.pop('P') * mover.unit)
             self._demand_corner(posted, words.texts['P'])
             cutter = cutter.beyond(posted)
         mover.begin_contact(code, cutter)
 
-    def _demand_corner(self, cutter: Cutter, word: str) -> None:
+    def _demand_corner(self, cutter: ToolShape, word: str) -> None:
         """Raise if a corner is larger than its tool."""
         if not 0.0 <= cutter.corner_radius <= cutter.radius < FARTHEST:
             radius = cutter.radius / self._mover.unit

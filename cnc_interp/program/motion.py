@@ -15,12 +15,11 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import AS_ABSOLUTE, AS_REVERSED, FAULTS, PLANES, TOLD, arcs_of
-from cnc_interp.program.contact_normal import ContactPath, Cutter
+from cnc_interp.program.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.corners import Corner
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST, ModalState
-from cnc_interp.program.moves import EXTRA_LETTERS
-from cnc_interp.program.targets import NO_ARC
+from cnc_interp.program.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.words import BlockWords
 
 NO_CORNER = Corner('', 0.0)
@@ -41,13 +40,7 @@ class Mover(ModalState):
     # --- one block -----------------------------------------------------------------------------
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
-        """
-        Move to the axis words of a block, if it has any. Missing words keep their value.
-
-        ``words``: words of the block; axis words and arc words are removed; ``feed_given``:
-        whether the block has an F; ``machine``: whether the words are machine coordinates (G53,
-        SUPA).
-        """
+        """Move to the axis words of a block, and take them; of G53 and SUPA for ``machine``."""
         arc_words = self._take_arc(words)
         named = self._has_axes(words)
         if not named and arc_words is None and self._take_vector(words) is None:
@@ -110,10 +103,8 @@ class Mover(ModalState):
         if self.targets.empty:
             raise self.fault('move to a place beside the contour before', code)
         frame = self.frames.turn[:, list(PLANES[self.plane])]
-        axis = self.vector
-        if axis is None and self.rotary_letters and self.tcp:
-            axis = self.geometry.tool_axis(self.rotary[None])[0]
-        if axis is not None and abs(axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
+        known = self.vector is not None or (self.rotary_letters and self.tcp)
+        if known and abs(self.tool_axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
             raise self.fault('the tool does not stand upright on the plane of the contour', code)
         self.radius_code, self.radius_plane = code, self.plane
         if distance:
@@ -125,7 +116,7 @@ class Mover(ModalState):
         text = f'{gouge.message}; LinuxCNC does not look so far ahead'
         self.notices.once('gouge', gouge.line_number, f'WARNING: {text}')
 
-    def begin_contact(self, code: str, cutter: Cutter) -> None:
+    def begin_contact(self, code: str, cutter: ToolShape) -> None:
         """Take points from here on as those at which the cutter touches, by G41.2 or G42.2."""
         if self.targets.empty:
             raise self.fault('move to a place beside the part before', code)
@@ -140,21 +131,8 @@ class Mover(ModalState):
     def _contact_fault(self, text: str) -> ProgramError:
         return self.fault(text, self.radius_code)
 
-    def _touching(self, contact: ContactPath, point: FloatArray, rapid: bool) -> FloatArray:
-        """Return the tool tip where the cutter touches at a point, shape (3,) [m]."""
-        axis = np.array([0.0, 0.0, 1.0])
-        if self.vector is not None:
-            axis = self.vector
-        elif self.rotary_letters:
-            axis = self.geometry.tool_axis(self.rotary[None])[0]
-        return contact.tip(point, axis, not rapid, self._contact_fault)
-
     def end_radius(self) -> None:
-        """
-        End the compensation; the tool stays where it is.
-
-        After contact normals the next block leads to its end as programmed.
-        """
+        """End the compensation where the tool is; after normals the next block ends as written."""
         self.end_corner()
         self.leaves_contour = bool(self.radius_code) and self.contact is None
         if self.contact is not None:
@@ -167,11 +145,7 @@ class Mover(ModalState):
                 self.beside, self.point = stands - self.point, stands
 
     def turn_to(self, point: FloatArray, rotary: FloatArray) -> None:
-        """
-        Add a rapid to a point and to rotary positions, as if words had named them.
-
-        Before the first motion of the program they are where it starts.
-        """
+        """Add a rapid as if words had named the axes; before the first motion it is the start."""
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
@@ -189,11 +163,7 @@ class Mover(ModalState):
         return any(letter in words.values for letter in letters)
 
     def target(self, words: BlockWords) -> FloatArray:
-        """
-        Remove the axis words of a block and return its target.
-
-        Returns (5,): program coordinates [m, rad].
-        """
+        """Take the axis words of a block; return its target, (5,), in its coordinates [m, rad]."""
         if self.beside is not None and not set('XYZ').isdisjoint(words.values):
             along = 'XYZ'[PLANES[self.plane][2]]
             if set('XYZ') & words.values.keys() != {along}:
@@ -298,10 +268,8 @@ class Mover(ModalState):
         """
         Add the target of one block.
 
-        ``point`` (3,): target point [m]; ``rotary`` (2,): target of the rotary axes [rad];
-        ``vector`` (3,): unit tool axis from direction words [-]; ``arc``: centre [m], normal [-]
-        and sweep [rad] of an arc, NaN without; ``feed_given``: whether the block has an F;
-        ``rapid``: whether the motion is a rapid. Without it, the modal motion code decides.
+        ``point`` (3,): target [m]; ``rotary`` (2,): rotary axes [rad]; ``vector`` (3,): unit tool
+        axis of direction words; ``arc``: its columns; ``rapid``: None for the modal motion code.
         """
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
@@ -319,7 +287,9 @@ class Mover(ModalState):
             self.vector = vector
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
-        place = point if self.contact is None else self._touching(self.contact, point, rapid)
+        place = point
+        if self.contact is not None:
+            place = self.contact.tip(point, self.tool_axis, not rapid, self._contact_fault)
         self.check_point(place)
         axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
         named, circle = self.named, self.on_great_circle

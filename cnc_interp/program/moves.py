@@ -1,8 +1,4 @@
-"""
-Motions between rows of targets: what runs linearly on each of them, and their poses inside.
-
-A row of targets has one number per column; the constants name the columns.
-"""
+"""Motions between rows of targets: what runs linearly on each of them, and their poses inside."""
 
 from __future__ import annotations
 
@@ -14,31 +10,11 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs
-from cnc_interp.program.blocks import (
-    AXES_LINEAR,
-    POSES,
-    ROTARY_LINEAR,
-)
-from cnc_interp.program.subdivide import (
-    angle_between,
-    great_circle,
-    piece_counts,
-)
+from cnc_interp.program import target_row as col
+from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
+from cnc_interp.program.subdivide import angle_between, great_circle, piece_counts
 from cnc_interp.settings.choices import Settings
 
-# Columns of a target row.
-POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
-NAMED, GREAT_CIRCLE, FEEDRATE, DURATION, RAPID, EXACT_STOP = 8, 9, 10, 11, 12, 13
-CONTOUR, ORIENTATION, LINE, AXES, TURN_RATE = 14, 15, 16, 17, 18
-CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
-#: How often the line at which a run starts was reached before the target; the reader counts.
-PASSES = 29
-#: How many changes of the setup come before it; ``TargetColumns`` counts.
-CHANGES = 30
-#: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
-MODES, MOTION, FEED, WIDTH = slice(31, 34), 32, 33, 34
-#: Letters of the columns EXTRA.
-EXTRA_LETTERS = 'UVW'
 SAME = 1e-12  # [m], [-], [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
@@ -82,24 +58,24 @@ class Moves:
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.dense, self.led, self.undecided = dense, led, 0
-        self.sweep = np.nan_to_num(rows[:, ROTARY] - before[:, ROTARY])
-        self.axis_before = before[:, AXIS]
+        self.sweep = np.nan_to_num(rows[:, col.ROTARY] - before[:, col.ROTARY])
+        self.axis_before = before[:, col.AXIS]
         self._along = np.zeros((3, 3))
         for letter, direction in zip(
             geometry.machine.extra_names, geometry.machine.extra_direction, strict=True
         ):
-            self._along[EXTRA_LETTERS.index(letter)] = direction
+            self._along[col.EXTRA_LETTERS.index(letter)] = direction
         self._start = self._starts()
-        self._arc = np.isfinite(rows[:, SWEEP])
+        self._arc = np.isfinite(rows[:, col.SWEEP])
         # Axis positions and tool tips are equal while the rotary axes are at zero.
-        turned = (np.abs(rows[:, ROTARY]) > 0.0) | (np.abs(before[:, ROTARY]) > 0.0)
-        beside = (rows[:, EXTRA] != 0.0) | (before[:, EXTRA] != 0.0)
+        turned = (np.abs(rows[:, col.ROTARY]) > 0.0) | (np.abs(before[:, col.ROTARY]) > 0.0)
+        beside = (rows[:, col.EXTRA] != 0.0) | (before[:, col.EXTRA] != 0.0)
         turned = turned.any(axis=1) | beside.any(axis=1)
-        self._by_axes = (rows[:, AXES] != 0.0) & turned
+        self._by_axes = (rows[:, col.AXES] != 0.0) & turned
         self.interpolation = self._interpolation(settings)
         self.since_arc = since_arc
         coming = rows[:0] if coming is None else coming
-        self.beside_arcs = self._beside_arcs(np.isfinite(coming[:, SWEEP]), settings)
+        self.beside_arcs = self._beside_arcs(np.isfinite(coming[:, col.SWEEP]), settings)
 
     def __getitem__(self, part: slice) -> Moves:
         """Return some of the motions."""
@@ -116,23 +92,24 @@ class Moves:
         So do extra axes with rotary axes beside them: both are coordinates of the same corners.
         Short blocks whose poses run linearly as well become curves with their neighbours.
         """
-        rows = self.rows
-        turns = (np.abs(self.sweep).max(axis=1) > SAME) & (rows[:, GREAT_CIRCLE] == 0.0)
+        rows, cuts = self.rows, self.rows[:, col.RAPID] == 0.0
+        linear = rows[:, col.GREAT_CIRCLE] == 0.0
+        turns = (np.abs(self.sweep).max(axis=1) > SAME) & linear
         drifts = (np.abs(self._extra_step()) > SAME).any(axis=1) & ~turns
-        drifts &= np.isfinite(rows[:, ROTARY]).all(axis=1)
-        self.beside = drifts & (rows[:, AXES] != 0.0)
-        kind = np.where(turns & (rows[:, AXES] != 0.0) | self.beside, AXES_LINEAR, POSES)
+        drifts &= np.isfinite(rows[:, col.ROTARY]).all(axis=1)
+        self.beside = drifts & (rows[:, col.AXES] != 0.0)
+        kind = np.where(turns & (rows[:, col.AXES] != 0.0) | self.beside, AXES_LINEAR, POSES)
         # With tool-tip programming, directions give the rotary axes unless the pole is near.
         self.rests = turns & (kind == POSES) & ~self._travels()
         words = np.flatnonzero(turns & (kind == POSES) & ~self.rests)
-        drifts &= np.isfinite(self._before[:, ROTARY]).all(axis=1) & (rows[:, GREAT_CIRCLE] == 0.0)
+        drifts &= np.isfinite(self._before[:, col.ROTARY]).all(axis=1) & linear
         drifts &= (kind == POSES) & self._travels()
         if len(words) or drifts.any():
             kind[self._ruled_by_words(words, drifts, settings)] = ROTARY_LINEAR
         self.led = bool(kind[-1] == ROTARY_LINEAR) if len(rows) else self.led
         if settings.compress:
-            like = (kind == POSES) & (rows[:, RAPID] == 0.0) & self._travels()
-            short = np.flatnonzero((kind == AXES_LINEAR) & (rows[:, RAPID] == 0.0) & ~self._arc)
+            like = (kind == POSES) & cuts & self._travels()
+            short = np.flatnonzero((kind == AXES_LINEAR) & cuts & ~self._arc)
             if len(short):
                 like[short[self._like_poses(short, settings)]] = True
             row = np.arange(len(rows))
@@ -155,20 +132,21 @@ class Moves:
         joins = near | drifts
         joins[words[~self._short(words, settings)]] = True
         # A chain is a row of motions that can be joined; a rest ends it.
-        chain = np.cumsum(~joins | (self._before[:, EXACT_STOP] != 0.0))
+        chain = np.cumsum(~joins | (self._before[:, col.EXACT_STOP] != 0.0))
         row = np.arange(len(joins))
         first = np.full(chain[-1] + 1, len(joins) + FARTHEST)
         np.minimum.at(first, chain[near], row[near])
         first[0] = 0 if self.led else first[0]
         ruled = joins & (row >= first[chain] - FARTHEST)
-        if joins[-1] and not ruled[-1] and self.rows[-1, EXACT_STOP] == 0.0:
+        if joins[-1] and not ruled[-1] and self.rows[-1, col.EXACT_STOP] == 0.0:
             self.undecided = min(int((joins & (chain == chain[-1])).sum()), FARTHEST)
         return np.asarray(ruled)
 
     def _near_pole(self, row: IntArray, height: float) -> BoolArray:
         """Return which motions come so near to the pole that words must rule, shape (m,)."""
-        cone = POLE_TOLERANCES * self.rows[row, ORIENTATION] / height
-        near = self._geometry.nearest_to_pole(self._before[row, ROTARY], self.rows[row, ROTARY])
+        cone = POLE_TOLERANCES * self.rows[row, col.ORIENTATION] / height
+        ends = self._before[row, col.ROTARY], self.rows[row, col.ROTARY]
+        near = self._geometry.nearest_to_pole(*ends)
         return np.asarray(near < np.maximum(cone, self._geometry.machine.singular_cone))
 
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
@@ -182,8 +160,8 @@ class Moves:
                 piece_counts(
                     lambda block, u: self.poses(some[block], u),
                     np.abs(self.sweep[some]).sum(axis=1),
-                    CHORD_SHARE * end[fits, CONTOUR],
-                    CHORD_SHARE * end[fits, ORIENTATION],
+                    CHORD_SHARE * end[fits, col.CONTOUR],
+                    CHORD_SHARE * end[fits, col.ORIENTATION],
                     height,
                 )
                 == 1
@@ -199,20 +177,20 @@ class Moves:
 
     def _travels(self) -> BoolArray:
         """Return which end points differ from their start points, shape (n,)."""
-        gone = np.abs(self.rows[:, POINT] - self._start).max(axis=1)
+        gone = np.abs(self.rows[:, col.POINT] - self._start).max(axis=1)
         return np.asarray((gone > SAME) | self._arc)
 
     def _starts(self) -> FloatArray:
         """Return the start points of the motions, in the same coordinates as their ends."""
-        points = self._before[:, POINT].copy()
-        was, now = self._before[:, AXES] != 0.0, self.rows[:, AXES] != 0.0
+        points = self._before[:, col.POINT].copy()
+        was, now = self._before[:, col.AXES] != 0.0, self.rows[:, col.AXES] != 0.0
         to_tips, to_axes = was & ~now, ~was & now
         if to_tips.any():
-            before = self._before[to_tips]
-            points[to_tips] = self._tips(points[to_tips], before[:, ROTARY], before[:, EXTRA])
+            rotary, extra = (self._before[to_tips, column] for column in (col.ROTARY, col.EXTRA))
+            points[to_tips] = self._tips(points[to_tips], rotary, extra)
         if to_axes.any():
-            linear = self._geometry.linear(points[to_axes], self._before[to_axes, ROTARY])
-            points[to_axes] = linear - self._zero - self._before[to_axes, EXTRA] @ self._along
+            linear = self._geometry.linear(points[to_axes], self._before[to_axes, col.ROTARY])
+            points[to_axes] = linear - self._zero - self._before[to_axes, col.EXTRA] @ self._along
         return points
 
     def _tips(self, points: FloatArray, rotary: FloatArray, extra: FloatArray) -> FloatArray:
@@ -224,40 +202,31 @@ class Moves:
 
     def _extra_step(self) -> FloatArray:
         """Return what U V W move by in each motion, shape (n, 3) [m]."""
-        return np.asarray(self.rows[:, EXTRA] - self._before[:, EXTRA])
+        return np.asarray(self.rows[:, col.EXTRA] - self._before[:, col.EXTRA])
 
     def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
         """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
-        start, end = self._before[row, EXTRA], self.rows[row, EXTRA]
+        start, end = self._before[row, col.EXTRA], self.rows[row, col.EXTRA]
         return np.where((u == 1.0)[:, None], end, start + u[:, None] * (end - start))
 
     def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
-        """
-        Return rotary positions on motions, (m, 2) [rad].
-
-        ``row`` (m,): indices of the motions; ``u`` (m,): parameters in [0, 1].
-        """
-        at = self._before[row, ROTARY] + u[:, None] * self.sweep[row]
-        return np.where((u == 1.0)[:, None], self.rows[row, ROTARY], at)
+        """Return rotary positions at shares of motions, (m, 2) [rad]."""
+        at = self._before[row, col.ROTARY] + u[:, None] * self.sweep[row]
+        return np.where((u == 1.0)[:, None], self.rows[row, col.ROTARY], at)
 
     def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return poses on motions.
-
-        ``row`` (m,): indices of the motions; ``u`` (m,): parameters in [0, 1]. Returns ``tip``,
-        ``axis`` (m, 3): tool tips [m] and unit tool axes [-].
-        """
+        """Return tool tips [m] and unit tool axes [-] at shares of motions, (m, 3) each."""
         end, point, final = self.rows[row], self._points(row, u), u == 1.0
         rotary = self.rotary(row, u)
         by_axes = self._by_axes[row]
         if by_axes.any():
             extra = self.extra(row[by_axes], u[by_axes])
             point[by_axes] = self._tips(point[by_axes], rotary[by_axes], extra)
-        axis = end[:, AXIS].copy()
+        axis = end[:, col.AXIS].copy()
         between = ~final
-        circle = between & (end[:, GREAT_CIRCLE] != 0.0)
-        axis[circle] = great_circle(self.axis_before[row[circle]], end[circle, AXIS], u[circle])
-        linear = between & (end[:, GREAT_CIRCLE] == 0.0)
+        circle = between & (end[:, col.GREAT_CIRCLE] != 0.0)
+        axis[circle] = great_circle(self.axis_before[row[circle]], axis[circle], u[circle])
+        linear = between & (end[:, col.GREAT_CIRCLE] == 0.0)
         if linear.any():
             axis[linear] = self._geometry.tool_axis(rotary[linear])
         return point, axis
@@ -265,15 +234,15 @@ class Moves:
     def _points(self, row: IntArray, u: FloatArray) -> FloatArray:
         """Return points on lines and arcs, in the coordinates of their ends, shape (m, 3) [m]."""
         end, start, arc = self.rows[row], self._start[row], self._arc[row]
-        point = start + u[:, None] * (end[:, POINT] - start)
+        point = start + u[:, None] * (end[:, col.POINT] - start)
         if arc.any():
             on_arc = end[arc]
             point[arc] = arcs.points_on(
-                start[arc], on_arc[:, POINT], on_arc[:, CENTRE], on_arc[:, NORMAL],
-                on_arc[:, SWEEP], u[arc],
+                start[arc], on_arc[:, col.POINT], on_arc[:, col.CENTRE], on_arc[:, col.NORMAL],
+                on_arc[:, col.SWEEP], u[arc],
             )  # fmt: skip
         final = u == 1.0
-        point[final] = end[final, POINT]
+        point[final] = end[final, col.POINT]
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -292,7 +261,7 @@ class Moves:
 
     def curved(self) -> BoolArray:
         """Return which motions must be divided: what they interpolate is no line, shape (n,)."""
-        turns = (np.abs(self.sweep).max(axis=1) > SAME) & (self.rows[:, GREAT_CIRCLE] == 0.0)
+        turns = (np.abs(self.sweep).max(axis=1) > SAME) & (self.rows[:, col.GREAT_CIRCLE] == 0.0)
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
         turns &= (self.interpolation == POSES) & self._travels()
         return np.asarray(self._arc | turns)
@@ -305,7 +274,7 @@ class Moves:
         following = np.where(arc, row, len(row) + BESIDE_ARC)
         following = np.minimum.accumulate(following[::-1])[::-1]
         near = (np.minimum(row - last, following - row) <= BESIDE_ARC)[:count]
-        near &= ~self._arc & (self.rows[:, RAPID] == 0.0)
+        near &= ~self._arc & (self.rows[:, col.RAPID] == 0.0)
         lines = np.flatnonzero(near)
         near[lines] = self._short(lines, settings) if len(lines) else False
         if count:
@@ -323,24 +292,24 @@ class Moves:
 
         Returns ``feedrate``, ``duration`` (n,): speed of the tip [m/s], and time [s].
         """
-        feedrate, duration = self.rows[:, FEEDRATE].copy(), self.rows[:, DURATION].copy()
-        turning = (self.rows[:, AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
+        feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
+        turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
         turning |= (self.interpolation == ROTARY_LINEAR) | self.beside
         row = np.flatnonzero(turning & np.isfinite(feedrate))
         if len(row):
-            way = np.linalg.norm(self.rows[row, POINT] - self._start[row], axis=1)
+            way = np.linalg.norm(self.rows[row, col.POINT] - self._start[row], axis=1)
             arc = row[self._arc[row]]
-            rows = self.rows[arc]
+            shape = (col.POINT, col.CENTRE, col.NORMAL, col.SWEEP)
             way[self._arc[row]] = arcs.lengths(
-                self._start[arc], rows[:, POINT], rows[:, CENTRE], rows[:, NORMAL], rows[:, SWEEP]
+                self._start[arc], *(self.rows[arc, column] for column in shape)
             )
             more = np.flatnonzero(self.beside[row] & ~self._arc[row])
             step = self._extra_step()[row[more]]
-            tip = self.rows[row[more], POINT] - self._start[row[more]] + step @ self._along
+            tip = self.rows[row[more], col.POINT] - self._start[row[more]] + step @ self._along
             way[more] = np.maximum(np.linalg.norm(tip, axis=1), np.linalg.norm(step, axis=1))
             angle = np.linalg.norm(self.sweep[row], axis=1)
-            alone = way <= SAME
-            duration[row] = np.where(alone, angle / self.rows[row, TURN_RATE], way / feedrate[row])
+            turning = angle / self.rows[row, col.TURN_RATE]
+            duration[row] = np.where(way <= SAME, turning, way / feedrate[row])
             feedrate[row] = nan
         return feedrate, duration
 
@@ -354,20 +323,20 @@ def merge_repeated(rows: FloatArray) -> FloatArray:
         return rows
     first = np.flatnonzero(~same)
     kept = rows[first]
-    kept[:, EXACT_STOP] = np.maximum.reduceat(rows[:, EXACT_STOP], first)
+    kept[:, col.EXACT_STOP] = np.maximum.reduceat(rows[:, col.EXACT_STOP], first)
     return kept
 
 
 def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
     """Return which following rows do not move from the row before, shape (n,)."""
-    change = np.abs(following[:, : ROTARY.stop] - rows[:, : ROTARY.stop])
-    still = (change[:, POINT].max(axis=1) <= SAME) & (change[:, AXIS].max(axis=1) <= SAME)
-    on_circle = following[:, GREAT_CIRCLE] != 0.0
-    still &= on_circle | ~(change[:, ROTARY].max(axis=1) > SAME)
-    still &= np.isnan(following[:, SWEEP])
-    still &= ~(np.abs(following[:, EXTRA] - rows[:, EXTRA]).max(axis=1) > SAME)
+    change = np.abs(following[:, : col.ROTARY.stop] - rows[:, : col.ROTARY.stop])
+    still = (change[:, col.POINT].max(axis=1) <= SAME) & (change[:, col.AXIS].max(axis=1) <= SAME)
+    on_circle = following[:, col.GREAT_CIRCLE] != 0.0
+    still &= on_circle | ~(change[:, col.ROTARY].max(axis=1) > SAME)
+    still &= np.isnan(following[:, col.SWEEP])
+    still &= ~(np.abs(following[:, col.EXTRA] - rows[:, col.EXTRA]).max(axis=1) > SAME)
     # Equal numbers mean nothing if one row has tool tips and the other axis positions.
-    same_terms = following[:, AXES] == rows[:, AXES]
-    at_zero = np.abs(rows[:, ROTARY]).max(axis=1) == 0.0
-    at_zero &= np.abs(rows[:, EXTRA]).max(axis=1) == 0.0
+    same_terms = following[:, col.AXES] == rows[:, col.AXES]
+    at_zero = np.abs(rows[:, col.ROTARY]).max(axis=1) == 0.0
+    at_zero &= np.abs(rows[:, col.EXTRA]).max(axis=1) == 0.0
     return np.asarray(still & (same_terms | at_zero))

@@ -30,11 +30,7 @@ class NamedWords:
         self._modes, self._plane, self._variables = modes, plane, variables
 
     def execute(self, words: BlockWords) -> None:
-        """
-        Execute the named words of a block, then its assignments.
-
-        ``words``: words of the block; CR and TURN become letters.
-        """
+        """Execute named words, then assignments; CR and TURN become letters."""
         for key, given in words.keys:
             self._key_word(key, given, words)
         self._assign(words)

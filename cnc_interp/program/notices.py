@@ -76,9 +76,8 @@ class Refusals:
         """
         Keep a refusal; raise all of them if there are too many to go on.
 
-        ``of_place``: true for a refusal that may only follow from a wrong position before the
-        line; ``of_state``: true for a refusal that may only follow from any line that was passed
-        over. Raises the refusals so far.
+        ``of_place``: it may only follow from a wrong position before the line; ``of_state``: it
+        may only follow from any line that was passed over.
         """
         follows = (of_place and self._is_lost) or (of_state and self._count > 0)
         self._count += 1
@@ -106,11 +105,7 @@ class Refusals:
         return f'{counts.total()} refused lines: {words}'
 
     def error(self, ended: bool = False) -> ProgramError:
-        """
-        Return the error with all refusals.
-
-        ``ended``: whether the reading has ended before the end of the program.
-        """
+        """Return the error with all refusals; ``ended``: the reading ended too early."""
         first = list(self._first.values())
         if len(first) == 1 and self._count == 1:
             return first[0]

@@ -10,32 +10,10 @@ from numpy.typing import NDArray
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import DEG, MINUTE
 from cnc_interp.program import scan
+from cnc_interp.program import target_row as col
 from cnc_interp.program.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal_state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion import MOST_TURN, Mover
-from cnc_interp.program.moves import (
-    AXES,
-    AXIS,
-    CENTRE,
-    CONTOUR,
-    DURATION,
-    EXACT_STOP,
-    EXTRA,
-    FEED,
-    FEEDRATE,
-    GREAT_CIRCLE,
-    LINE,
-    MOTION,
-    NAMED,
-    NORMAL,
-    ORIENTATION,
-    POINT,
-    RAPID,
-    ROTARY,
-    SWEEP,
-    TURN_RATE,
-    WIDTH,
-)
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 #: Shorter runs are as fast line by line.
@@ -84,25 +62,25 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     rotary = program[:, 3:] + mover.frames.rotary_origin
     if np.abs(points).max() > FARTHEST or np.nan_to_num(np.abs(rotary)).max() > MOST_TURN:
         return False
-    rows = np.full((int(moves.sum()), WIDTH), nan)
+    rows = np.full((int(moves.sum()), col.WIDTH), nan)
     on_arc &= moves
     if on_arc.any() and not _arcs(mover, motion, on_arc, program, values, rows, moves):
         return False
     rapid = motion[moves] == 0.0
-    rows[:, POINT], rows[:, ROTARY] = points[moves], rotary[moves]
+    rows[:, col.POINT], rows[:, col.ROTARY] = points[moves], rotary[moves]
     if not mover.rotary_letters:
-        rows[:, AXIS] = (0.0, 0.0, 1.0)
+        rows[:, col.AXIS] = (0.0, 0.0, 1.0)
     named = np.maximum.accumulate(rotary_words.any(axis=1)) | bool(mover.named)
-    rows[:, NAMED] = named[moves]
-    rows[:, GREAT_CIRCLE] = mover.on_great_circle
-    rows[:, EXTRA] = mover.extra
-    rows[:, FEEDRATE], rows[:, DURATION], rows[:, TURN_RATE] = feeds
-    rows[:, RAPID], rows[:, EXACT_STOP] = rapid, mover.stop_always
+    rows[:, col.NAMED] = named[moves]
+    rows[:, col.GREAT_CIRCLE] = mover.on_great_circle
+    rows[:, col.EXTRA] = mover.extra
+    rows[:, col.FEEDRATE], rows[:, col.DURATION], rows[:, col.TURN_RATE] = feeds
+    rows[:, col.RAPID], rows[:, col.EXACT_STOP] = rapid, mover.stop_always
     per_word = 1.0 if mover.feed_mode == 'G93' else mover.unit / MINUTE
-    rows[:, FEED] = _filled(values[:, scan.F] * per_word, mover.feed_word)[moves]
-    rows[:, MOTION] = motion[moves]
-    rows[:, CONTOUR], rows[:, ORIENTATION] = mover.contour, mover.orientation
-    rows[:, LINE], rows[:, AXES] = lines[moves], mover.by_axes
+    rows[:, col.FEED] = _filled(values[:, scan.F] * per_word, mover.feed_word)[moves]
+    rows[:, col.MOTION] = motion[moves]
+    rows[:, col.CONTOUR], rows[:, col.ORIENTATION] = mover.contour, mover.orientation
+    rows[:, col.LINE], rows[:, col.AXES] = lines[moves], mover.by_axes
     if mover.rotary_letters and len(rows):
         turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))
         cutting = turned.max(axis=1) * ~rapid
@@ -198,7 +176,7 @@ def _arcs(
     mover.last_centre = values[on_arc][-1:, scan.I : scan.K + 1] * (unit * sense)
     mover.last_radius = float(values[on_arc, scan.R][-1] * unit)
     which = on_arc[moves]
-    rows[which, CENTRE] = mover.frames.point(arcs.centre)
-    rows[which, NORMAL] = mover.frames.turn[:, PLANES[mover.plane][2]]
-    rows[which, SWEEP] = arcs.sweep
+    rows[which, col.CENTRE] = mover.frames.point(arcs.centre)
+    rows[which, col.NORMAL] = mover.frames.turn[:, PLANES[mover.plane][2]]
+    rows[which, col.SWEEP] = arcs.sweep
     return True

@@ -37,12 +37,11 @@ def scan_lines(
     code: NDArray[np.int8], values: FloatArray,
 ) -> int:  # fmt: skip
     """
-    Scan lines of G-code.
+    Scan lines that end with a newline; return their number.
 
-    ``text`` (n,): the text; every line ends with a newline (10); ``first``, ``last`` (m,): output:
-    offset of the first character and of the newline of each line; ``kind``, ``code`` (m,): output:
-    EMPTY, PLAIN or RARE; 0 to 3 for G0 to G3, else NO_CODE; ``values`` (m, 11): output: numbers of
-    plain lines in mm, deg or mm/min; NaN for missing words.
+    ``first``, ``last`` (m,): offsets of the first character and the newline; ``kind``, ``code``
+    (m,): EMPTY, PLAIN or RARE, and G0 to G3 or NO_CODE; ``values`` (m, 11): numbers of plain lines
+    in mm, deg or mm/min, NaN for missing words.
     """
     at, line, size = 0, 0, len(text)
     while at < size:

@@ -65,64 +65,58 @@ class Curve:
         line_number: int,
     ) -> None:
         """
-        Add a control point.
+        Add a control point of the tip, and of the second curve or None [m].
 
-        ``tip``, ``second``: control points of the tip and of the second curve [m]. None if the
-        block has no word of the second curve; ``interval``: knot interval before the control point
-        [-]; ``speed_and_tolerances``: feedrate [m/s], contour and orientation tolerance [m].
-        Raises ProgramError if the block gives no tool axis, or the curve cannot begin with it.
+        ``speed_and_tolerances``: feedrate [m/s], contour and orientation tolerance [m].
         """
-
-        def fault(message: str) -> ProgramError:
-            # An error at the line of the block.
-            return ProgramError(message, self._source, line_number)
-
         named = second is not None
         if self._named is None:
             self._named = named
         elif named and not self._named:
-            raise fault('XH YH ZH must stand in the first block of a spline, or in none')
+            raise self._fault(
+                line_number, 'XH YH ZH must stand in the first block of a spline, or in none'
+            )
         if not self._named:
             second = _along(tip, self._axis, self._height)
         second = second or self.second
         assert second is not None
         axis = tool_vector(tip, second)
         if not isfinite(axis[0]):
-            raise fault('give XH YH ZH, all three at first, as a point above X Y Z')
+            raise self._fault(
+                line_number, 'give XH YH ZH, all three at first, as a point above X Y Z'
+            )
         self.second = second
         if not self._rows and _apart(tip, self._tip) <= _SAME:
             # A program may write the first control point as a block of its own.
             if _apart(axis, self._axis) > _SAME_AXIS:
-                raise fault(
+                raise self._fault(
+                    line_number,
                     'the tool axis at the start of the spline differs from that of the tool; '
-                    'turn the tool before BSPLINE'
+                    'turn the tool before BSPLINE',
                 )
             self._first_second = second
             return
         if not self._rows and interval == 0.0:
-            raise fault(
+            raise self._fault(
+                line_number,
                 'PL of the first interval must be greater than 0; the two zeros that close a '
-                'spline belong to its last two blocks'
+                'spline belong to its last two blocks',
             )
         self._rows.append((*tip, *second, interval, *speed_and_tolerances, line_number))
 
-    def blocks(self, line_number: int) -> Blocks | None:
-        """
-        Return the curve as spline rows; None if it has only the first control point.
+    def _fault(self, line: float, message: str) -> ProgramError:
+        return ProgramError(message, self._source, int(line))
 
-        ``line_number``: program line of the end of the curve, for error messages. Raises
-        ProgramError if there are too few control points, or knots interrupt the curve.
-        """
+    def blocks(self, line_number: int) -> Blocks | None:
+        """Return the curve as spline rows, None if it has only its start; errors name the line."""
         count = len(self._rows) + 1
         if count == 1:
             return None
         if count < _LEAST_POINTS:
-            raise ProgramError(
-                f'a cubic B-spline needs at least {_LEAST_POINTS} control points, the start '
-                f'included; this one has {count}: add control points',
-                self._source,
-                line_number,
-            )
+            raise self._fault(
+                line_number, f'a cubic B-spline needs at least {_LEAST_POINTS} control points, '
+                f'the start included; this one has {count}: add control points',
+            )  # fmt: skip
         table = np.array([self._rows[0], *self._rows])
         length = sqrt(float(((table[1, 3:6] - table[1, 0:3]) ** 2).sum()))
         if self._first_second is not None:
@@ -132,19 +126,15 @@ class Curve:
         intervals = np.flatnonzero(table[:, 6])
         torn = np.flatnonzero(np.diff(intervals) > _MOST_REPEATED)
         if len(torn):
-            raise ProgramError(
-                'three or more knot intervals (PL) of 0 in a row interrupt the spline; end it '
-                'there and begin another one',
-                self._source,
-                int(table[intervals[torn[0] + 1], 10]),
-            )
+            raise self._fault(
+                table[intervals[torn[0] + 1], 10], 'three or more knot intervals (PL) of 0 in a '
+                'row interrupt the spline; end it there and begin another one',
+            )  # fmt: skip
         if intervals[-1] != len(table) - 3:
-            raise ProgramError(
-                'the knot interval (PL) two blocks before the end of a spline must be greater '
-                'than 0',
-                self._source,
-                int(table[-3, 10]),
-            )
+            raise self._fault(
+                table[-3, 10], 'the knot interval (PL) two blocks before the end of a spline must '
+                'be greater than 0',
+            )  # fmt: skip
         tool = table[:, 3:6] - table[:, 0:3]
         n = len(table)
         return Blocks(

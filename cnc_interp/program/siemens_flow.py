@@ -7,7 +7,7 @@ import re
 from cnc_interp.program.cursor import Cursor, Loop
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
 from cnc_interp.program.files import subprogram_file
-from cnc_interp.program.source import Place
+from cnc_interp.program.source import LineStart
 
 #: First and last word of each structure.
 ENDS = {'IF': 'ENDIF', 'WHILE': 'ENDWHILE', 'FOR': 'ENDFOR', 'LOOP': 'ENDLOOP', 'REPEAT': 'UNTIL'}
@@ -47,7 +47,7 @@ class SiemensFlow(Cursor):
                 raise self.fault('a section is repeated by a label; write REPEAT and UNTIL', word)
             self._begin(word)
         elif word == 'ELSE':
-            self._leave_to(self._matching('IF'))
+            self.after(self._matching('IF'))
         elif word == 'ENDIF':
             self.on()
         elif word in _HEADS:
@@ -75,13 +75,13 @@ class SiemensFlow(Cursor):
         """Continue with the next line."""
         self.go(self.window.place(self.row + 1))
 
-    def _leave_to(self, place: Place) -> None:
-        """Continue after a place."""
+    def after(self, place: LineStart) -> None:
+        """Continue with the line after a place."""
         self.go(self.source.after(place))
 
     # --- structures ----------------------------------------------------------------------------
 
-    def _matching(self, head: str, other: str = '') -> Place:
+    def _matching(self, head: str, other: str = '') -> LineStart:
         """Return the line with the end of the structure that begins here, or with another word."""
         end = ENDS[head]
         missing = self.fault(f'{end} is missing; add it', head)
@@ -119,7 +119,7 @@ class SiemensFlow(Cursor):
             if self.condition(rest):
                 self.on()
             else:
-                self._leave_to(self._matching('IF', 'ELSE'))
+                self.after(self._matching('IF', 'ELSE'))
             return
         here = self.window.place(self.row)
         running = any(loop.begin == here for loop in self.loops)
@@ -138,20 +138,24 @@ class SiemensFlow(Cursor):
             return
         while running and self.loops.pop().begin != here:
             pass
-        self._leave_to(self._matching(word))
+        self.after(self._matching(word))
 
     def _close(self, word: str, rest: str) -> None:
         """Process the end of a loop: jump back to its head, or go on after UNTIL."""
-        head = _HEADS[word]
-        while self.loops and self.loops[-1].label != head:
-            self.loops.pop()
-        if not self.loops:
-            raise self.fault('this loop was not begun; add its first line', word)
+        loop = self.loop_of(_HEADS[word], word)
         if word == 'UNTIL' and self.condition(rest):
             self.loops.pop()
             self.on()
         else:
-            self.back_or_on(self.loops[-1].begin)
+            self.back_or_on(loop.begin)
+
+    def loop_of(self, label: str, word: str) -> Loop:
+        """Return the running loop with a label, and leave those within it."""
+        while self.loops and self.loops[-1].label != label:
+            self.loops.pop()
+        if not self.loops:
+            raise self.fault('this loop was not begun; add its first line', word)
+        return self.loops[-1]
 
     def _case(self, rest: str) -> None:
         """Process CASE (value) OF 1 GOTOF A 2 GOTOF B DEFAULT GOTOF C."""
@@ -189,7 +193,7 @@ class SiemensFlow(Cursor):
         self._keep_loops(place)
         self.back_or_on(place)
 
-    def _keep_loops(self, target: Place) -> None:
+    def _keep_loops(self, target: LineStart) -> None:
         """Leave the loops in which the target of a jump does not lie."""
         here = self.window.place(self.row)
         for count, loop in enumerate(self.loops):

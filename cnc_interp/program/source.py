@@ -25,7 +25,7 @@ _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
 
 @dataclass(frozen=True)
-class Place:
+class LineStart:
     """The beginning of a line: offset in the file, and line number counted from 1."""
 
     offset: int
@@ -33,10 +33,10 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Window:
+class LineWindow:
     """Consecutive lines of a program, scanned."""
 
-    start: Place  #: Place of the first line.
+    start: LineStart  #: Place of the first line.
     text: bytes  #: The lines, each with its newline.
     #: (n,): Offsets in ``text`` of the first character and of the newline of each line.
     first: IntArray
@@ -60,13 +60,13 @@ class Window:
         at = int(np.searchsorted(self.rare, row))
         return int(self.rare[at]) if at < len(self.rare) else len(self)
 
-    def place(self, row: int) -> Place:
+    def place(self, row: int) -> LineStart:
         """Return the place of a line; the row after the last one begins the next window."""
         if row < len(self):
-            return Place(self.start.offset + int(self.first[row]), self.start.line + row)
-        return Place(self.start.offset + len(self.text), self.start.line + row)
+            return LineStart(self.start.offset + int(self.first[row]), self.start.line + row)
+        return LineStart(self.start.offset + len(self.text), self.start.line + row)
 
-    def row_of(self, place: Place) -> int | None:
+    def row_of(self, place: LineStart) -> int | None:
         """Return the row of a place, or None if it is not in this window."""
         row = place.line - self.start.line
         if 0 <= row < len(self) and self.place(row).offset == place.offset:
@@ -93,8 +93,10 @@ class Source:
         if 16 * (len(head) - len(head.translate(None, _CONTROL))) > max(len(head), 256):
             raise ProgramError('this is no text; give a part program, as text in UTF-8', name)
         self._old_lines = b'\r' in head and b'\n' not in head
-        self.start = Place(len(_BYTE_ORDER_MARK) if head.startswith(_BYTE_ORDER_MARK) else 0, 1)
-        self._window: Window | None = None
+        self.start = LineStart(
+            len(_BYTE_ORDER_MARK) if head.startswith(_BYTE_ORDER_MARK) else 0, 1
+        )
+        self._window: LineWindow | None = None
 
     @staticmethod
     def of_text(text: str, name: str, folders: Sequence[str] | None = None) -> Source:
@@ -118,18 +120,18 @@ class Source:
         """Close the file."""
         self._stream.close()
 
-    def share(self, place: Place) -> float:
+    def share(self, place: LineStart) -> float:
         """Return the part of the text before a place, 0 to 1."""
         return min(1.0, place.offset / max(self.size, 1))
 
-    def window(self, place: Place) -> Window:
+    def window(self, place: LineStart) -> LineWindow:
         """Return the lines from a place on; none at the end of the text."""
         if self._window is None or self._window.start != place:
             text = self.lines(place)
             self._window = _scanned(place, text)
         return self._window
 
-    def lines(self, place: Place) -> bytes:
+    def lines(self, place: LineStart) -> bytes:
         """Read whole lines from a place on; the last one always ends with a newline."""
         self._stream.seek(place.offset)
         text = self._stream.read(_FIRST_WINDOW if place.line == 1 else _WINDOW)
@@ -153,35 +155,37 @@ class Source:
             )
         return text if text.endswith(b'\n') else text + b'\n'
 
-    def find(self, pattern: re.Pattern[bytes], place: Place) -> Place | None:
+    def find(self, pattern: re.Pattern[bytes], place: LineStart) -> LineStart | None:
         """Return the first line from a place on that matches a pattern with the flag (?m)."""
         while text := self.lines(place):
             if match := pattern.search(text):
                 begin = text.rfind(b'\n', 0, match.start()) + 1
-                return Place(place.offset + begin, place.line + text.count(b'\n', 0, begin))
-            place = Place(place.offset + len(text), place.line + text.count(b'\n'))
+                return LineStart(place.offset + begin, place.line + text.count(b'\n', 0, begin))
+            place = LineStart(place.offset + len(text), place.line + text.count(b'\n'))
         return None
 
-    def line_at(self, place: Place) -> str:
+    def line_at(self, place: LineStart) -> str:
         """Return the text of the line at a place."""
         self._stream.seek(place.offset)
         return self._stream.readline(_LONGEST_LINE).decode('utf-8', 'replace').strip()
 
-    def after(self, place: Place) -> Place:
+    def after(self, place: LineStart) -> LineStart:
         """Return the place of the next line."""
         self._stream.seek(place.offset)
         text = self._stream.readline()
-        return Place(place.offset + len(text), place.line + 1)
+        return LineStart(place.offset + len(text), place.line + 1)
 
 
-def _scanned(place: Place, text: bytes) -> Window:
+def _scanned(place: LineStart, text: bytes) -> LineWindow:
     """Scan the lines of a window."""
     count = text.count(b'\n')
     first, last = np.empty(count, np.int64), np.empty(count, np.int64)
     kind, code, values = scan.empty_columns(count)
     if count:
         scan.scan_lines(np.frombuffer(text, np.uint8), first, last, kind, code, values)
-    return Window(place, text, first, last, kind, code, values, np.flatnonzero(kind == scan.RARE))
+    return LineWindow(
+        place, text, first, last, kind, code, values, np.flatnonzero(kind == scan.RARE)
+    )
 
 
 #: Lines in which the beginning of a program is sought.
@@ -197,11 +201,7 @@ _NAME = re.compile(
 
 
 def leader_lines(source: Source) -> int:
-    """
-    Return the number of lines before the line with % that begins a program.
-
-    ISO 6983-1 calls this text the leader; controls skip it. Files that begin without % have none.
-    """
+    """Return the number of lines before the first %: text that controls skip (ISO 6983-1)."""
     head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
     for number, line in enumerate(head):
         if line.lstrip().startswith('%'):

@@ -11,7 +11,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.program import codes
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.siemens import CURVE_WORDS, Curve, Point
-from cnc_interp.program.targets import NO_ARC
+from cnc_interp.program.target_row import NO_ARC
 from cnc_interp.program.words import BlockWords
 
 _SECOND = ('XH', 'YH', 'ZH')
@@ -46,23 +46,14 @@ class Splines:
                 f'a spline needs tool-tip programming; switch it on with {codes.TCP_ON_WORDS}',
                 'BSPLINE',
             )
-        axis = np.array([0.0, 0.0, 1.0])
-        if mover.vector is not None:
-            axis = mover.vector
-        elif mover.rotary_letters:
-            axis = mover.geometry.tool_axis(mover.rotary[None])[0]
-        second = None if self._second is None else mover.frames.point(self._second)
+        second = None if self._second is None else _point(mover.frames.point(self._second))
         self._curve = Curve(
-            _point(mover.point), _point(axis), None if second is None else _point(second),
-            mover.settings.flank_height, mover.flow.main.name,
+            _point(mover.point), _point(mover.tool_axis), second, mover.settings.flank_height,
+            mover.flow.main.name,
         )  # fmt: skip
 
     def take(self, words: BlockWords, feed_given: bool) -> bool:
-        """
-        Process a block if it is a control point, and tell whether it was.
-
-        A linear block is left to the mover. Its second point becomes a tool direction.
-        """
+        """Take a block if it is a control point; of a line, make its second point the axis."""
         mover = self._mover
         named = [(str(name), value) for name, value in words.sets if name in CURVE_WORDS]
         given = dict(named)

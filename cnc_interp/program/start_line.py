@@ -61,12 +61,7 @@ class StartLine:
         return None if self._row is None else max(self._row, 1)
 
     def found(self) -> StartBlock:
-        """
-        Return the start after the whole program was read.
-
-        Raises ProgramError if the line is not executed, executed several times and none was named,
-        or if no motion follows.
-        """
+        """Return the start, once the whole program was read; raise if it is not just one."""
         count, which = self.passes, self._which
         if not count:
             raise self._fault('the program does not execute this line; start at another one')

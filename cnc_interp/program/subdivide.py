@@ -28,11 +28,7 @@ _LARGEST_SWEEP = 89.9 * DEG
 
 
 def great_circle(o_from: FloatArray, o_to: FloatArray, u: FloatArray) -> FloatArray:
-    """
-    Return the tool axis on the great circle between two tool axes.
-
-    ``o(u) = (sin((1 - u) theta) o_from + sin(u theta) o_to) / sin(theta)``
-    """
+    """Return tool axes ``(sin((1 - u) theta) o_from + sin(u theta) o_to) / sin(theta)``."""
     theta = angle_between(o_from, o_to)
     with np.errstate(invalid='ignore', divide='ignore'):
         w_from = np.sin((1.0 - u) * theta) / np.sin(theta)
@@ -57,15 +53,13 @@ def piece_counts(
     height: float,
 ) -> IntArray:
     """
-    Compute how many pieces keep curved motion within tolerances of chords and great circles.
+    Return how many equal pieces, (n,), keep curved motion near chords and great circles.
 
-    ``poses``: function of block indices, shape (m,), and block parameters in [0, 1], shape (m,).
-    It returns tool tips [m] and unit tool axes [-], shape (m, 3) each; ``turned`` (n,): angle
-    through which each block turns, of its rotary axes together or of its arc [rad];
-    ``allowed_tip``, ``allowed_top`` (n,): largest distance of the tip, and of the point at flank
-    height, from their chords [m]. The second one bounds the turn of the tool axis times the
-    height, too; ``height``: flank height [m]. Returns (n,): number of equal pieces per block, each
-    with a turn below 90 deg. A count above ``MOST_PIECES`` is only a lower bound.
+    ``poses``: function of block indices and parameters in [0, 1], (m,), to tips [m] and unit tool
+    axes; ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``,
+    ``allowed_top`` (n,): largest distance from the chord of the tip and of the point at flank
+    height [m]. The second also bounds the turn of the axis times the height. A piece turns below
+    90 deg. A count above ``MOST_PIECES`` is only a lower bound.
     """
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
     trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)
@@ -112,12 +106,7 @@ def _largest_deviation(
 
 
 def ragged(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """
-    Return block index and piece index of every piece.
-
-    ``counts`` (n,): number of pieces of each block. Returns ``row``, ``piece`` (sum of counts,):
-    index of the block, and index of the piece in its block, counted from 0.
-    """
+    """Return block and piece (from 0 in its block) of each of all pieces, by counts (n,)."""
     row = np.repeat(np.arange(len(counts)), counts)
     first = np.cumsum(counts) - counts
     return row, np.arange(len(row)) - first[row]

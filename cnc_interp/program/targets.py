@@ -12,40 +12,22 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from dataclasses import dataclass, replace
-from math import nan
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import target_row as col
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cutter_radius import CutterRadius, Told
 from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, waits_at
 from cnc_interp.program.job import SetupChange
-from cnc_interp.program.moves import (
-    AXIS,
-    BESIDE_ARC,
-    CHANGES,
-    EXACT_STOP,
-    EXTRA,
-    EXTRA_LETTERS,
-    MODES,
-    PASSES,
-    POINT,
-    ROTARY,
-    WIDTH,
-    Moves,
-    merge_repeated,
-)
+from cnc_interp.program.moves import BESIDE_ARC, Moves, merge_repeated
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.choices import Settings
 
-#: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
-AT_M1, AT_M0 = 2.0, 3.0
-#: The arc columns of a line that is not an arc.
-NO_ARC = (nan,) * 7
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 #: More changes of the setup than this are not kept one by one.
 MOST_CHANGES = 1000
@@ -68,7 +50,7 @@ class TargetColumns:
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
         self._radius: CutterRadius | None = None
-        self._full = min(_FIRST_BATCH, _BATCH_ROWS) * WIDTH
+        self._full = min(_FIRST_BATCH, _BATCH_ROWS) * col.WIDTH
         self._changed = 0  # changes of the setup so far
         self._coming: deque[tuple[int, SetupChange, int]] = deque()  # block not yet known
         self._changes: list[ProgramChange] = []
@@ -79,26 +61,14 @@ class TargetColumns:
         self._parts: list[Blocks] = []
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
-        self._dense, self._led, self._since_arc = (
-            0,
-            False,
-            BESIDE_ARC,
-        )  # what goes before the next motion (``Moves``)
+        # What goes before the next motion (``Moves``).
+        self._dense, self._led, self._since_arc = 0, False, BESIDE_ARC
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
-        first = EXTRA.start
-        self._extra = [first + EXTRA_LETTERS.index(name) for name in geometry.machine.extra_names]
+        names = geometry.machine.extra_names
+        self._extra = [col.EXTRA.start + col.EXTRA_LETTERS.index(name) for name in names]
 
     def add(self, row: tuple[float, ...]) -> None:
-        """
-        Add one target.
-
-        ``row``: point: tool tip, or axis positions minus those of the workpiece zero [m]; tool
-        axis [-], NaN if rotary words give it; rotary positions [rad]; 1 if the program has used
-        rotary words; 1 for the great circle, 0 for linear rotary axes; feedrate [m/s]; duration
-        [s]; rapid; exact stop (1, AT_M1 or AT_M0); contour and orientation tolerance [m]; line
-        number; 1 if the point is axis positions; feedrate of rotary axes [rad/s]; centre [m],
-        normal [-] and sweep [rad] of an arc, NaN without; positions of the extra axes U V W [m].
-        """
+        """Add one target: the columns of ``moves.py`` up to EXTRA, NaN for no arc."""
         if len(self._rows) >= self._full:
             self._convert(last=False)
         whole = (*row, self.start.passes, self._changed, *self.state)
@@ -112,7 +82,7 @@ class TargetColumns:
         self, distance: float, frame: FloatArray, own_entry: bool, told: Told | None
     ) -> None:
         """Take the targets from here on as a contour beside which the tool runs."""
-        before = np.array(self._rows[-WIDTH:])
+        before = np.array(self._rows[-col.WIDTH :])
         self._radius = CutterRadius(distance, frame, before, self._source, own_entry, told)
 
     def end_radius(self) -> FloatArray:
@@ -121,7 +91,7 @@ class TargetColumns:
             radius, self._radius = self._radius, None
             for ready in radius.end():
                 self._rows.extend(ready)
-        return np.array(self._rows[-WIDTH:])[POINT]
+        return np.array(self._rows[-col.WIDTH :])[col.POINT]
 
     def change(self, change: SetupChange, line_number: int) -> None:
         """Record a change of the setup after the last target."""
@@ -130,25 +100,16 @@ class TargetColumns:
 
     @property
     def changes(self) -> tuple[ProgramChange, ...]:
-        """
-        The changes of the setup whose place is known, in order; after ``finish`` all of them.
-
-        Of very many, the older ones are kept only where nothing overwrites them.
-        """
+        """The changes of the setup whose place is known; of very many, only what still counts."""
         return tuple(self._changes)
 
     def extend(self, rows: FloatArray) -> None:
-        """
-        Add many targets.
-
-        ``rows`` (n, WIDTH): targets with the columns of ``add``, motion code and feed; the others
-        are filled in here.
-        """
+        """Add many targets, (n, WIDTH); passes, changes and state are filled in here."""
         if len(self._rows) >= self._full:
             self._convert(last=False)
-        rows[:, PASSES] = self.start.passes
-        rows[:, CHANGES] = self._changed
-        rows[:, MODES.start] = self.state[0]
+        rows[:, col.PASSES] = self.start.passes
+        rows[:, col.CHANGES] = self._changed
+        rows[:, col.MODES.start] = self.state[0]
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
@@ -156,14 +117,14 @@ class TargetColumns:
         if self._radius is not None and self._radius.waits:
             self._radius.stop_here(kind)
         elif self._rows:
-            at = EXACT_STOP - WIDTH
+            at = col.EXACT_STOP - col.WIDTH
             self._rows[at] = max(self._rows[at], kind)
 
     def stand_at(self, rotary: FloatArray) -> None:
         """Set the rotary positions of the last target, whose tool axis came from a direction."""
         if self._rows:
-            last = len(self._rows) - WIDTH
-            self._rows[last + ROTARY.start : last + ROTARY.stop] = array('d', rotary)
+            last = len(self._rows) - col.WIDTH
+            self._rows[last + col.ROTARY.start : last + col.ROTARY.stop] = array('d', rotary)
 
     def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int) -> None:
         """Add a native spline that begins at the last target."""
@@ -175,7 +136,7 @@ class TargetColumns:
     @property
     def stands(self) -> bool:
         """True while no motion is known, at most the start pose."""
-        return self._before is None and self._curve is None and len(self._rows) <= WIDTH
+        return self._before is None and self._curve is None and len(self._rows) <= col.WIDTH
 
     @property
     def empty(self) -> bool:
@@ -185,7 +146,7 @@ class TargetColumns:
     @property
     def share(self) -> float:
         """The part of the targets so far that became blocks, 0 to 1."""
-        return self._emitted / max(self._emitted + len(self._rows) / WIDTH, 1.0)
+        return self._emitted / max(self._emitted + len(self._rows) / col.WIDTH, 1.0)
 
     def take(self) -> list[Blocks]:
         """Return the blocks that are final, and forget them."""
@@ -208,18 +169,18 @@ class TargetColumns:
 
         The last ones wait: for rows that repeat them, and for an arc beside which they are.
         """
-        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, WIDTH).copy()
-        by_rotary = np.isnan(rows[:, AXIS.start])
+        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, col.WIDTH).copy()
+        by_rotary = np.isnan(rows[:, col.AXIS.start])
         if by_rotary.any():
-            rows[by_rotary, AXIS] = self._geometry.tool_axis(rows[by_rotary, ROTARY])
+            rows[by_rotary, col.AXIS] = self._geometry.tool_axis(rows[by_rotary, col.ROTARY])
         rows = merge_repeated(rows)
         held = rows[:0] if last else rows[-BESIDE_ARC:]
         rows = rows[: len(rows) - len(held)]
         self._rows = array('d', held.tobytes())
-        self._full = min(4 * self._full, _BATCH_ROWS * WIDTH)
+        self._full = min(4 * self._full, _BATCH_ROWS * col.WIDTH)
         if self._before is None and len(rows):
             beginning = self._beginning(rows[:1])
-            self.start.see(np.full(len(beginning), rows[0, PASSES]))
+            self.start.see(np.full(len(beginning), rows[0, col.PASSES]))
             self._emit(beginning, np.zeros(1, np.int64), rows[:1])
             self._before, rows = rows[0], rows[1:]
         if len(rows) and self._before is not None:
@@ -234,16 +195,16 @@ class TargetColumns:
             for part in portions(moves):
                 some = moves[part]
                 blocks, row = blocks_of(some, self._settings, self._extra, self._source)
-                self.start.see(some.rows[row, PASSES])
+                self.start.see(some.rows[row, col.PASSES])
                 self._emit(blocks, row, some.rows)
 
     def _emit(self, blocks: Blocks, row: IntArray, rows: FloatArray) -> None:
         """Add blocks, made of these rows, and note before which ones the setup changes."""
         if self._coming:
-            changed, first = np.unique(rows[row, CHANGES], return_index=True)
+            changed, first = np.unique(rows[row, col.CHANGES], return_index=True)
             for count, block in zip(changed, first, strict=True):
                 self._place_changes(int(count), self._emitted + int(block))
-        self.modes.see(rows[row][:, MODES], self._emitted)
+        self.modes.see(rows[row][:, col.MODES], self._emitted)
         self._emitted += len(blocks)
         self._parts.append(blocks)
 
@@ -265,20 +226,13 @@ class TargetColumns:
             return start_pose(here, self._geometry, self._extra)
         curve, self._curve = self._curve, None
         stop, waits = curve.exact_stop.copy(), curve.program_stop.copy()
-        stop[-1] |= row[0, EXACT_STOP] != 0.0
+        stop[-1] |= row[0, col.EXACT_STOP] != 0.0
         waits[-1] = waits_at(row)[0]
         return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _moves(self, start: FloatArray, rows: FloatArray, coming: FloatArray) -> Moves:
         """Return the motions from a start target, shape (WIDTH,), through these rows."""
         return Moves(
-            self._geometry,
-            self._zero,
-            np.vstack([start, rows])[:-1],
-            rows,
-            self._settings,
-            self._dense,
-            self._led,
-            self._since_arc,
-            coming,
-        )
+            self._geometry, self._zero, np.vstack([start, rows])[:-1], rows, self._settings,
+            self._dense, self._led, self._since_arc, coming,
+        )  # fmt: skip

@@ -157,13 +157,7 @@ class TiltedPlane:
             raise self.fault('give X, Y and Z of the origin, or none of them', 'G68.3')
         mover = self._mover
         self.cancel()
-        if mover.vector is not None:
-            normal = mover.vector
-        elif mover.rotary_letters:
-            normal = mover.geometry.tool_axis(mover.rotary[None])[0]
-        else:
-            normal = np.array([0.0, 0.0, 1.0])
-        normal = mover.frames.turn.T @ normal  # in the frame of the work offset
+        normal = mover.frames.turn.T @ mover.tool_axis  # in the frame of the work offset
         up = np.array([0.0, 0.0, 1.0])
         along = np.cross(up, normal)
         if np.linalg.norm(along) < SMALL:
@@ -211,9 +205,8 @@ class TiltedPlane:
         """
         Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
 
-        P0 takes the nearest solution, P1 that with the tilting axis above zero, P2 below zero.
-        With G53.1 X Y Z of the machine stay, with G53.6 the tool tip stays, with G53.3 it moves to
-        the words of the block.
+        P0 takes the nearest solution, P1 a tilting axis above zero, P2 below. X Y Z of the machine
+        stay with G53.1, the tool tip with G53.6; with G53.3 it moves to the words of the block.
         """
         choice = words.values.pop('P', 0.0)
         if choice not in (0.0, 1.0, 2.0):
@@ -290,7 +283,7 @@ class TiltedPlane:
 
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
         """
-        Return the rotation that a mode of CYCLE800 makes of three angles, shape (3, 3).
+        Return the rotation that a mode of CYCLE800 makes of three angles, (3, 3).
 
         The mode has the axes of the three rotations in two bits each (1 is X), the first one in
         the lowest, and the kind of the angles in the next two bits.

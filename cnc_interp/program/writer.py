@@ -70,12 +70,7 @@ class GcodeMove:
 
 
 def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
-    """
-    Return the text of a G-code program with rotary words and tool-tip programming.
-
-    ORIVECT is written if the tool axis turns on the great circle, ORIAXES if the rotary axes move
-    linearly.
-    """
+    """Return G-code with rotary words, ORIVECT or ORIAXES, and tool-tip programming."""
     state = Modal.empty()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
     if rotary_letters:

@@ -219,6 +219,12 @@ def test_random_contours_are_followed_at_the_radius_or_refused(radii, radius, le
         ('G41 D1\nG1 X0 Y0\nX40\nG3 X44 I2\nX50', r'part\.nc:5: the cutter does not fit'),
         ('G41 D1\nG1 X0 Y0\nX20\nX23 Y-4\nX26 Y0\nX40\nG40 X50', 'does not fit'),
         ('G41 D1\nG1 X0 Y0\nX40\nY8\nX0\nG40 X-9', 'the cutter does not fit'),
+        # An arc whose radius, at its end only, is that of the cutter.
+        (
+            'G20\nG41.1 D.25\nG1 X-3.9 Y-1.5\nY-2\nX-.7625\nY-1.5095\nX-.3125\n'
+            'G3 X-.25 Y-1.5262 I.0625 J.1083\nG1 Y-2\nG40',
+            r'part\.nc:9: the cutter does not fit',
+        ),
         ('CUT3DC\nG41 D1\nG1 X0', 'of compensation in space only CUT3DF'),
     ],
 )

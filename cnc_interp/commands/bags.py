@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, positive
+from cnc_interp.commands.parser import FAILED, FINE, command, flag, option, positive
 
 
 def add_bag_commands(commands: Any) -> None:
@@ -16,7 +16,7 @@ def add_bag_commands(commands: Any) -> None:
         'record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C',
         'cnc-interp record out/shift1',
     )  # fmt: skip
-    record.add_argument('bag', type=Path, metavar='BAG', help='folder to create')
+    option(record, 'bag', 'folder to create', Path, 'BAG')
     namespace_option(record, 'of the nodes')
 
     replay = command(
@@ -24,24 +24,20 @@ def add_bag_commands(commands: Any) -> None:
         'show a recorded run again, or compute its setpoints again and compare them',
         'cnc-interp replay out/shift1 --compare',
     )  # fmt: skip
-    replay.add_argument('bag', type=Path, metavar='BAG', help='folder of the bag')
-    replay.add_argument(
-        '--compare', action='store_true',
-        help='compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same',
+    option(replay, 'bag', 'folder of the bag', Path, 'BAG')
+    flag(
+        replay, '--compare',
+        'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same',
     )  # fmt: skip
-    replay.add_argument('--machine', metavar='M', help='another machine than the bag names')
-    replay.add_argument(
-        '--rate', type=positive, default=1.0, metavar='X', help='times as fast as it was (1)'
-    )
-    replay.add_argument('--clock', action='store_true', help='publish the time of the bag too')
+    option(replay, '--machine', 'another machine than the bag names', metavar='M')
+    option(replay, '--rate', 'times as fast as it was (1)', positive, 'X', default=1.0)
+    flag(replay, '--clock', 'publish the time of the bag too')
     namespace_option(replay, 'to publish in')
 
 
 def namespace_option(added: Any, purpose: str) -> None:
     """Add the ROS namespace."""
-    added.add_argument(
-        '--namespace', default='/', metavar='NS', help=f'ROS namespace {purpose} (/)'
-    )
+    option(added, '--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
 
 
 def record_command(options: Namespace) -> int:

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, positive
+from cnc_interp.commands.parser import FAILED, FINE, command, count, flag, option, positive
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings, settings_from
@@ -24,9 +24,7 @@ def add_batch_command(commands: Any) -> None:
         'plan and prove many programs on one or more machines; writes one table and one page',
         'cnc-interp batch programs/ --machine xyzac xyzbc --out out/batch',
     )  # fmt: skip
-    batch.add_argument(
-        'programs', type=Path, nargs='+', metavar='PROGRAM', help='folders and files of programs'
-    )
+    option(batch, 'programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+')
     batch.add_argument(
         '--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M',
         help=f'bundled machines or YAML files ({DEFAULT_MACHINE})',
@@ -39,25 +37,19 @@ def add_batch_command(commands: Any) -> None:
         '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
         help='programs that are planned at the same time (one for each processor)',
     )  # fmt: skip
-    batch.add_argument(
-        '--scheduler', metavar='ADDRESS', help='let the workers of `cluster` plan instead'
-    )
-    batch.add_argument(
-        '--keep-plans', action='store_true', help='keep the plan files of all, in DIR/plans'
-    )
-    batch.add_argument(
-        '--rate', type=positive, metavar='COST', help='what an hour of the machine costs'
-    )
-    batch.add_argument(
-        '--memory', type=positive, metavar='GB',
-        help='most memory of a worker (that of the computer, shared among them)',
+    option(batch, '--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
+    flag(batch, '--keep-plans', 'keep the plan files of all, in DIR/plans')
+    option(batch, '--rate', 'what an hour of the machine costs', positive, 'COST')
+    option(
+        batch, '--memory',
+        'most memory of a worker (that of the computer, shared among them)', positive, 'GB',
     )  # fmt: skip
-    batch.add_argument(
-        '--longest', type=positive, default=60.0, metavar='MIN',
-        help='longest planning time of a program (60 min)',
+    option(
+        batch, '--longest',
+        'longest planning time of a program (60 min)', positive, 'MIN', default=60.0,
     )  # fmt: skip
     add_settings(batch)
-    batch.add_argument('--json', action='store_true', help='print the counts as JSON')
+    flag(batch, '--json', 'print the counts as JSON')
 
 
 def batch_command(options: argparse.Namespace) -> int:
@@ -110,22 +102,18 @@ def add_cluster_command(commands: Any) -> None:
         'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
         'tcp://192.168.1.10:8786',
     )  # fmt: skip
-    cluster.add_argument(
-        '--join', metavar='ADDRESS', help='work for the scheduler there, start none here'
-    )
-    cluster.add_argument(
-        '--workers', type=int, default=len(os.sched_getaffinity(0)), metavar='N',
-        help='programs that are planned here at the same time, 0: a scheduler only (one for '
-        'each processor)',
+    option(cluster, '--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
+    option(
+        cluster, '--workers',
+        'programs that are planned here at the same time, 0: a scheduler only (one for '
+        'each processor)', int, 'N', default=len(os.sched_getaffinity(0)),
     )  # fmt: skip
     cluster.add_argument(
         '--host', default='127.0.0.1',
         help='address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
     )  # fmt: skip
-    cluster.add_argument('--port', type=int, default=8786, help='its port, 0 for any (8786)')
-    cluster.add_argument(
-        '--dashboard', type=int, default=8787, metavar='PORT', help='port of its page (8787)'
-    )
+    option(cluster, '--port', 'its port, 0 for any (8786)', int, default=8786)
+    option(cluster, '--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
 
 
 def cluster_command(options: argparse.Namespace) -> int:

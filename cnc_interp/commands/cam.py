@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import command, machine_option, number, positive
+from cnc_interp.commands.parser import command, flag, machine_option, number, option, positive
 from cnc_interp.core.units import HOUR
 
 
@@ -23,15 +23,13 @@ def add_cam_commands(commands: Any) -> None:
         'make a program of constant scallop height along parallel planes',
         'cnc-interp cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps',
     )  # fmt: skip
-    make.add_argument(
-        'surface', type=Path, metavar='SURFACE', help='surface file (JSON), or STEP (.step, .stp)'
-    )
+    option(make, 'surface', 'surface file (JSON), or STEP (.step, .stp)', Path, 'SURFACE')
     _face(make, several=True)
-    make.add_argument(
-        '--ignore-neighbours', action='store_true',
-        help='do not end passes where the mill would enter other faces of a STEP file',
+    flag(
+        make, '--ignore-neighbours',
+        'do not end passes where the mill would enter other faces of a STEP file',
     )  # fmt: skip
-    make.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
+    option(make, '--out', 'folder to write', Path, 'DIR', required=True)
     _mill(make)
     make.add_argument(
         '--strategy', choices=('planes', 'classical'), default='planes',
@@ -39,10 +37,10 @@ def add_cam_commands(commands: Any) -> None:
         'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
     )  # fmt: skip
     number(make, '--scallop', 10.0, 'scallop height', 'UM')
-    make.add_argument(
-        '--stepover', type=positive, metavar='MM',
-        help='distance of the guiding planes; without it the largest that --tilt allows, pass '
-        'by pass',
+    option(
+        make, '--stepover',
+        'distance of the guiding planes; without it the largest that --tilt allows, pass '
+        'by pass', positive, 'MM',
     )  # fmt: skip
     number(make, '--tilt', 3.0, 'tilt of a constant start, and the smallest for the largest '
            'stepover', 'DEG')  # fmt: skip
@@ -50,25 +48,21 @@ def add_cam_commands(commands: Any) -> None:
         '--tilt-limits', type=positive, nargs=2, default=(0.5, 60.0), metavar=('LOW', 'HIGH'),
         help='smallest and largest tilt (0.5 60 deg)',
     )  # fmt: skip
-    make.add_argument(
-        '--freedom', choices=('tilt', 'yaw'), default='tilt',
-        help='the angle that sets the width of a strip (tilt)',
+    option(
+        make, '--freedom',
+        'the angle that sets the width of a strip (tilt)', choices=('tilt', 'yaw'), default='tilt',
     )  # fmt: skip
-    make.add_argument('--yaw', type=float, default=0.0, metavar='DEG', help='yaw (0 deg)')
+    option(make, '--yaw', 'yaw (0 deg)', float, 'DEG', default=0.0)
     make.add_argument(
         '--start', choices=('width', 'tilt'), default='width',
         help='first pass with constant width, or with constant tilt as in the paper (width)',
     )  # fmt: skip
-    make.add_argument(
-        '--no-restart', action='store_true',
-        help='never start afresh: the recursion of the paper, and an error where it ends',
+    flag(
+        make, '--no-restart',
+        'never start afresh: the recursion of the paper, and an error where it ends',
     )  # fmt: skip
-    make.add_argument(
-        '--points', type=int, metavar='N', help='scallop points along a pass (one per 0.8 mm)'
-    )
-    make.add_argument(
-        '--linking', choices=('zigzag', 'one-way'), default='zigzag', help='order (zigzag)'
-    )
+    option(make, '--points', 'scallop points along a pass (one per 0.8 mm)', int, 'N')
+    option(make, '--linking', 'order (zigzag)', choices=('zigzag', 'one-way'), default='zigzag')
     make.add_argument(
         '--format', choices=('spline', 'cl', 'gcode'), default='spline',
         help='native B-splines of tip and axis, CL data, or G-code with rotary words (spline)',
@@ -77,15 +71,13 @@ def add_cam_commands(commands: Any) -> None:
     number(make, '--overrun', 0.5, 'length of the passes beyond the border')
     number(make, '--clearance', 2.0, 'lift between passes')
     number(make, '--feed', 3000.0, 'feedrate', 'MM_PER_MIN')
-    make.add_argument(
-        '--simulate', action='store_true', help='cut the surface with the program (N-buffer)'
-    )
-    make.add_argument(
-        '--run', action='store_true',
-        help='plan the program, execute it on the simulated machine and cut with that too',
+    flag(make, '--simulate', 'cut the surface with the program (N-buffer)')
+    flag(
+        make, '--run',
+        'plan the program, execute it on the simulated machine and cut with that too',
     )  # fmt: skip
     _cutting(make)
-    make.add_argument('--json', action='store_true', help='print the summary as JSON')
+    flag(make, '--json', 'print the summary as JSON')
 
     simulate = command(
         inner, 'simulate', _simulate,
@@ -93,39 +85,33 @@ def add_cam_commands(commands: Any) -> None:
         'cnc-interp cam simulate out/bumps/program.mpf --surface examples/bumps.json '
         '--spacing 0.02 --tiles out/tiles',
     )  # fmt: skip
-    simulate.add_argument(
-        'motion', type=Path, metavar='PROGRAM_OR_DIR', help='part program, or folder of a plan'
-    )
-    simulate.add_argument(
-        '--surface', type=Path, required=True, metavar='FILE',
-        help='surface file (JSON), or STEP (.step, .stp)',
+    option(simulate, 'motion', 'part program, or folder of a plan', Path, 'PROGRAM_OR_DIR')
+    option(
+        simulate, '--surface',
+        'surface file (JSON), or STEP (.step, .stp)', Path, 'FILE', required=True,
     )  # fmt: skip
     _face(simulate)
     _mill(simulate)
     number(simulate, '--scallop', 10.0, 'scallop height of the colour scale', 'UM')
-    simulate.add_argument(
-        '--executed', action='store_true', help='take the motion of the drives, not the setpoints'
-    )
+    flag(simulate, '--executed', 'take the motion of the drives, not the setpoints')
     simulate.add_argument('--out', '--html', type=Path, metavar='FILE', help='page to write')
     _cutting(simulate)
     _tiles(simulate)
-    simulate.add_argument('--json', action='store_true', help='print the figures as JSON')
+    flag(simulate, '--json', 'print the figures as JSON')
 
 
 def _tiles(added: argparse.ArgumentParser) -> None:
     """Add the options for many needles."""
-    added.add_argument(
-        '--tiles', type=Path, metavar='DIR',
-        help='cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
-        'that zooms; a second start goes on',
+    option(
+        added, '--tiles',
+        'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
+        'that zooms; a second start goes on', Path, 'DIR',
     )  # fmt: skip
-    added.add_argument(
-        '--workers', type=int, metavar='N',
-        help='tiles that are cut at the same time (one for each processor)',
+    option(
+        added, '--workers',
+        'tiles that are cut at the same time (one for each processor)', int, 'N',
     )  # fmt: skip
-    added.add_argument(
-        '--scheduler', metavar='ADDRESS', help='let the workers of `cluster` cut the tiles'
-    )
+    option(added, '--scheduler', 'let the workers of `cluster` cut the tiles', metavar='ADDRESS')
     added.add_argument(
         '--device', choices=('cpu', 'warp-cpu', 'cuda'), default='cpu',
         help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
@@ -149,9 +135,9 @@ def _face(added: argparse.ArgumentParser, several: bool = False) -> None:
 
 def _cutting(added: argparse.ArgumentParser) -> None:
     """Add the feed direction and the options of the N-buffer and of the machine."""
-    added.add_argument(
-        '--direction', type=float, default=0.0, metavar='DEG',
-        help='feed direction on the surface, from its u lines (0 deg)',
+    option(
+        added, '--direction',
+        'feed direction on the surface, from its u lines (0 deg)', float, 'DEG', default=0.0,
     )  # fmt: skip
     for name in 'XYZ':
         added.add_argument(

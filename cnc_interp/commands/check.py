@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command
+from cnc_interp.commands.parser import FAILED, FINE, command, flag, option
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
@@ -23,15 +23,13 @@ def add_check_command(commands: Any) -> None:
         'prove every setpoint of a plan or a recorded run against limits and tolerances',
         'cnc-interp check out/pyramid',
     )  # fmt: skip
-    check.add_argument(
-        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
-    )
-    check.add_argument('--machine', metavar='M', help='another machine than the plan names')
-    check.add_argument(
-        '--program', type=Path, metavar='FILE',
-        help='read the program again by a second reader, and compare it with the plan',
+    option(check, 'directory', 'folder with plan files, or a bag', Path, 'DIR')
+    option(check, '--machine', 'another machine than the plan names', metavar='M')
+    option(
+        check, '--program',
+        'read the program again by a second reader, and compare it with the plan', Path, 'FILE',
     )  # fmt: skip
-    check.add_argument('--json', action='store_true', help='print the proof as JSON')
+    flag(check, '--json', 'print the proof as JSON')
 
 
 def add_report_command(commands: Any) -> None:
@@ -41,16 +39,12 @@ def add_report_command(commands: Any) -> None:
         'write one self-contained HTML page about a plan or a recorded run',
         'cnc-interp report out/pyramid --out out/pyramid.html',
     )  # fmt: skip
-    report.add_argument(
-        'directory', type=Path, metavar='DIR', help='folder with plan files, or a bag'
-    )
-    report.add_argument('--machine', metavar='M', help='another machine than the plan names')
+    option(report, 'directory', 'folder with plan files, or a bag', Path, 'DIR')
+    option(report, '--machine', 'another machine than the plan names', metavar='M')
     report.add_argument(
         '--out', '--html', type=Path, metavar='FILE', help='page to write (DIR/report.html)'
     )
-    report.add_argument(
-        '--compare', type=Path, metavar='DIR2', help='another plan to set beside the first'
-    )
+    option(report, '--compare', 'another plan to set beside the first', Path, 'DIR2')
 
 
 def check_command(options: Namespace) -> int:

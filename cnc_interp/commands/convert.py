@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, number, program_options
+from cnc_interp.commands.parser import FINE, command, number, option, program_options
 from cnc_interp.core.units import MM
 from cnc_interp.settings.command_line import settings_from
 
@@ -24,7 +24,7 @@ def add_convert_command(commands: Any) -> None:
         '--to', choices=('siemens-bspline', 'gcode', 'cl'), required=True,
         help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
     )  # fmt: skip
-    convert.add_argument('--out', type=Path, metavar='FILE', help='file to write (the terminal)')
+    option(convert, '--out', 'file to write (the terminal)', Path, 'FILE')
     convert.add_argument(
         '--join', choices=('polynomial', 'parametrization'), default='polynomial',
         help='native curves continue their neighbours by a small polynomial on their second '
@@ -62,8 +62,8 @@ def add_urdf_command(commands: Any) -> None:
         'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
         'cnc-interp urdf xyzac --out xyzac.urdf',
     )  # fmt: skip
-    urdf.add_argument('machine', metavar='M', help='bundled machine or YAML file')
-    urdf.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+    option(urdf, 'machine', 'bundled machine or YAML file', metavar='M')
+    option(urdf, '--out', 'file to write (default: print it)', Path, 'FILE')
 
 
 def urdf_command(options: argparse.Namespace) -> int:
@@ -82,7 +82,7 @@ def add_hal_command(commands: Any) -> None:
         'write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC',
         'cnc-interp hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal',
     )  # fmt: skip
-    hal.add_argument('machine', metavar='M', help='bundled machine or YAML file')
+    option(hal, 'machine', 'bundled machine or YAML file', metavar='M')
     hal.add_argument(
         'files', type=Path, nargs='+', metavar='FILE',
         help='HAL files of the LinuxCNC configuration, in the order of its INI file',
@@ -91,7 +91,7 @@ def add_hal_command(commands: Any) -> None:
         '--joints', metavar='LETTERS',
         help='letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
     )  # fmt: skip
-    hal.add_argument('--out', type=Path, metavar='FILE', help='file to write (default: print it)')
+    option(hal, '--out', 'file to write (default: print it)', Path, 'FILE')
 
 
 def hal_command(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, machine_option
+from cnc_interp.commands.parser import FINE, command, machine_option, option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 
@@ -19,21 +19,17 @@ def add_identify_commands(commands: Any) -> None:
         'cnc-interp excite --machine xyzac_tired --out out/excite.ngc',
     )  # fmt: skip
     machine_option(excite)
-    excite.add_argument('--out', type=Path, required=True, metavar='FILE', help='program to write')
+    option(excite, '--out', 'program to write', Path, 'FILE', required=True)
 
     identify = command(
         commands, 'identify', identify_command,
         'fit the model of each drive to a recorded run, and write it into a machine file',
         'cnc-interp identify out/excited --out my_machine.yaml',
     )  # fmt: skip
-    identify.add_argument('bag', type=Path, metavar='BAG', help='bag of a run of that program')
-    identify.add_argument('--machine', metavar='M', help='another machine than the bag names')
-    identify.add_argument(
-        '--out', type=Path, required=True, metavar='FILE', help='machine file to write'
-    )
-    identify.add_argument(
-        '--html', type=Path, metavar='FILE', help='page to write (default: FILE with .html)'
-    )
+    option(identify, 'bag', 'bag of a run of that program', Path, 'BAG')
+    option(identify, '--machine', 'another machine than the bag names', metavar='M')
+    option(identify, '--out', 'machine file to write', Path, 'FILE', required=True)
+    option(identify, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
 
 
 def excite_command(options: Namespace) -> int:
@@ -97,9 +93,7 @@ def add_learn_command(commands: Any) -> None:
         'learn from a recorded, compensated run how to follow the same program better',
         'cnc-interp learn out/bag --out out/learnt.npz',
     )  # fmt: skip
-    learn.add_argument(
-        'bag', type=Path, metavar='BAG', help='bag of a run with --compensate, with its feedback'
-    )
+    option(learn, 'bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
     learn.add_argument(
         '--out', type=Path, required=True, metavar='FILE',
         help='file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',

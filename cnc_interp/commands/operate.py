@@ -6,7 +6,16 @@ import argparse
 import json
 from typing import Any
 
-from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE, command, nodes_options, positive
+from cnc_interp.commands.parser import (
+    BAD_INPUT,
+    FAILED,
+    FINE,
+    command,
+    flag,
+    nodes_options,
+    option,
+    positive,
+)
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 
@@ -23,21 +32,21 @@ def add_jog_command(commands: Any) -> None:
         'words', nargs='*', metavar='AXIS VALUE',
         help='letter of an axis, and distance or position [mm, deg]; may be repeated',
     )  # fmt: skip
-    jog.add_argument('--to', action='store_true', help='the values are positions of the axes')
-    jog.add_argument(
-        '--pose', action='store_true',
-        help='the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
+    flag(jog, '--to', 'the values are positions of the axes')
+    flag(
+        jog, '--pose',
+        'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
         'the tool axis; what is not named stays',
     )  # fmt: skip
     jog.add_argument(
         '--tool', type=float, default=0.0, metavar='MM',
         help='move along the tool instead, away from the workpiece where positive',
     )  # fmt: skip
-    jog.add_argument(
-        '--speed', type=positive, default=100.0, metavar='PERCENT',
-        help='part of the largest velocities of the axes (100)',
+    option(
+        jog, '--speed',
+        'part of the largest velocities of the axes (100)', positive, 'PERCENT', default=100.0,
     )  # fmt: skip
-    jog.add_argument('--json', action='store_true', help='print the result as JSON')
+    flag(jog, '--json', 'print the result as JSON')
     nodes_options(jog)
 
 
@@ -84,7 +93,7 @@ def add_home_command(commands: Any) -> None:
         'home axes of a running machine, all that have a reference switch or those named',
         'cnc-interp home; cnc-interp home Z',
     )  # fmt: skip
-    home.add_argument('axes', nargs='*', metavar='AXIS', help='letter of an axis')
+    option(home, 'axes', 'letter of an axis', metavar='AXIS', nargs='*')
     nodes_options(home)
 
 
@@ -104,8 +113,8 @@ def add_mdi_command(commands: Any) -> None:
         'have lines of G-code executed by a running machine, from where it stands',
         "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
     )  # fmt: skip
-    mdi.add_argument('lines', nargs='*', metavar='LINE', help='a line of G-code')
-    mdi.add_argument('--json', action='store_true', help='print the results as JSON')
+    option(mdi, 'lines', 'a line of G-code', metavar='LINE', nargs='*')
+    flag(mdi, '--json', 'print the results as JSON')
     nodes_options(mdi)
 
 
@@ -132,28 +141,28 @@ def add_setup_commands(commands: Any) -> None:
         'show or change the work offsets and G92 of a running machine',
         'cnc-interp offsets; cnc-interp offsets G55 X 140 Y -70 --use',
     )  # fmt: skip
-    offsets.add_argument('offset', nargs='?', default='', help='G54 to G59.3, or G92')
-    offsets.add_argument(
-        'words', nargs='*', metavar='AXIS VALUE',
-        help='letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
-        'offset about Z [deg]; may be repeated',
+    option(offsets, 'offset', 'G54 to G59.3, or G92', nargs='?', default='')
+    option(
+        offsets, 'words',
+        'letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
+        'offset about Z [deg]; may be repeated', metavar='AXIS VALUE', nargs='*',
     )  # fmt: skip
-    offsets.add_argument('--clear', action='store_true', help='remove the values it had before')
-    offsets.add_argument('--use', action='store_true', help='make it the active one')
+    flag(offsets, '--clear', 'remove the values it had before')
+    flag(offsets, '--use', 'make it the active one')
     tools = command(
         commands, 'tools', tools_command, 'show or change the tool table of a running machine',
         'cnc-interp tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load',
     )  # fmt: skip
-    tools.add_argument('number', nargs='?', type=int, help='number of the tool')
-    tools.add_argument('--length', type=float, metavar='MM', help='its length')
-    tools.add_argument('--radius', type=float, metavar='MM', help='its radius')
-    tools.add_argument(
-        '--corner-radius', type=float, metavar='MM',
-        help='radius of its corner: 0 for a flat end, the radius for a ball',
+    option(tools, 'number', 'number of the tool', int, nargs='?')
+    option(tools, '--length', 'its length', float, 'MM')
+    option(tools, '--radius', 'its radius', float, 'MM')
+    option(
+        tools, '--corner-radius',
+        'radius of its corner: 0 for a flat end, the radius for a ball', float, 'MM',
     )  # fmt: skip
-    tools.add_argument('--remark', metavar='TEXT', help='what tells it from others')
-    tools.add_argument('--remove', action='store_true', help='take it out of the table')
-    tools.add_argument('--load', action='store_true', help='it is in the spindle; 0: none is')
+    option(tools, '--remark', 'what tells it from others', metavar='TEXT')
+    flag(tools, '--remove', 'take it out of the table')
+    flag(tools, '--load', 'it is in the spindle; 0: none is')
     touch = command(
         commands, 'touch-off', touch_off_command,
         'set a work offset so that coordinates read given values where the axes stand',
@@ -163,9 +172,9 @@ def add_setup_commands(commands: Any) -> None:
         'words', nargs='+', metavar='AXIS VALUE',
         help='letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated',
     )  # fmt: skip
-    touch.add_argument('--offset', default='', metavar='G', help='the offset (the active one)')
+    option(touch, '--offset', 'the offset (the active one)', metavar='G', default='')
     for added in (offsets, tools, touch):
-        added.add_argument('--json', action='store_true', help='print the result as JSON')
+        flag(added, '--json', 'print the result as JSON')
         nodes_options(added)
 
 

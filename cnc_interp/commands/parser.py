@@ -62,6 +62,18 @@ def command(
     return added
 
 
+def option(
+    added: Any, name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any
+) -> None:
+    """Add an option or, without dashes, an argument; ``kind`` reads its text."""
+    added.add_argument(name, help=meaning, type=kind, metavar=metavar, **more)
+
+
+def flag(added: Any, name: str, meaning: str) -> None:
+    """Add an option without a value."""
+    added.add_argument(name, action='store_true', help=meaning)
+
+
 def machine_option(added: argparse.ArgumentParser) -> None:
     """Add the option that names the machine."""
     default = DEFAULT_MACHINE
@@ -72,18 +84,16 @@ def machine_option(added: argparse.ArgumentParser) -> None:
 
 def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
     """Add the options that `run` and `plan` share; ``live`` for `run`."""
-    added.add_argument('program', type=Path, metavar='PROGRAM', help='G-code or CL data file')
+    option(added, 'program', 'G-code or CL data file', Path, 'PROGRAM')
     machine_option(added)
     add_settings(added, live)
-    added.add_argument('--json', action='store_true', help='print the summary as JSON')
+    flag(added, '--json', 'print the summary as JSON')
 
 
 def nodes_options(added: argparse.ArgumentParser) -> None:
     """Add the options that find running nodes."""
-    added.add_argument(
-        '--namespace', default='/', metavar='NS', help='ROS namespace of the nodes (/)'
-    )
-    added.add_argument('--domain', type=int, metavar='N', help='ROS domain (ROS_DOMAIN_ID)')
+    option(added, '--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/')
+    option(added, '--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N')
 
 
 def drives_option(added: argparse.ArgumentParser) -> None:
@@ -124,12 +134,8 @@ def drives(text: str) -> dict[str, str]:
 
 def page_options(added: argparse.ArgumentParser) -> None:
     """Add the options of the operator page."""
-    added.add_argument(
-        '--host', default='127.0.0.1', help='address of the operator page (127.0.0.1)'
-    )
-    added.add_argument(
-        '--port', type=int, default=8650, help='its port, 0 for any free one (8650)'
-    )
+    option(added, '--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
+    option(added, '--port', 'its port, 0 for any free one (8650)', int, default=8650)
     added.add_argument(
         '--token-file',
         type=Path,
@@ -143,7 +149,7 @@ def number(
 ) -> None:
     """Add a positive number."""
     text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
-    added.add_argument(name, type=positive, default=default, metavar=unit, help=text)
+    option(added, name, text, positive, unit, default=default)
 
 
 def positive(text: str) -> float:

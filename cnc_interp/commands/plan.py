@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, program_options
+from cnc_interp.commands.parser import FAILED, FINE, command, count, flag, option, program_options
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
@@ -31,13 +31,8 @@ def add_plan_command(commands: Any) -> None:
         'cnc-interp plan examples/pyramid.apt --out out/pyramid',
     )  # fmt: skip
     program_options(plan)
-    plan.add_argument(
-        '--out', type=Path, metavar='DIR', required=True, help='folder for the plan files'
-    )
-    plan.add_argument(
-        '--look', action='store_true',
-        help='draw the feed profile in text, as a terminal always gets it',
-    )  # fmt: skip
+    option(plan, '--out', 'folder for the plan files', Path, 'DIR', required=True)
+    flag(plan, '--look', 'draw the feed profile in text, as a terminal always gets it')
     for axis in 'xyz':
         plan.add_argument(
             f'--place-{axis}', type=float, default=0.0, metavar='MM',

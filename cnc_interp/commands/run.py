@@ -12,8 +12,10 @@ from cnc_interp.commands.parser import (
     FINE,
     command,
     drives_option,
+    flag,
     machine_option,
     nodes_options,
+    option,
     page_options,
     program_options,
 )
@@ -32,20 +34,14 @@ def add_run_command(commands: Any) -> None:
         '--then', type=Path, action='append', default=[], metavar='PROGRAM',
         help='a further program, which waits for the end of the one before; may be repeated',
     )  # fmt: skip
-    run.add_argument(
-        '--out', type=Path, metavar='DIR', help='write what the machine executed as plan files'
-    )
-    run.add_argument(
-        '--record', type=Path, metavar='BAG', help='record all messages of the run into a bag'
-    )
-    run.add_argument(
-        '--pass-stops', action='store_true',
-        help='go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
+    option(run, '--out', 'write what the machine executed as plan files', Path, 'DIR')
+    option(run, '--record', 'record all messages of the run into a bag', Path, 'BAG')
+    flag(
+        run, '--pass-stops',
+        'go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
         '--from-line',
     )  # fmt: skip
-    run.add_argument(
-        '--panel', action='store_true', help='the operator page beside it, until Ctrl-C'
-    )
+    flag(run, '--panel', 'the operator page beside it, until Ctrl-C')
     page_options(run)
 
 
@@ -56,17 +52,11 @@ def add_panel_command(commands: Any) -> None:
         'serve the operator page: see the machine and operate it from a browser',
         'cnc-interp panel examples/pyramid.ngc',
     )  # fmt: skip
-    panel.add_argument(
-        'program', type=Path, nargs='?', metavar='PROGRAM', help='program to lay on the desk'
-    )
+    option(panel, 'program', 'program to lay on the desk', Path, 'PROGRAM', nargs='?')
     machine_option(panel)
     drives_option(panel)
-    panel.add_argument(
-        '--setup', type=Path, metavar='FILE', help='YAML file in which offsets and tools are kept'
-    )
-    panel.add_argument(
-        '--attach', action='store_true', help='join nodes that run already; start none'
-    )
+    option(panel, '--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
+    flag(panel, '--attach', 'join nodes that run already; start none')
     nodes_options(panel)
     page_options(panel)
 

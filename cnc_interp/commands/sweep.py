@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count
+from cnc_interp.commands.parser import FAILED, FINE, command, count, option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 
@@ -32,18 +32,15 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
         help='an option of the command, without its dashes, and its values; with --search the '
         'lowest and the highest',
     )  # fmt: skip
-    sweep.add_argument(
-        '--search', type=count, metavar='N',
-        help='search with at most N points, instead of all combinations',
-    )  # fmt: skip
-    sweep.add_argument('--out', type=Path, metavar='DIR', required=True, help='folder to write')
+    option(
+        sweep, '--search', 'search with at most N points, instead of all combinations', count, 'N'
+    )
+    option(sweep, '--out', 'folder to write', Path, 'DIR', required=True)
     sweep.add_argument(
         '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
         help='commands that run at the same time (one for each processor)',
     )  # fmt: skip
-    sweep.add_argument(
-        'words', nargs='*', metavar='COMMAND', help='after --: the command, without --out'
-    )
+    option(sweep, 'words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
 
 
 def sweep_command(

@@ -62,10 +62,17 @@ def read(path: Path, machine: str, tools: dict[int, Tool], feed: float | None) -
 
 
 def tools_of(table: Path) -> dict[int, Tool]:
-    """Return a tool table of LinuxCNC in inches."""
+    """
+    Return a tool table of LinuxCNC in inches.
+
+    Tools of a lathe are left out: Q1 to Q8 say beside which place of its nose the tool is
+    measured, and G41 and G42 lead that place. No setup can hold it.
+    """
     found = {}
     for line in table.read_text().splitlines() if table.exists() else ():
-        word = dict(re.findall(r'([TZD])(-?[\d.]+)', line.split(';')[0].upper()))
+        word = dict(re.findall(r'([TZDQ])(-?[\d.]+)', line.split(';')[0].upper()))
+        if 1 <= int(word.get('Q', 0)) <= 8:
+            continue
         length, across = (float(word.get(letter, 0.0)) * INCH for letter in 'ZD')
         found[int(word['T'])] = Tool(length, across / 2.0)
     return found

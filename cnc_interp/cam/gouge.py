@@ -7,9 +7,9 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.next_posture import resting
-from cnc_interp.cam.passes import Angles, place
+from cnc_interp.cam.passes import Angles
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.surface import Surface, SurfaceError
+from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM
 

@@ -29,12 +29,11 @@ from cnc_interp.cam.passes import (
     constant_tilt,
     constant_width,
     evenly,
-    place,
     plane_distance,
 )
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import estimated_half_width, scallop_points
-from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
+from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
@@ -186,9 +185,8 @@ class PassRecursion:
         Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
         The tilt is raised where the heel would enter the surface, and stays at a limit where no
-        other fits. The plane comes so close that the strip still reaches the scallops of the
-        previous pass, or the border. If it has to come much closer, the mill is turned, too: the
-        heel then lies beside the hollow.
+        other fits. The strip still reaches the scallops of the previous pass, or the border. If
+        the plane must come much closer, the mill turns: the heel then lies beside the hollow.
         """
         start = self.planes.span[0] if before is None else before.plane
         own = self.options.yaw
@@ -415,12 +413,8 @@ class IsoScallopOptions:
 
 @dataclass(frozen=True)
 class IsoScallopPaths:
-    """All passes over a surface, with the inputs they were made from."""
+    """All passes over a surface."""
 
-    surface: Surface  #: The surface to machine.
-    cutter: Cutter  #: The mill.
-    options: IsoScallopOptions  #: The user's choices.
-    plane_normal: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
     passes: list[Pass]  #: The passes in order.
     notes: list[str] = field(default_factory=list)  #: Which passes started afresh, and why.
 
@@ -435,12 +429,9 @@ class IsoScallopPaths:
 
 
 def iso_scallop_paths(
-    surface: Surface,
-    cutter: Cutter,
-    plane_normal: FloatArray,
-    options: IsoScallopOptions,
+    surface: Surface, cutter: Cutter, plane_normal: FloatArray, options: IsoScallopOptions,
     progress: Callable[[float], None] | None = None,
-) -> IsoScallopPaths:
+) -> IsoScallopPaths:  # fmt: skip
     """Compute all passes over a surface."""
     if cutter.is_ball:
         raise SurfaceError(
@@ -450,5 +441,4 @@ def iso_scallop_paths(
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     recursion = PassRecursion(surface, cutter, normal, options)
-    passes = recursion.all_passes(progress)
-    return IsoScallopPaths(surface, cutter, options, normal, passes, recursion.notes)
+    return IsoScallopPaths(recursion.all_passes(progress), recursion.notes)

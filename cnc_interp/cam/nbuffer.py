@@ -53,13 +53,9 @@ class Heights:
 
 
 def cut_needles(
-    needles: Needles,
-    cutter: Cutter,
-    tip: FloatArray,
-    axis: FloatArray,
-    progress: Callable[[float], None] | None = None,
-    device: Device = 'cpu',
-) -> Heights:
+    needles: Needles, cutter: Cutter, tip: FloatArray, axis: FloatArray,
+    progress: Callable[[float], None] | None = None, device: Device = 'cpu',
+) -> Heights:  # fmt: skip
     """Cut needles by the volume that the mill sweeps along poses."""
     sweep = MotionPieces.of(cutter, tip, axis)
     rows, columns = needles.shape

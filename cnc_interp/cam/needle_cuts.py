@@ -81,12 +81,7 @@ def entry_at(
     needle: FloatArray, j: int, first: FloatArray, last: FloatArray, i: int, share: float,
     R: float, skin: float, most: float,
 ) -> float:  # fmt: skip
-    """
-    Return the entry height at a share of piece i of the motion [m].
-
-    Rows of ``first`` and ``last``, (n, 6): C_L [m] and unit axis [-] at the ends of the pieces;
-    ``most``: present height of the needle [m].
-    """
+    """Return the entry height at a share of piece i of the motion; ``most``: that so far [m]."""
     x = first[i, 0] + share * (last[i, 0] - first[i, 0])
     y = first[i, 1] + share * (last[i, 1] - first[i, 1])
     z = first[i, 2] + share * (last[i, 2] - first[i, 2])
@@ -196,16 +191,11 @@ def cut(
     stages: int, widest: float, R: float, skin: float, height: FloatArray,
 ) -> None:  # fmt: skip
     """
-    Cut needles by pieces of motion.
+    Cut needles by pieces of motion: ``height`` (k,) is lowered in place [m].
 
     ``needle`` (k, 6): base [m] and unit normal [-]; ``order`` (k,): numbers of the needles, group
-    by group; ``starts`` (groups + 1,): where each group begins; ``ball`` (groups, 4): centre and
-    radius of a ball around its bases [m]; ``first``, ``middle``, ``last`` (n, 6): C_L [m] and unit
-    axis [-] along a piece; ``slack`` (n,): largest motion of the mill between middle and end [m];
-    ``rough`` (n,): pieces of the first cut of a batch; ``batch`` (n,): increasing; ``stages``:
-    halvings of the search interval, at first ``widest`` to each side, as a share of the piece [-];
-    ``R``, ``skin``: radius of the cylinder, and distance of the mill's surface from it [m];
-    ``height`` (k,): lowered in place [m].
+    by group; ``starts`` (groups + 1,); ``ball`` (groups, 4): centre and radius of a ball around
+    its bases [m]; the others are those of ``MotionPieces``, and its search.
     """
     for g in range(len(starts) - 1):
         begin, end = starts[g], starts[g + 1]

@@ -14,6 +14,7 @@ from cnc_interp.cam.vectors import dot, norm
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.program.subdivide import great_circle, ragged
 
 #: Needles in each direction of a patch.
 PATCH = 64
@@ -163,8 +164,7 @@ class MotionPieces:
     """
     Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
 
-    They are short, so that a parabola through three heights locates the lowest height. A part of
-    the needles is cut by the pieces that can reach it.
+    They are so short that a parabola through three heights locates the lowest one.
     """
 
     cutter: Cutter  #: The mill.
@@ -231,21 +231,8 @@ def pieces(
     turn = norm(np.diff(axis, axis=0))
     way = norm(np.diff(tip, axis=0)) + arm * turn
     count = np.ceil(np.maximum(way / longest, turn / TURN)).astype(int).clip(1)
-    row = np.repeat(np.arange(len(count)), count)
-    nth = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
-    share = (nth / count[row])[:, None]
-    finer_tip = tip[row] + share * (tip[row + 1] - tip[row])
-    finer_axis = _on_great_circle(axis[row], axis[row + 1], share)
+    row, nth = ragged(count)
+    share = nth / count[row]
+    finer_tip = tip[row] + share[:, None] * (tip[row + 1] - tip[row])
+    finer_axis = great_circle(axis[row], axis[row + 1], share)
     return np.vstack([finer_tip, tip[-1:]]), np.vstack([finer_axis, axis[-1:]])
-
-
-def _on_great_circle(a: FloatArray, b: FloatArray, share: FloatArray) -> FloatArray:
-    """Turn unit vectors a towards b, shape (n, 3), by a share of their angle, shape (n, 1) [-]."""
-    angle = np.arctan2(norm(np.cross(a, b)), np.einsum('ij,ij->i', a, b))[:, None]
-    sine = np.sin(angle)
-    small = sine < 1e-9
-    safe = np.where(small, 1.0, sine)
-    p = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    q = np.where(small, share, np.sin(share * angle) / safe)
-    mixed = p * a + q * b
-    return np.asarray(mixed / norm(mixed)[:, None])

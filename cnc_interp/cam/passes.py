@@ -12,7 +12,7 @@ from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.milled import kept_places
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
-from cnc_interp.cam.surface import SurfaceError
+from cnc_interp.cam.surface import SurfaceError, place
 from cnc_interp.cam.vectors import dot
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -94,10 +94,9 @@ class Pass:
 
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
     """
-    Return the distance of scallop points, lifted to the guiding surface, from the guiding plane.
+    Return the distance of scallop points, lifted to the guiding surface, from the plane.
 
-    On a slope the contact point does not lie in the guiding plane, and only on the guiding surface
-    the left and right half widths agree.
+    On a slope the contact point lies beside the plane; only there both half widths agree.
     """
     lifted = scallops.position + postures.cutter.corner_radius * scallops.normal
     return np.abs(dot(lifted - postures.frames.position, normal))
@@ -178,9 +177,3 @@ def tilt_of_curvature(
     R, r = cutter.tool_radius, cutter.corner_radius
     sine = curvature * R / np.maximum(1.0 - curvature * r, 1e-6)
     return np.asarray(np.arcsin(np.clip(sine, np.sin(limits[0]), np.sin(limits[1]))))
-
-
-def place(point: FloatArray) -> str:
-    """Write a point in mm."""
-    x, y, z = point / MM
-    return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'

@@ -15,6 +15,7 @@ from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import MM
+from cnc_interp.program.subdivide import ragged
 
 
 class Graph(Surface):
@@ -287,8 +288,7 @@ class Trimmed(Surface):
         a, b = self.pieces[:, :2], self.pieces[:, 2:]
         ends = [self.derivatives(*x.T)[0] for x in (a, b)]
         count = np.ceil(norm(ends[1] - ends[0]) / BOUNDARY).astype(int).clip(1, 10_000)
-        row = np.repeat(np.arange(len(count)), count)
-        nth = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+        row, nth = ragged(count)
         uv = a[row] + (nth / count[row])[:, None] * (b[row] - a[row])
         return np.asarray(self.derivatives(*uv.T)[0])
 

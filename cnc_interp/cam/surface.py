@@ -208,7 +208,12 @@ class Surface(ABC):
 
 
 def _place(point: SurfacePoint, where: BoolArray) -> str:
-    x, y, z = point.position[tuple(np.argwhere(where)[0])] / MM
+    return place(point.position[tuple(np.argwhere(where)[0])])
+
+
+def place(point: FloatArray) -> str:
+    """Write a point in mm."""
+    x, y, z = point / MM
     return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'
 
 

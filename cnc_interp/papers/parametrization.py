@@ -48,11 +48,10 @@ def _first_values(
     bottom: FloatArray, top: FloatArray, axis: FloatArray, rate: FloatArray
 ) -> FloatArray:
     """
-    Return the first three values of u_top by the method of the paper, shape (3, n).
+    Return the first three values of u_top [B2013, section 3.3, Eq. 11], shape (3, n).
 
-    [B2013, section 3.3, Eq. 11]. The bottom points are ``STEP`` apart in u. Before the
-    corner, the axis is that of the line at equal steps of arc length. Gauss-Newton converges fast,
-    because the third difference is almost linear in u_top.
+    The bottom points are ``STEP`` apart in u; before the corner the axis is that of the line.
+    Gauss-Newton converges fast, because the third difference is almost linear in u_top.
     """
     n = len(axis)
     speed = norm(corner_end_derivatives(bottom)[0])

@@ -72,10 +72,10 @@ def _touch(
     curve: Curve, state: FloatArray, passed: float, down: FloatArray, up: FloatArray
 ) -> tuple[float, int, bool]:
     """
-    Brake from a state, and find the first step from which the largest j passes a place.
+    Brake from a state; find the first step from which the largest j passes a place.
 
-    Returns the lowest speed, 0 if nothing passes, the number of braking steps in ``down``, and
-    whether braking alone ends before the place.
+    Returns the lowest speed (0: nothing passes), the braking steps, and whether braking alone
+    ends before the place.
     """
     _, count = go_forward(curve, _from(state, down), -np.inf, 0.0, np.inf, 0.0)
     too_early = down[count, S] < passed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import cut_between
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
+from cnc_interp.program.subdivide import ragged
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 
 #: Cells of the path planned at a time.
@@ -78,8 +79,10 @@ class Course:
     @property
     def first_block(self) -> int:
         """The block in which the kept path begins; 0 where none is kept."""
-        parts = (item for item in self.items if isinstance(item, AxisPath))
-        return next((int(part.cell_block[0]) for part in parts), 0)
+        return next((int(part.cell_block[0]) for part in self._parts()), 0)
+
+    def _parts(self) -> Iterator[AxisPath]:
+        return (item for item in self.items if isinstance(item, AxisPath))
 
     def ahead(self, s: float) -> AxisPath:
         """Return the path from the part that contains s [m] to the end of its leg."""
@@ -98,8 +101,7 @@ class Course:
 
     def rest_at(self, s: float) -> Setpoints | None:
         """Return the setpoint of a machine that rests at a place [m]; None if it was dropped."""
-        parts = (item for item in self.items if isinstance(item, AxisPath))
-        path = next((p for p in parts if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
+        path = next((p for p in self._parts() if p.s[0] - SAME <= s <= p.s[-1] + SAME), None)
         if path is None:
             return None
         cell = min(max(int(np.searchsorted(path.s, s)) - 1, 0), len(path.s) - 2)
@@ -109,8 +111,7 @@ class Course:
 
     def first_rest(self) -> Setpoints | None:
         """Return the setpoint of a machine that rests where the kept path begins."""
-        parts = (item for item in self.items if isinstance(item, AxisPath))
-        return next((self.rest_at(float(part.s[0])) for part in parts), None)
+        return next((self.rest_at(float(part.s[0])) for part in self._parts()), None)
 
     def after(self, s: float) -> deque[AxisPath | LegEnd]:
         """Return all items after a place [m]; the part that contains it is cut there."""
@@ -207,8 +208,7 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
     parts = np.maximum(1, np.ceil(law.duration / SLICE - 1.0)).astype(np.int64)
     if (parts == 1).all():
         return law
-    row = np.repeat(np.arange(len(law)), parts)
-    place = np.arange(len(row)) - np.repeat(np.cumsum(parts) - parts, parts)
+    row, place = ragged(parts)
     duration = law.duration[row] / parts[row]
     time = law.time[row] + place * duration
     s, s_dot, s_ddot, _ = law.evaluate(time, row)

@@ -224,8 +224,8 @@ class MotionStream:
     """
     The path of one run and the plan that counts now: path in, chunks of setpoints out.
 
-    ``revision`` makes a second plan that goes on after a setpoint which was handed out; ``adopt``
-    puts it in the place of the first. ``resume`` begins a plan from rest anywhere on the path.
+    ``revision`` makes a second plan after a setpoint handed out, which ``adopt`` puts in the place
+    of the first. ``resume`` begins a plan from rest anywhere on the path.
     """
 
     def __init__(

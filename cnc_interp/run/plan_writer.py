@@ -239,11 +239,7 @@ def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[
 
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:
-    """
-    Return the programmed speed of each row [m/s], shape (n,); infinite for turns of a resting tip.
-
-    ``tip_before`` (3,): tool tip of the row before them [m]; none for the start pose.
-    """
+    """Return the speed of each row, (n,) [m/s]; infinite for turns of a resting tip."""
     before = blocks.tip[:1] if tip_before is None else tip_before[None]
     length = np.sqrt((np.diff(blocks.tip, axis=0, prepend=before) ** 2).sum(axis=1))
     timed = np.isfinite(blocks.duration) & (length > 0.0)

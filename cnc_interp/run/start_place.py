@@ -210,13 +210,10 @@ def way_inside(
     transform: Transform, stands: FloatArray, place: FloatArray, retract: float
 ) -> FloatArray:
     """
-    Return the corners of the way to a place inside the program.
+    Return the corners of the way to a place inside, (5, n_axes) [m, rad].
 
     The tool is drawn back at least by ``retract``, and farther where the other end lies higher
     along the tool, as far as the travel goes: it positions at one height, above both ends.
-    ``stands, place`` (n_axes,): where the machine stands, and the place [m, rad];
-    ``retract``: length of the plunge, and least way back [m]. Returns (5, n_axes): where it
-    stands, drawn back, above the place, where the plunge begins, the place [m, rad].
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])

@@ -131,9 +131,9 @@ DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}
-#: Ends of a subprogram, and all M codes that call one or return.
+#: Ends of a subprogram; M codes that stop, call, return or end.
 RETURN_M = {'M17', 'M99'}
-FLOW_M = RETURN_M | {'M61', 'M98'}
+ACTING_M = END_M | STOP_M.keys() | RETURN_M | {'M61', 'M98'}
 #: Outputs of the machine that M codes switch, each with the code that holds afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
     **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},

@@ -274,7 +274,7 @@ class GcodeReader:
             values.pop(letter, None)
         drilling = self._siemens_cycle(words)
         self._named.execute(words)
-        changes = bool({'M6', 'M61'} & set(words.m))
+        changes = 'M6' in words.m or 'M61' in words.m
         if 'M61' in words.m and 'Q' not in values:
             raise self.fault('give the number of the tool as Q', 'M61')
         tool = values.pop('Q') if 'M61' in words.m else values.get('T')
@@ -326,13 +326,13 @@ class GcodeReader:
         for code in words.m:
             if code in codes.STOP_M:
                 self._program_stop(code)
-        if codes.END_M & set(words.m):
+        if not codes.END_M.isdisjoint(words.m):
             mover.change(SetupChange('active', ''))  # all other offsets are kept
             self.flow.ended = self.finished = True
         elif calling:
             self.flow.call_number(*calling)
-        elif returning := codes.RETURN_M & set(words.m):
-            self._return(min(returning))
+        elif not codes.RETURN_M.isdisjoint(words.m):
+            self._return(min(codes.RETURN_M.intersection(words.m)))
 
     def _siemens_cycle(self, words: BlockWords) -> list[SiemensCycle]:
         """Take the drilling cycles of Siemens out of a block; return those that it runs."""
@@ -443,7 +443,7 @@ class GcodeReader:
             self._modes.switch_tcp(code)
         elif code in codes.TCP_OFF:
             self.mover.switch_tcp('')
-        elif code not in (codes.END_M | codes.STOP_M.keys() | codes.FLOW_M):
+        elif code not in codes.ACTING_M:
             self._outputs |= codes.OUTPUTS.get(code, {})
             if code in ('M3', 'M4'):
                 self.notice(code, codes.NO_SPINDLE)
@@ -485,7 +485,7 @@ class GcodeReader:
         """Move to the axis words of a block; raise for words without a meaning."""
         mover, values = self.mover, words.values
         machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
-        axes = {'X', 'Y', 'Z', *mover.rotary_letters} & set(values)
+        axes = any(letter in values for letter in ('X', 'Y', 'Z', *mover.rotary_letters))
         if machine and axes and mover.incremental and mover.dialect is not SIEMENS:
             raise self.fault('with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90', 'G53')
         if self._cycle is not None and axes:

@@ -72,12 +72,9 @@ class Progress:
 
 
 def run_batch(
-    jobs: Jobs,
-    workers: Workers,
-    store: Store,
-    progress: Callable[[Progress], None],
+    jobs: Jobs, workers: Workers, store: Store, progress: Callable[[Progress], None],
     processes: int = 1,
-) -> list[tuple[BatchEntry, TaskOutcome]]:
+) -> list[tuple[BatchEntry, TaskOutcome]]:  # fmt: skip
     """Carry out all jobs; ``store`` keeps each result, ``processes`` plan one program together."""
     keys: dict[int, str] = {}
     found: dict[int, TaskOutcome] = {}
@@ -137,12 +134,9 @@ def dask_workers() -> ModuleType:
 
 
 def workers_of(
-    scheduler: str | None,
-    workers: int,
-    memory: float | None,
-    longest: float,
+    scheduler: str | None, workers: int, memory: float | None, longest: float,
     preloaded: Sequence[str] = PRELOADED,
-) -> Workers:
+) -> Workers:  # fmt: skip
     """
     Return who carries out a batch.
 

@@ -96,13 +96,9 @@ class Processes:
     """
 
     def __init__(
-        self,
-        workers: int,
-        memory: float,
-        longest: float,
-        stopped: Callable[[], bool] = lambda: False,
-        preloaded: Sequence[str] = PRELOADED,
-    ):
+        self, workers: int, memory: float, longest: float,
+        stopped: Callable[[], bool] = lambda: False, preloaded: Sequence[str] = PRELOADED,
+    ):  # fmt: skip
         self._workers, self._memory, self._longest = workers, memory, longest
         self._stopped = stopped
         self._context = begin_loading(preloaded)

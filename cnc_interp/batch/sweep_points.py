@@ -142,13 +142,9 @@ class Sweep:
     """
 
     def __init__(
-        self,
-        main: Main,
-        words: Sequence[str],
-        folder: Path,
-        workers: Processes,
+        self, main: Main, words: Sequence[str], folder: Path, workers: Processes,
         progress: Callable[[int], None],
-    ):
+    ):  # fmt: skip
         self._words = _checked(words)
         self._main, self._folder, self._workers = main, folder.resolve(), workers
         self._progress = progress

@@ -153,12 +153,9 @@ class Jobs:
     """The programs of a batch on its machines; raises InterpError without a program or machine."""
 
     def __init__(
-        self,
-        programs: Sequence[Path],
-        machines: Sequence[str],
-        settings: Settings,
+        self, programs: Sequence[Path], machines: Sequence[str], settings: Settings,
         plans: Path | None = None,
-    ):
+    ):  # fmt: skip
         self._settings, self._setup = settings_of(settings)
         self._plans = plans.resolve() if plans else None
         models = [_model(name) for name in dict.fromkeys(machines)]

@@ -77,13 +77,9 @@ def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, Floa
 
 
 def fit_postures(
-    curve: GuidingCurve,
-    cutter: Cutter,
-    scallops: Scallops,
-    height: float,
-    freedom: Freedom,
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float, freedom: Freedom,
     fixed_angle: float,
-) -> Fit:
+) -> Fit:  # fmt: skip
     """Find the postures of the next pass."""
     s = nearest_places(curve, scallops)
     guess = first_guess(curve, cutter, scallops, height, freedom, fixed_angle, s)

@@ -168,12 +168,9 @@ class BSplineSurface(Surface):
     """Tensor-product B-spline surface; the last spans continue beyond its border."""
 
     def __init__(
-        self,
-        knots: tuple[FloatArray, FloatArray],
-        control_points: FloatArray,
-        degree: tuple[int, int] = (3, 3),
-        flip: bool = False,
-    ):
+        self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
+        degree: tuple[int, int] = (3, 3), flip: bool = False,
+    ):  # fmt: skip
         for t, k, n, name in zip(knots, degree, control_points.shape, 'uv', strict=False):
             if k < 2:
                 raise SurfaceError(f'degree {k} in {name}: curvatures need degree 2 or more')

@@ -54,13 +54,9 @@ class Converted:
 
 
 def convert(
-    program: Program,
-    machine: Machine,
-    settings: Settings,
-    to: str,
-    fit_tolerance: float,
+    program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float,
     slide: bool = False,
-) -> Converted:
+) -> Converted:  # fmt: skip
     """
     Write a program in another dialect.
 

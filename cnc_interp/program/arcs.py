@@ -63,16 +63,10 @@ OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 
 
 def arcs_of(
-    plane: str,
-    counter_clockwise: BoolArray,
-    start: FloatArray,
-    end: FloatArray,
-    offset: FloatArray,
-    radius: FloatArray,
-    absolute: BoolArray | bool = False,
-    turns: FloatArray | float = 1.0,
-    unit: float = MM,
-) -> Arcs:
+    plane: str, counter_clockwise: BoolArray, start: FloatArray, end: FloatArray,
+    offset: FloatArray, radius: FloatArray, absolute: BoolArray | bool = False,
+    turns: FloatArray | float = 1.0, unit: float = MM,
+) -> Arcs:  # fmt: skip
     """Compute centre and sweep of arcs."""
     a, b, normal = PLANES[plane]
     chord = end - start
@@ -128,13 +122,9 @@ def allowed_mismatch(radius: FloatArray, unit: float = MM) -> FloatArray:
 
 
 def points_on(
-    start: FloatArray,
-    end: FloatArray,
-    centre: FloatArray,
-    normal: FloatArray,
-    sweep: FloatArray,
+    start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray,
     u: FloatArray,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Return points on arcs."""
     arm, other = start - centre, end - centre
     level = np.sum(arm * normal, axis=1)

@@ -144,14 +144,9 @@ class Cursor:
             )
 
     def call(
-        self,
-        stem: str,
-        pattern: bytes,
-        rounds: int,
-        arguments: dict[int, float],
-        own_variables: bool,
-        vacant: bool = False,
-    ) -> None:
+        self, stem: str, pattern: bytes, rounds: int, arguments: dict[int, float],
+        own_variables: bool, vacant: bool = False,
+    ) -> None:  # fmt: skip
         """Run a subprogram of this file, or of a separate file in the same folder."""
         if rounds < 1:
             self.go(self.window.place(self.row + 1))

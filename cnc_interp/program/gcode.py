@@ -50,14 +50,9 @@ class GcodeReader:
     """A reader of G-code; ``blocks`` runs it."""
 
     def __init__(
-        self,
-        geometry: Transform,
-        settings: Settings,
-        setup: JobSetup,
-        source: Source,
-        notices: Notices,
-        dialect: Dialect = PLAIN,
-    ):
+        self, geometry: Transform, settings: Settings, setup: JobSetup, source: Source,
+        notices: Notices, dialect: Dialect = PLAIN,
+    ):  # fmt: skip
         self.settings, self.notices = settings, notices
         self.variables = ProgramVariables(
             lambda: self.mover.system_variables(self._tool),

@@ -106,13 +106,9 @@ class ModalState:
     """
 
     def __init__(
-        self,
-        geometry: Transform,
-        settings: Settings,
-        setup: JobSetup,
-        flow: Flow,
+        self, geometry: Transform, settings: Settings, setup: JobSetup, flow: Flow,
         notices: Notices,
-    ):
+    ):  # fmt: skip
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)

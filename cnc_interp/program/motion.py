@@ -257,14 +257,9 @@ class Mover(ModalState):
         return np.asarray(rotary)
 
     def go(
-        self,
-        point: FloatArray,
-        rotary: FloatArray,
-        vector: FloatArray | None = None,
-        arc: tuple[float, ...] = NO_ARC,
-        feed_given: bool = True,
-        rapid: bool | None = None,
-    ) -> None:
+        self, point: FloatArray, rotary: FloatArray, vector: FloatArray | None = None,
+        arc: tuple[float, ...] = NO_ARC, feed_given: bool = True, rapid: bool | None = None,
+    ) -> None:  # fmt: skip
         """
         Add the target of one block.
 

@@ -45,17 +45,10 @@ class Moves:
     """
 
     def __init__(
-        self,
-        geometry: Transform,
-        zero: FloatArray,
-        before: FloatArray,
-        rows: FloatArray,
-        settings: Settings,
-        dense: int = 0,
-        led: bool = False,
-        since_arc: int = BESIDE_ARC,
+        self, geometry: Transform, zero: FloatArray, before: FloatArray, rows: FloatArray,
+        settings: Settings, dense: int = 0, led: bool = False, since_arc: int = BESIDE_ARC,
         coming: FloatArray | None = None,
-    ):
+    ):  # fmt: skip
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.dense, self.led, self.undecided = dense, led, 0
         self.sweep = np.nan_to_num(rows[:, col.ROTARY] - before[:, col.ROTARY])

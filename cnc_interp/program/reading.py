@@ -46,12 +46,9 @@ class ProgramStream:
     """
 
     def __init__(
-        self,
-        source: Source,
-        geometry: Transform,
-        settings: Settings,
+        self, source: Source, geometry: Transform, settings: Settings,
         setup: JobSetup | None = None,
-    ):
+    ):  # fmt: skip
         setup = JobSetup.of(settings) if setup is None else setup
         self._source, self.source = source, source.name
         #: Text of the setup at the start; empty where nothing is set.
@@ -146,12 +143,8 @@ def read_program(
 
 
 def read_text(
-    text: str,
-    source: str,
-    geometry: Transform,
-    settings: Settings,
-    setup: JobSetup | None = None,
-) -> Program:
+    text: str, source: str, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
+) -> Program:  # fmt: skip
     """
     Read a part program from a string.
 

@@ -92,13 +92,9 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
 
 
 def _set_state(
-    mover: Mover,
-    motion: FloatArray,
-    feed_words: FloatArray,
-    points: FloatArray,
-    rotary: FloatArray,
-    named: NDArray[np.bool_],
-) -> None:
+    mover: Mover, motion: FloatArray, feed_words: FloatArray, points: FloatArray,
+    rotary: FloatArray, named: NDArray[np.bool_],
+) -> None:  # fmt: skip
     """Set the state of the program to that after the last line."""
     if np.isfinite(motion[-1]):
         mover.motion = int(motion[-1])
@@ -155,14 +151,9 @@ def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
 
 
 def _arcs(
-    mover: Mover,
-    motion: FloatArray,
-    on_arc: NDArray[np.bool_],
-    program: FloatArray,
-    values: FloatArray,
-    rows: FloatArray,
-    moves: NDArray[np.bool_],
-) -> bool:
+    mover: Mover, motion: FloatArray, on_arc: NDArray[np.bool_], program: FloatArray,
+    values: FloatArray, rows: FloatArray, moves: NDArray[np.bool_],
+) -> bool:  # fmt: skip
     """Fill the arc columns of the rows; return False if an arc does not exist."""
     before = np.vstack([mover.here(), program[:-1]])
     unit, sense = mover.unit, 1.0 if mover.centre_absolute else mover.centre_sense

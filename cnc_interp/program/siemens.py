@@ -57,13 +57,9 @@ class Curve:
         self._rows: list[tuple[float, ...]] = []
 
     def add(
-        self,
-        tip: Point,
-        second: Point | None,
-        interval: float,
-        speed_and_tolerances: tuple[float, float, float],
-        line_number: int,
-    ) -> None:
+        self, tip: Point, second: Point | None, interval: float,
+        speed_and_tolerances: tuple[float, float, float], line_number: int,
+    ) -> None:  # fmt: skip
         """
         Add a control point of the tip, and of the second curve or None [m].
 

@@ -46,12 +46,9 @@ def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
 
 
 def piece_counts(
-    poses: Poses,
-    turned: FloatArray,
-    allowed_tip: FloatArray,
-    allowed_top: FloatArray,
+    poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_top: FloatArray,
     height: float,
-) -> IntArray:
+) -> IntArray:  # fmt: skip
     """
     Return how many equal pieces, (n,), keep curved motion near chords and great circles.
 
@@ -80,13 +77,9 @@ def piece_counts(
 
 
 def _largest_deviation(
-    poses: Poses,
-    rows: IntArray,
-    counts: FloatArray,
-    allowed_tip: FloatArray,
-    allowed_top: FloatArray,
-    height: float,
-) -> FloatArray:
+    poses: Poses, rows: IntArray, counts: FloatArray, allowed_tip: FloatArray,
+    allowed_top: FloatArray, height: float,
+) -> FloatArray:  # fmt: skip
     """Return the largest deviation of each block from its pieces, over the allowed one [-]."""
     which, piece = ragged(counts.astype(np.int64))
     block, step = rows[which], 1.0 / counts[which]

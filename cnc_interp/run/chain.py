@@ -33,14 +33,10 @@ class Chain:
     """All stages: blocks in; segments, planned pieces and setpoints into the plan files."""
 
     def __init__(
-        self,
-        machine: Machine,
-        settings: Settings,
-        sink: PlanWriter,
-        clock: Callable[[], float] = working_time,
-        start: StartFinder | None = None,
+        self, machine: Machine, settings: Settings, sink: PlanWriter,
+        clock: Callable[[], float] = working_time, start: StartFinder | None = None,
         processes: int = 1,
-    ):
+    ):  # fmt: skip
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
         self._path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period

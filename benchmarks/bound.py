@@ -33,7 +33,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chain import LONGEST_STEP
 from cnc_interp.run.setpoints import BEFORE, Interpolator, limit_shares
-from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
+from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 #: How often each path is planned; the shortest time counts.
 TIMES = 5

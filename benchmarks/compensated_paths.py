@@ -18,7 +18,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 Points = NDArray[np.float64]
 MM = 1e-3

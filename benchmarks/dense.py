@@ -42,7 +42,7 @@ from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH, batches
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PUBLIC = (
     'linuxcnc-impeller-xyzac', 'creo-finition-ncl', 'pycam-sample', 'linuxcnc-stellabee',

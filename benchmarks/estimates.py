@@ -24,7 +24,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 NAMES = 'linuxcnc-impeller-xyzac', 'qtpyvcp-bezel', 'linuxcnc-stellabee', 'pycam-sample'
 #: Smallest part of the work after which estimates count [-].

@@ -16,7 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Blocks
 from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 ROW = 100
 

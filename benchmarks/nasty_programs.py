@@ -30,7 +30,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: A program is slower than its stops from this part of the time on [-].
 SLOWER = 1e-4

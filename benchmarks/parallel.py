@@ -30,7 +30,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 FILES = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 #: A processor that is shared with others counts in full.

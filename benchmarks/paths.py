@@ -24,7 +24,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother
 

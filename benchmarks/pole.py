@@ -23,7 +23,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Distance from the pole [deg], orientation tolerance [mm].
 CASES = (

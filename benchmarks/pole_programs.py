@@ -27,7 +27,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.subdivide import great_circle
 from cnc_interp.proof.verify import verify
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 
 def random_tools(rng: np.random.Generator, count: int, pole: FloatArray) -> FloatArray:

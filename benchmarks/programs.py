@@ -35,7 +35,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ROOT.parent / 'shared' / 'programs'

@@ -42,7 +42,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 Rows = NDArray[np.float64]
 MM, DEG = 1e-3, np.pi / 180.0

@@ -25,7 +25,7 @@ from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.path_chain import is_faster
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.lookahead import LookAhead
 

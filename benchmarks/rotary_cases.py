@@ -25,7 +25,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 

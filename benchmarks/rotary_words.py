@@ -32,7 +32,7 @@ from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.plan_writer import block_columns
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Largest tilt of random programs [deg], without and with tool-tip control.
 TILT, TILT_TCP = 60.0, 25.0

@@ -21,7 +21,7 @@ from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks
 from cnc_interp.run.path_chain import is_faster
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 
 TURNS = (150, 160, 165, 170, 173, 175, 176, 177, 178, 179, 179.5)

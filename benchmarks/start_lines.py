@@ -42,7 +42,7 @@ from cnc_interp.program.notices import Notices
 from cnc_interp.program.source import Source
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.start_place import StartFinder, StartPlace
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 EXAMPLES = {
     'pyramid.ngc': 'xyzac', 'pyramid.apt': 'xyzac', 'pocket_corner.apt': 'xyzac',

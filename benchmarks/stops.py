@@ -29,7 +29,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Time between the moments asked, and the longest part of a law that is asked [s].
 EVERY, MOST = 0.02, 32.0

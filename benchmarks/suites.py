@@ -28,7 +28,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Tool, read_program
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.run.plan_writer import block_columns
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 AGREES, MUST, REFUSED, ACCEPTED, WRONG, EMPTY = (
     'agrees', 'refused as it must be', 'refused, but runs', 'ACCEPTED, but is refused', 'WRONG',

@@ -18,7 +18,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINES = (
     'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',

@@ -33,7 +33,7 @@ from cnc_interp.program import open_program
 from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import batches
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PERIOD, HEIGHT = 1e-3, 30 * MM
 #: Rounds of bisection of the override.

@@ -17,7 +17,7 @@ from cnc_interp.run.path_chain import PathChain, batches, joined
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 

@@ -25,7 +25,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.run.path_chain import segments_of
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.segments import CORNER, LINE
 

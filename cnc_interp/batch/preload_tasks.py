@@ -5,7 +5,7 @@ import gc
 from cnc_interp.batch.task import Model, Verdict
 from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.machine_model.machine import find_machine_file
-from cnc_interp.settings.choices import DEFAULT_MACHINE
+from cnc_interp.settings.options import DEFAULT_MACHINE
 
 text = find_machine_file(DEFAULT_MACHINE).read_text(encoding='utf-8')
 row = carry_out(tiny_task(Model(DEFAULT_MACHINE, text, ''))).row

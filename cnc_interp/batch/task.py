@@ -15,7 +15,7 @@ from typing import Any
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.program.files import PROGRAM_SUFFIXES, called_files
-from cnc_interp.settings.choices import Settings, texts_of
+from cnc_interp.settings.options import Settings, texts_of
 
 
 class Verdict(StrEnum):
@@ -47,7 +47,7 @@ class Task:
     #: Names and contents: the program, then the subprograms beside it that it may call.
     files: tuple[tuple[str, bytes], ...]
     model: Model  #: The machine.
-    #: Every choice as text, as ``settings.choices`` has them; ``setup`` left out.
+    #: Every choice as text, as ``settings.options`` has them; ``setup`` left out.
     settings: tuple[tuple[str, str], ...]
     setup: str = ''  #: Content of the setup file, or ''.
     plans: str = ''  #: Folder in which the plan files are kept, or ''.

@@ -27,7 +27,7 @@ from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.parallel_planner import LostProcessError
-from cnc_interp.settings.choices import Settings, with_texts
+from cnc_interp.settings.options import Settings, with_texts
 
 #: A line, a corner and an exact stop: it loads what every task needs.
 TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'

@@ -43,7 +43,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Tolerances of the program, as a share of the scallop height.
 SMOOTHING = 0.2

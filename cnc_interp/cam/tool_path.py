@@ -22,7 +22,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
 from cnc_interp.program.writer import ClMove, SiemensMove, cl_data, siemens
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 Linking = Literal['zigzag', 'one-way']
 

@@ -24,7 +24,7 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from

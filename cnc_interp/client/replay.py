@@ -30,7 +30,7 @@ from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Setpoints, Wait
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.run_messages import run_id_of

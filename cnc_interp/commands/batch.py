@@ -11,8 +11,8 @@ from typing import Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command, count, flag, option, positive
 from cnc_interp.core.units import HOUR, MINUTE
-from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings, settings_from
+from cnc_interp.settings.options import DEFAULT_MACHINE
 
 GIGABYTE = 1e9
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from cnc_interp.machine.drive_kinds import CHOICE, KINDS
-from cnc_interp.settings.choices import DEFAULT_MACHINE
 from cnc_interp.settings.command_line import add_settings
+from cnc_interp.settings.options import DEFAULT_MACHINE
 
 #: Exit codes: done, a failed run or an unproven plan, bad input.
 FINE, FAILED, BAD_INPUT = 0, 1, 2

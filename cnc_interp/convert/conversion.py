@@ -30,7 +30,7 @@ from cnc_interp.program.writer import (
 )
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import ROTATION

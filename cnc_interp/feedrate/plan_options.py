@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit

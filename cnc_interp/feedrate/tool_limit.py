@@ -34,7 +34,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.notices import WARNING
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 FEELER = 1e-6  #: Half of the step of an axis in a difference of poses [m or rad].
 NORMALS = 4  #: Directions in which the error of the tip counts, and that of the axis.

@@ -26,7 +26,7 @@ from cnc_interp.core.named_files import require_allowed, require_inside
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import end_goal, run_node
-from cnc_interp.settings.choices import with_texts
+from cnc_interp.settings.options import with_texts
 
 FEEDBACK = 0.2  #: Time between feedbacks [s].
 NAME = re.compile(r'\w[\w. -]{0,99}')  #: What a folder of a batch may be called.

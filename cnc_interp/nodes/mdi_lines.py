@@ -15,7 +15,7 @@ from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.mdi import MDI, MdiReader
 from cnc_interp.run.run_phase import Code, Outcome
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import modal_state
 
 

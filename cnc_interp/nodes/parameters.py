@@ -15,8 +15,8 @@ from rcl_interfaces.msg import (
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine.drive_kinds import Declared, parameters_of_drives
 from cnc_interp.nodes.qos import DEPTH
-from cnc_interp.settings.choices import DEFAULT_MACHINE, Settings
-from cnc_interp.settings.declaration import Choice, Stage, choices
+from cnc_interp.settings.choice import Choice, Stage, choices
+from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 
 def of_settings(*stages: Stage) -> tuple[Declared, ...]:

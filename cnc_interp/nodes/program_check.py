@@ -25,7 +25,7 @@ from cnc_interp.run.path_chain import PathChain, PathPart, batches
 from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.run.start_place import StartFinder, StartPlace
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
 
 LONGEST_TEXT = 16 << 20  #: Largest length of a text that is kept for display [bytes].

@@ -27,7 +27,7 @@ from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, Way, WayAhead
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
-from cnc_interp.settings.choices import Settings, changed, texts_of
+from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
 
 #: History that the charts show, and the rate it is kept at [s].

@@ -27,8 +27,8 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.plan_figures import bound_text
-from cnc_interp.settings.choices import Settings
 from cnc_interp.settings.command_line import command_words
+from cnc_interp.settings.options import Settings
 
 #: Largest number of points drawn.
 DRAWN = 20000

@@ -25,7 +25,7 @@ from cnc_interp.page.contact import AGAIN
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
 from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
-from cnc_interp.page.tab import Page
+from cnc_interp.page.operator_page import Page
 from cnc_interp.processes.stop_signals import stops_later
 
 #: Where our own code is.

@@ -11,7 +11,7 @@ from cnc_interp.client.operator_client import MachineState
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.start_place import way_inside
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.settings_messages import settings_from
 
 #: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.

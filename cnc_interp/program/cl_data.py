@@ -29,7 +29,7 @@ from cnc_interp.program.source import LineStart, Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.target_row import AT_M0, NO_ARC
 from cnc_interp.program.targets import TargetColumns
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 _FARTHEST = 1e5 * MM
 _UNIT_VECTOR = 5e-3  # published points carry four decimals

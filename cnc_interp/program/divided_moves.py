@@ -19,7 +19,7 @@ from cnc_interp.program import target_row as col
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP, Blocks
 from cnc_interp.program.moves import CHORD_SHARE, SAME, Moves
 from cnc_interp.program.subdivide import MOST_PIECES, angle_between, piece_counts, ragged
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: How the program waits, by EXACT_STOP of a target.
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])

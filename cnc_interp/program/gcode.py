@@ -41,7 +41,7 @@ from cnc_interp.program.target_row import AT_M0, AT_M1
 from cnc_interp.program.targets import TargetColumns
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords, split_words, without_comments
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 

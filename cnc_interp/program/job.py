@@ -13,7 +13,7 @@ import yaml
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml, read_yaml
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 LETTERS = 'XYZABC'
 WORK_OFFSETS = ('G54', 'G55', 'G56', 'G57', 'G58', 'G59', 'G59.1', 'G59.2', 'G59.3')

@@ -17,7 +17,7 @@ from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Name of a line in messages.
 MDI = 'MDI'

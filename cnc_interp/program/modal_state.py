@@ -21,7 +21,7 @@ from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupCha
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.program.targets import TargetColumns
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 FARTHEST = 1e5 * MM
 #: Blocks per minute below which a notice tells the duration: an hour and more.

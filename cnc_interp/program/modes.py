@@ -13,7 +13,7 @@ from cnc_interp.program.job import ALL_OFFSETS, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Tolerances that nobody asked for [m].
 USUAL = Settings().contour_tolerance, Settings().orientation_tolerance

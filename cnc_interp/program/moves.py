@@ -13,7 +13,7 @@ from cnc_interp.program import arcs
 from cnc_interp.program import target_row as col
 from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
 from cnc_interp.program.subdivide import angle_between, great_circle, piece_counts
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 SAME = 1e-12  # [m], [-], [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].

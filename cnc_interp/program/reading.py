@@ -18,7 +18,7 @@ from cnc_interp.program.notices import Notices
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 
 @dataclass(frozen=True)

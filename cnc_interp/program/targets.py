@@ -26,7 +26,7 @@ from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, wa
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import BESIDE_ARC, Moves, merge_repeated
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 #: More changes of the setup than this are not kept one by one.

@@ -21,7 +21,7 @@ from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator
 from cnc_interp.run.start_place import StartFinder
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
 LONGEST_STEP = 1e-3

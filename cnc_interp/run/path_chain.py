@@ -26,7 +26,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Way

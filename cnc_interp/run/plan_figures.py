@@ -19,7 +19,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.setpoints import BEFORE, Setpoints, limit_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
-from cnc_interp.settings.choices import Settings, values_of
+from cnc_interp.settings.options import Settings, values_of
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
 Columns = Mapping[str, NDArray[Any]]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from cnc_interp.core.errors import SettingsError
-from cnc_interp.settings.choices import Settings
-from cnc_interp.settings.declaration import Choice, Stage, choices
+from cnc_interp.settings.choice import Choice, Stage, choices
+from cnc_interp.settings.options import Settings
 
 
 def add_settings(parser: argparse.ArgumentParser, live: bool = False) -> None:

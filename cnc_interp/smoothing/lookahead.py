@@ -16,7 +16,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners import corner
 from cnc_interp.smoothing.corners.corner import PAPER_RATIO, Corners, Style
 from cnc_interp.smoothing.corners.ratio import ratios_at

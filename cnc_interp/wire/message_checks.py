@@ -12,7 +12,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
 from cnc_interp.wire.chunk_messages import OF_AXES
 from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE

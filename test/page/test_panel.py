@@ -45,7 +45,7 @@ from cnc_interp.page.readings import (
 from cnc_interp.page.scene import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.page.start_choice import WayAhead
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PROGRAM = 'G21 G90 G94 (<b>)\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X20 F3000\nG1 Y20 F1500\nM30\n'
 

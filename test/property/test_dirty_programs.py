@@ -16,7 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 

@@ -10,7 +10,7 @@ from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 COUNT = examples(8, 240)
 TILTS = np.array([0.0, 0.0, 1e-7, 1e-4, 0.01, 0.5, 10.0, 30.0]) * DEG

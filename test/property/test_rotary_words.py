@@ -17,7 +17,7 @@ from cnc_interp.program import read_text
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.path_chain import segments_of
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 SOURCE = Path(__file__).parents[2] / 'benchmarks' / 'rotary_words.py'
 spec = importlib.util.spec_from_file_location('rotary_words', SOURCE)

@@ -15,7 +15,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 T = 1e-3
 MACHINE = Machine.load('xyzac')

@@ -15,7 +15,7 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.run.plan_figures import ToleranceUse
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import SPLINE
 
 MACHINE = Machine.load('xyzac')

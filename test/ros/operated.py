@@ -17,7 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 Result = RunProgram.Result
 T = 0.001

@@ -16,7 +16,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'
 

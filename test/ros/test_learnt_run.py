@@ -13,7 +13,7 @@ from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine_model.machine import find_machine_file
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PYRAMID = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'
 TIRED = 'xyzac_tired'

@@ -19,7 +19,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import prepare
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
 ANGLES = np.linspace(0.0, 12.0, 1500)

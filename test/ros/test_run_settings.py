@@ -17,7 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.qos import DIAGNOSTICS, STATE
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings, texts_of
+from cnc_interp.settings.options import Settings, texts_of
 
 Result = RunProgram.Result
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z0\nG1 X6 F2000\nY6\nX0 Y8\nM30\n'

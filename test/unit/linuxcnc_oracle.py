@@ -10,7 +10,7 @@ from cnc_interp.program import JobSetup, Tool, read_program
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
 from cnc_interp.proof.program_again import compare_places
 from cnc_interp.run.plan_writer import block_columns
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Public programs that LinuxCNC reads: the machine for their words, and whether only to a part.
 PROGRAMS = {

@@ -8,7 +8,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, active_modes
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PLAIN = '\n'.join(f'{"G0" if i % 3 == 0 else "G1"} X{i} F{1000 + i // 4}' for i in range(40))
 PROGRAM = f"""G21 G90 G94 G54 T3 M6 S8000 M3

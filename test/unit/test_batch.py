@@ -24,7 +24,7 @@ from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import InterpError
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 GIGA = 1e9
 LINE = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X{}\nM30\n'

@@ -18,7 +18,7 @@ from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 thorough = pytest.mark.thorough
 EXAMPLES = Path(__file__).parents[2] / 'examples'

@@ -20,7 +20,7 @@ from cnc_interp.run import chain
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 TCP = 'TRAORI\nG90 G94\nG1 X0 Y0 Z0 A10 C0 F1000\n'

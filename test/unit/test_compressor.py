@@ -14,7 +14,7 @@ from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense.end_lines import _borders
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother

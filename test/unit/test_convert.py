@@ -14,7 +14,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)

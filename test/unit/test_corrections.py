@@ -10,7 +10,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 XYZAC = Machine.load('xyzac')
 

@@ -16,7 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.proof import linuxcnc_reader
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 XYZ, AC = Transform.of(Machine.load('xyz')), Transform.of(Machine.load('xyzac'))
 SETUP = JobSetup(tools={1: Tool(0.0, 5.0 * MM), 2: Tool(0.0, 2.0 * MM)})

@@ -31,7 +31,7 @@ from cnc_interp.report.series import series_of
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.setpoints import Setpoints, Wait
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 RAM = Machine.load('ram_mill')
 CONTENT = yaml.safe_load(find_machine_file('ram_mill').read_text())

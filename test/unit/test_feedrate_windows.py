@@ -9,7 +9,7 @@ from cnc_interp.feedrate.feed_planner import CONVERGED
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PROGRAMS = Path(__file__).parents[3] / 'shared' / 'programs'
 

@@ -12,7 +12,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 RNG = np.random.default_rng(3)
 Q = np.column_stack([RNG.uniform(-0.3, 0.3, (40, 3)), RNG.uniform(-3.0, 3.0, (40, 2))])

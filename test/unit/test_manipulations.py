@@ -23,7 +23,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 FEED = 3000 * MM_PER_MIN

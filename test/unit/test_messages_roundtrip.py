@@ -22,7 +22,7 @@ from cnc_interp.program import read_program, read_text
 from cnc_interp.run import path_chain
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER
 from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness

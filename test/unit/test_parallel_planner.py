@@ -27,7 +27,7 @@ from cnc_interp.run.parallel_planner import (
     Planning,
     RestSections,
 )
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 FILES = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')

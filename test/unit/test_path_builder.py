@@ -19,7 +19,7 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run.path_chain import PathChain, segments_of
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.lookahead import LookAhead
 
 AC = Transform.of(Machine.load('xyzac'))

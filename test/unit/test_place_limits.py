@@ -29,7 +29,7 @@ from cnc_interp.program import open_program
 from cnc_interp.proof.axis_limits import limits_of_differences
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 RAM = Machine.load('ram_mill')
 CONTENT = yaml.safe_load(find_machine_file('ram_mill').read_text())

@@ -22,7 +22,7 @@ from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Interpolator, Setpoints
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 GEOMETRY = Transform.of(MACHINE)

@@ -9,7 +9,7 @@ from test_program_subdivision import TableAC
 from tiers import examples
 
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 PLANES = {'G17': ('XY', 'IJ', 'Z'), 'G18': ('ZX', 'KI', 'Y'), 'G19': ('YZ', 'JK', 'X')}
 

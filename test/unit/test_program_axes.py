@@ -9,7 +9,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
 #: Axis positions of the workpiece zero, from the machine file.

@@ -7,7 +7,7 @@ from test_program_subdivision import TableAC
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MM
 from cnc_interp.program import read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 
 def read(text, **options):

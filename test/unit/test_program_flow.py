@@ -5,7 +5,7 @@ import pytest
 from test_program_gcode import ThreeAxes
 
 from cnc_interp.program import open_program, read_program, read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 
 def read(text, **options):

@@ -12,7 +12,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_program, read_text, targets
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.program.notices import warnings_of
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
 

@@ -8,7 +8,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))
 TOOLS = JobSetup(tools={1: Tool(0.0, 2.0 * MM), 2: Tool(50.0 * MM, 2.0 * MM)})

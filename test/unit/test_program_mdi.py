@@ -9,7 +9,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, read_text
 from cnc_interp.program.mdi import MdiReader
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 SETTINGS = Settings()
 PLACES = {

@@ -14,7 +14,7 @@ from cnc_interp.proof.linuxcnc_reader import interpreter, read_by_linuxcnc
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_places, compare_with_text
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 if not interpreter():
     pytest.skip('no rs274: run tools/get_rs274, set RS274', allow_module_level=True)

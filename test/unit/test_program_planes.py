@@ -13,7 +13,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.source import Source
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 FIVE_AXES = [
     'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',

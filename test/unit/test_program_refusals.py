@@ -9,7 +9,7 @@ from test_program_subdivision import TableAC
 
 from cnc_interp.core.errors import ProgramError, SettingsError
 from cnc_interp.program import cl_words, codes, read_text
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 SYNTAX = [
     ('G0 X1 X2', 'X2', 'twice'),

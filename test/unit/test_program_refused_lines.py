@@ -6,7 +6,7 @@ from test_program_subdivision import TableAC
 from cnc_interp.core.errors import ProgramError, RefusedLinesError
 from cnc_interp.program import read_text
 from cnc_interp.program.notices import MOST
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 
 def read(text, name):

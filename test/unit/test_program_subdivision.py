@@ -8,7 +8,7 @@ from tiers import examples
 
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import POSES, ROTARY_LINEAR
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 H = 0.03
 

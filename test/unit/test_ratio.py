@@ -15,7 +15,7 @@ from cnc_interp.feedrate.feed_planner import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.corner import Corners
 from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead

@@ -17,7 +17,9 @@ from cnc_interp.commands.cli import parser
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.core.units import DEG
 from cnc_interp.nodes import parameters
-from cnc_interp.settings.choices import (
+from cnc_interp.settings.choice import Stage, choices
+from cnc_interp.settings.command_line import add_settings, command_words, settings_from
+from cnc_interp.settings.options import (
     Settings,
     filled_in,
     offered,
@@ -25,8 +27,6 @@ from cnc_interp.settings.choices import (
     texts_of,
     with_texts,
 )
-from cnc_interp.settings.command_line import add_settings, command_words, settings_from
-from cnc_interp.settings.declaration import Stage, choices
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.settings_messages import (
     goal_of,
@@ -41,8 +41,8 @@ ONE_MORE = """
 from dataclasses import dataclass
 from pathlib import Path
 
-import cnc_interp.settings.choices as place
-from cnc_interp.settings.declaration import LENGTH, Stage, number
+import cnc_interp.settings.options as place
+from cnc_interp.settings.choice import LENGTH, Stage, number
 
 @dataclass(frozen=True)
 class Settings(place.Settings):
@@ -55,7 +55,7 @@ place.Settings = Settings
 from cnc_interp.commands.cli import parser
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import command_words, settings_from
-from cnc_interp.settings.choices import filled_in, offered, settings_filled_in, values_of
+from cnc_interp.settings.options import filled_in, offered, settings_filled_in, values_of
 from cnc_interp.wire.settings_messages import (
     goal_of, loaded_program, pairs_of, settings_from as settings_told, settings_of_goal
 )

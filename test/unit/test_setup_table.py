@@ -13,7 +13,7 @@ from cnc_interp.program import JobSetup, Tool, open_program
 from cnc_interp.program.job import WORK_OFFSETS, SetupChange
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.program.targets import MOST_CHANGES
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
 ZERO = np.array([0.04, -0.06985, 0.14])

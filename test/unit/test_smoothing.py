@@ -16,7 +16,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import lacking, matching_slopes
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.vertices import SWIVEL

@@ -10,7 +10,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.source import Source
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 XYZAC = Transform.of(Machine.load('xyzac'))
 LOOP = """G21 G90 G54

@@ -19,7 +19,7 @@ from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.path_chain import PathChain
 from cnc_interp.run.start_place import StartFinder, approach, approach_inside, way_inside
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 XYZAC = Machine.load('xyzac')
 BC = Machine.load('xyzbc')

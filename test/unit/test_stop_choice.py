@@ -17,7 +17,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run import path_chain
 from cnc_interp.run.path_chain import PathChain, is_faster, segments_of, way_time
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense.thinning import longest_chord
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.segments import SPLINE, PathSegments

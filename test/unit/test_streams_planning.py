@@ -16,7 +16,7 @@ from cnc_interp.program import read_text
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)

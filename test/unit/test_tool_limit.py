@@ -27,7 +27,7 @@ from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 S_PATH = Path(__file__).parents[2] / 'examples' / 's_path.apt'
 TIRED, IDEAL = Machine.load('xyzac_tired'), Machine.load('xyzac')

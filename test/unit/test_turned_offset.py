@@ -16,7 +16,7 @@ from cnc_interp.program.setup_requests import (
     work_coordinates,
 )
 from cnc_interp.proof.linuxcnc_reader import setup_of
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
 ZERO = AC.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]

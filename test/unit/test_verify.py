@@ -26,7 +26,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify, verify_plan
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 

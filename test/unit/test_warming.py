@@ -12,7 +12,7 @@ RUN = """
 import sys
 sys.path[:0] = [{here!r}, {here!r} + '/../../benchmarks']
 from numba.core.dispatcher import Dispatcher
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
 from cnc_interp.feedrate.feed_planner import FeedPlanner

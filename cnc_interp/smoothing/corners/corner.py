@@ -24,7 +24,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.columns import Table, column
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import connect
 from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.orientation_bounds import orientation_bounds

@@ -20,7 +20,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense.curve_fit import Curve, Run, Window
 from cnc_interp.smoothing.dense.end_lines import EndLine, extended, with_end_line
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense import thinning
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.dense.thinning import FIXED, LONG, SHORT, Vertices

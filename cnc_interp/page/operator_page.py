@@ -35,7 +35,7 @@ from cnc_interp.page.readings import NOTHING, Messages, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.page.shown_unit import ShownUnit
 from cnc_interp.program.target_row import EXTRA_LETTERS
-from cnc_interp.settings.choices import Settings
+from cnc_interp.settings.options import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it [s].
 PACE, CHART_EVERY = 0.1, 4

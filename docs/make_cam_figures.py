@@ -1,5 +1,4 @@
-"""
-Draw the figures of the iso-scallop paper [TL2008] on numbers of this package.
+"""Draw the figures of the iso-scallop paper [TL2008] on numbers of this package.
 
     python docs/make_cam_figures.py           pictures
     python docs/make_cam_figures.py --times   table and picture of machining times (ten minutes)

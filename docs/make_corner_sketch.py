@@ -1,5 +1,4 @@
-"""
-Draw the parts of a rounded corner by their names, for ``docs/how_it_works/corner_rounding.md``.
+"""Draw the parts of a rounded corner by their names, for ``docs/how_it_works/corner_rounding.md``.
 
     python docs/make_corner_sketch.py
 

@@ -1,5 +1,4 @@
-"""
-Take the pictures of docs/operate.md while an operator's tasks are done on the page.
+"""Take the pictures of docs/operate.md while an operator's tasks are done on the page.
 
     python docs/make_operate_pictures.py
 
@@ -29,8 +28,7 @@ SLOWER = 19
 
 
 class Walk:
-    """
-    The tasks of an operator on a page, with a picture of each.
+    """The tasks of an operator on a page, with a picture of each.
 
     Parameters
     ----------

@@ -1,5 +1,4 @@
-"""
-Take pictures of the operator page while the nodes run a program.
+"""Take pictures of the operator page while the nodes run a program.
 
     python docs/make_page_pictures.py
 

@@ -1,5 +1,4 @@
-"""
-Draw the figures of the corner-rounding paper [B2013] on numbers of this package.
+"""Draw the figures of the corner-rounding paper [B2013] on numbers of this package.
 
     python docs/make_paper_figures.py
 
@@ -128,8 +127,7 @@ class Run:
         return differences(o, step)[2], eq_10(differences(q, step), self.plan.machine)
 
     def jumps(self) -> FloatArray:
-        """
-        Return the largest jumps at joins of q_s, q_ss, q_sss over linear and rotary axes.
+        """Return the largest jumps at joins of q_s, q_ss, q_sss over linear and rotary axes.
 
         Each is relative to that derivative's largest value of that axis on the path, shape (3, 2).
         """
@@ -201,8 +199,7 @@ def draw_parametrization(runs: dict[str, Run]) -> None:
 
 
 def first_point(run: Run, step: float) -> dict[str, Any]:
-    """
-    Vary the first top parameter of the corner, the bottom point staying where it is (Fig. 6).
+    """Vary the first top parameter of the corner, the bottom point staying where it is (Fig. 6).
 
     Returns functions of u_top1 for the criterion (Eq. 11, 1/m3) and the limit (Eq. 10, m/s),
     its best value, that of the bottom, and the change that halves the limit.

@@ -1,5 +1,4 @@
-"""
-Draw the first picture of the README from a plan directory: the tool path and the five axes.
+"""Draw the first picture of the README from a plan directory: the tool path and the five axes.
 
     cnc-interp plan examples/pyramid.apt --feed 3000 --out out/pyramid
     python docs/make_pictures.py out/pyramid

@@ -1,5 +1,4 @@
-"""
-Write a 5-axis path given as two cubic B-splines as a part program with native splines.
+"""Write a 5-axis path given as two cubic B-splines as a part program with native splines.
 
     python examples/flank_path.py PATH.json > flank.mpf
     cnc-interp plan flank.mpf --out out/flank && cnc-interp check out/flank

@@ -1,5 +1,4 @@
-"""
-Write the part programs of this folder, and one surface: ``python examples/make_examples.py``.
+"""Write the part programs of this folder, and one surface: ``python examples/make_examples.py``.
 
 Both parts are flank milled: the tool axis stays in the plane of a wall and turns along it, so
 that every wall is flat. Between two given axes the great circle lies in their common plane, hence
@@ -25,8 +24,7 @@ def unit(v: Vector) -> Vector:
 
 
 def pyramid() -> list[tuple[Vector, Vector]]:
-    """
-    Tip [mm] and tool axis at the corners of a square, walls tilted outward by 15 deg.
+    """Tip [mm] and tool axis at the corners of a square, walls tilted outward by 15 deg.
 
     At a corner the axis runs along the pyramid's edge, where both neighbouring walls meet.
     """
@@ -36,8 +34,7 @@ def pyramid() -> list[tuple[Vector, Vector]]:
 
 
 def s_path() -> list[tuple[Vector, Vector]]:
-    """
-    Tip [mm] and tool axis along an S-shaped wall that is milled by the flank.
+    """Tip [mm] and tool axis along an S-shaped wall that is milled by the flank.
 
     It is of the kind of the S-shaped test part of ISO 10791-7: the wall bends to both sides and
     its tilt changes sign on the way, so that all five axes turn back. For t from 0 to 1,
@@ -60,8 +57,7 @@ def s_path() -> list[tuple[Vector, Vector]]:
 
 
 def pocket_corner() -> list[tuple[Vector, Vector]]:
-    """
-    Tip [mm] and tool axis along two walls of a pocket, tilted outward by 15 and 12 deg.
+    """Tip [mm] and tool axis along two walls of a pocket, tilted outward by 15 and 12 deg.
 
     At the free ends the axis is square to the path; at the corner it is the line in which both
     walls meet.
@@ -101,8 +97,7 @@ def gcode(name: str, points: list[tuple[Vector, Vector]]) -> str:
 
 
 def hollow() -> dict[str, object]:
-    """
-    Surface of a shallow trough, 83 mm in radius, with a swelling in the middle.
+    """Surface of a shallow trough, 83 mm in radius, with a swelling in the middle.
 
     It is hollow across the feed, so that strips of 5 mm fit a mill of 13 mm; turned by 25 deg, so
     that the tool axis keeps off the pole of the machine.

@@ -1,5 +1,4 @@
-"""
-Start the four nodes of the interpolator; they configure and activate themselves.
+"""Start the four nodes of the interpolator; they configure and activate themselves.
 
 ``show:=true`` adds what RViz and Foxglove draw: the machine's frames and the markers of the paths.
 """

@@ -1,5 +1,4 @@
-"""
-Look for programs that a reader answers wrongly, guided by coverage; needs ``pip install atheris``.
+"""Look for programs that a reader answers wrongly, guided by coverage; needs atheris (pip).
 
     python tools/fuzz_programs.py FOLDER [-max_total_time=600 ...]
 

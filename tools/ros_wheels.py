@@ -17,8 +17,7 @@ BUILD_MACHINE_NUMPY = re.compile(
 
 
 def relocate(text: str, python_include: str, numpy_include: str) -> str:
-    """
-    Replace the include directories of the build machine in a CMake export file.
+    """Replace the include directories of the build machine in a CMake export file.
 
     Parameters
     ----------

@@ -22,8 +22,7 @@ from cnc_interp.report.html import (
     with_axes,
 )
 
-#: More rows than these are not shown; the table file has them all.
-MOST_ROWS = 5000
+MOST_ROWS = 5000  #: More rows than these are not shown; the table file has them all.
 #: Columns of the page: heading, column of the table, and how a number is written.
 SHOWN = (
     ('program', 'program', ''), ('machine', 'machine', ''), ('verdict', 'verdict', ''),

@@ -25,12 +25,9 @@ from cnc_interp.batch.processes import (
 from cnc_interp.batch.task import engine
 from cnc_interp.core.errors import InterpError
 
-#: Time for the scheduler to answer [s].
-PATIENCE = 10
-#: A task that has lost so many workers is given up.
-MOST_LOST_WORKERS = 20
-#: Tasks that are given out ahead, for each thread of the workers.
-AHEAD = 2
+PATIENCE = 10  #: Time for the scheduler to answer [s].
+MOST_LOST_WORKERS = 20  #: A task that has lost so many workers is given up.
+AHEAD = 2  #: Tasks that are given out ahead, for each thread of the workers.
 
 A = TypeVar('A')
 R = TypeVar('R')

@@ -23,10 +23,8 @@ from cnc_interp.processes.fork_server import begin_loading
 #: What the fork server loads for programs, and for tiles of needles.
 PRELOADED = ('cnc_interp.batch.preload_tasks',)
 TILES_PRELOADED = ('cnc_interp.cam.preload_tiles',)
-#: Name of a working process in ``ps`` and ``top``.
-PROCESS_NAME = 'cnc_batch'
-#: Time between looks whether all shall end [s].
-LOOK = 0.2
+PROCESS_NAME = 'cnc_batch'  #: Name of a working process in ``ps`` and ``top``.
+LOOK = 0.2  #: Time between looks whether all shall end [s].
 #: A call whose process is killed so often is not begun again: something always kills it.
 MOST_KILLS = 200
 #: Signals by which others end a process; by any other signal it ends itself.
@@ -88,8 +86,7 @@ def total_memory() -> float:
 
 
 class Processes:
-    """
-    Some processes that work at the same time, at the lowest priority.
+    """Some processes that work at the same time, at the lowest priority.
 
     ``memory``: most memory of a process [bytes]; ``longest``: longest time of a call [s];
     ``stopped``: asked again and again whether all shall end; ``preloaded``: modules to load first.

@@ -27,12 +27,10 @@ from cnc_interp.report.time_lost import AT_LIMIT, at_limits
 
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4
-#: Lengths that differ less are the same [m].
-SAME = 1e-9
+SAME = 1e-9  #: Lengths that differ less are the same [m].
 #: Motions of a simulated surface in its summary; the first one that is there counts.
 SIMULATED = ('executed', 'planned')
-#: Commands that can be swept.
-SWEPT = (('plan',), ('cam', 'iso-scallop'))
+SWEPT = (('plan',), ('cam', 'iso-scallop'))  #: Commands that can be swept.
 
 
 @dataclass(frozen=True)
@@ -134,8 +132,7 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 
 
 class Sweep:
-    """
-    Runs points, each once, and keeps what became of them.
+    """Runs points, each once, and keeps what became of them.
 
     ``words``: the command that is swept, without ``--out``; ``progress``: told the number of
     points that are done. Raises InterpError if the command cannot be swept.

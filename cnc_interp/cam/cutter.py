@@ -1,5 +1,4 @@
-"""
-The filleted end mill: a corner torus of radii R and r_c, a flat bottom and a cylinder above.
+"""The filleted end mill: a corner torus of radii R and r_c, a flat bottom and a cylinder above.
 
 C_L is the centre of the circle of corner centres, which has the radius R. u is the unit tool axis
 towards the spindle. The mill is the set of all points within r_c of the cylinder that stands on

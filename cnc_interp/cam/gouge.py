@@ -15,8 +15,7 @@ from cnc_interp.core.units import DEG, MM
 
 #: Rays on which the bottom of the mill is tested, and its circles as shares of R.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)
-#: Points further beyond the border than this do not belong to the surface [m].
-BEYOND = 0.2 * MM
+BEYOND = 0.2 * MM  #: Points further beyond the border than this do not belong to the surface [m].
 
 
 def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
@@ -42,14 +41,12 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
     return depth
 
 
-#: Distance over which a raised tilt falls off on each side [m].
-FALL = 4.0 * MM
+FALL = 4.0 * MM  #: Distance over which a raised tilt falls off on each side [m].
 #: Depth to which the tilt is raised, as a share of the allowed depth: postures lie between.
 SHARE = 0.5
 #: Places in each interval of a pass at which the heel is tested: it meets a hollow suddenly.
 FINER = 4
-#: Halvings of the interval of tilts.
-HALVINGS = 14
+HALVINGS = 14  #: Halvings of the interval of tilts.
 
 
 def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:

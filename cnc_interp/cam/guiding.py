@@ -1,5 +1,4 @@
-"""
-Guiding curves: sections of the guiding surface S_G = S + r_c n by guiding planes [TL2008, 3.2].
+"""Guiding curves: sections of the guiding surface S_G = S + r_c n by guiding planes [TL2008, 3.2].
 
 The plane has the unit normal N, which points to the next pass. Along the curve the feed direction
 is f = n x N / |n x N|. The direction t = f x n points to the next pass, too.
@@ -19,12 +18,9 @@ from cnc_interp.cam.vectors import cross, dot, norm, scaled, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 
-#: Cells per direction in which a curve is sought.
-CELLS = 200
-#: Largest distance of the points of a curve [m].
-STEP = 0.4 * MM
-#: Smallest sine of the angle between a guiding plane and the surface [-].
-STEEP = 0.05
+CELLS = 200  #: Cells per direction in which a curve is sought.
+STEP = 0.4 * MM  #: Largest distance of the points of a curve [m].
+STEEP = 0.05  #: Smallest sine of the angle between a guiding plane and the surface [-].
 
 
 @dataclass(frozen=True)
@@ -190,8 +186,7 @@ class GuidingPlanes:
         return np.concatenate([[0.0], np.cumsum(arcs)])
 
 
-#: Distance of the points that show the change of direction of a curve [m].
-NEAR = 1.0 * UM
+NEAR = 1.0 * UM  #: Distance of the points that show the change of direction of a curve [m].
 
 
 @dataclass(frozen=True)

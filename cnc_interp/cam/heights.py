@@ -1,5 +1,4 @@
-"""
-Heights on the disk: a Zarr store, chunk by chunk, and a record of each tile that is whole.
+"""Heights on the disk: a Zarr store, chunk by chunk, and a record of each tile that is whole.
 
     DIR/heights.zarr   height (rows, columns) [m], NaN where nothing was cut; u, v: where needles
                        stand; level/N/lowest, highest, mean: the same with 2 ** N needles a cell
@@ -31,10 +30,8 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 from cnc_interp.core.units import UM
 
-#: Depth from which a needle counts as gouged [m].
-GOUGE = 0.5 * UM
-#: Width of the classes of the histogram [m].
-CLASS = 0.1 * UM
+GOUGE = 0.5 * UM  #: Depth from which a needle counts as gouged [m].
+CLASS = 0.1 * UM  #: Width of the classes of the histogram [m].
 #: Heights are summed in units of 2 ** -HEIGHT_BITS m, their squares in 2 ** -SQUARE_BITS m2.
 HEIGHT_BITS, SQUARE_BITS = 60, 75
 #: Where such numbers are divided, so that neither half overflows when millions are added.
@@ -159,10 +156,8 @@ def exact_sum(values: FloatArray, bits: int) -> int:
 
 #: Needles in each direction of a tile, which is a chunk of the store and an image of the page.
 TILE = 256
-#: Attribute that tells our stores from others.
-MADE_BY = {'made_by': 'cnc_interp'}
-#: What a cell of a level says about the needles in it.
-KINDS = ('lowest', 'highest', 'mean')
+MADE_BY = {'made_by': 'cnc_interp'}  #: Attribute that tells our stores from others.
+KINDS = ('lowest', 'highest', 'mean')  #: What a cell of a level says about the needles in it.
 #: Faults of a record that is cut again.
 UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
 

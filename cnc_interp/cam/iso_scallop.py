@@ -1,5 +1,4 @@
-"""
-5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
+"""5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
 
 The strips of neighbouring passes share their border: the half width on the left is the plane
 distance minus that on the right of the pass before. This recursion has the multiplier -1, so
@@ -39,8 +38,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 
-#: Distance of a pass that starts afresh, as a share of its half width.
-CLOSER = 0.985
+CLOSER = 0.985  #: Distance of a pass that starts afresh, as a share of its half width.
 #: Default distance of the points along a pass [m]; there are at least 25.
 SPACING = 0.8 * MM
 MOST_PASSES = 5000
@@ -48,10 +46,8 @@ MOST_PASSES = 5000
 CLOSER_PLANES, CLOSEST = 12, 0.7
 #: Share of the distance below which other yaws are tried, and their differences [rad].
 NEAR, TURNS = 0.75, (20.0 * DEG, -20.0 * DEG, 40.0 * DEG, -40.0 * DEG)
-#: Largest distance from the scallop of the previous pass [m].
-HIDDEN = 20.0 * UM
-#: Points at both ends that are exempt, because the angles are free there.
-ENDS = 3
+HIDDEN = 20.0 * UM  #: Largest distance from the scallop of the previous pass [m].
+ENDS = 3  #: Points at both ends that are exempt, because the angles are free there.
 
 
 class NoPassError(UnfitError):
@@ -181,8 +177,7 @@ class PassRecursion:
     def closer_pass(
         self, before: Pass | None, plane: float, number: int, reason: UnfitError
     ) -> Pass:
-        """
-        Make a pass whose strip is narrower at some places, on a plane that is close enough.
+        """Make a pass whose strip is narrower at some places, on a plane that is close enough.
 
         The tilt is raised where the heel would enter the surface, and stays at a limit where no
         other fits. The strip still reaches the scallops of the previous pass, or the border. If

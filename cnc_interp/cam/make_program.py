@@ -45,8 +45,7 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
-#: Tolerances of the program, as a share of the scallop height.
-SMOOTHING = 0.2
+SMOOTHING = 0.2  #: Tolerances of the program, as a share of the scallop height.
 
 
 def make_program(options: argparse.Namespace) -> int:

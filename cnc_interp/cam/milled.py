@@ -9,10 +9,8 @@ from cnc_interp.cam.vectors import scaled
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM
 
-#: Distance of the places at which the border is compared with the strip [m].
-SPACING = 0.2 * MM
-#: Lines along the strip that are compared with the border, over its whole width.
-LINES = 9
+SPACING = 0.2 * MM  #: Distance of the places at which the border is compared with the strip [m].
+LINES = 9  #: Lines along the strip that are compared with the border, over its whole width.
 
 
 def kept_ranges(

@@ -1,5 +1,4 @@
-"""
-N-buffer: needles along the normals of a surface, cut by the moving mill.
+"""N-buffer: needles along the normals of a surface, cut by the moving mill.
 
 The distance of a point of the needle ``B + h n`` from the convex mill is a convex function of h.
 Newton's method from below therefore converges monotonically to the height at which the needle
@@ -22,8 +21,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 
 #: What cuts: numba on the processor, or Warp on the processor or on a graphics card.
 Device = Literal['cpu', 'warp-cpu', 'cuda']
-#: Groups of needles in each direction of a part that is cut at once.
-GROUPS = 16
+GROUPS = 16  #: Groups of needles in each direction of a part that is cut at once.
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,4 @@
-"""
-Compiled loops of the N-buffer: where needles enter the mill, and where on its way first.
+"""Compiled loops of the N-buffer: where needles enter the mill, and where on its way first.
 
 Groups of needles are skipped only where the test of each needle would skip it, too. So a needle
 ends at the same height, bit for bit, in whatever tile it stands. The functions of one needle are
@@ -18,8 +17,7 @@ from cnc_interp.core.units import MM
 
 #: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM
-#: Distance below the end of a needle at which the search for a cut begins [m].
-SHORT = 0.05 * MM
+SHORT = 0.05 * MM  #: Distance below the end of a needle at which the search for a cut begins [m].
 #: Rounding of distances; a group of needles is skipped only this much further away [m].
 ROUNDING = 1e-9 * MM
 
@@ -29,8 +27,7 @@ def gap(
     needle: FloatArray, j: int, h: float, x: float, y: float, z: float, a: float, b: float,
     c: float, R: float, skin: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Return the distance of a point of a needle from the mill [m], and its derivative by height [-].
+    """Return how far a point of a needle is from the mill [m], and its derivative by height [-].
 
     The point lies at height h [m] on row j of ``needle``, shape (k, 6): base [m] and normal [-].
     The mill has C_L at x, y, z [m] and the unit axis a, b, c [-]. Its surface lies ``skin`` [m]
@@ -190,8 +187,7 @@ def cut(
     middle: FloatArray, last: FloatArray, slack: FloatArray, rough: BoolArray, batch: IntArray,
     stages: int, widest: float, R: float, skin: float, height: FloatArray,
 ) -> None:  # fmt: skip
-    """
-    Cut needles by pieces of motion: ``height`` (k,) is lowered in place [m].
+    """Cut needles by pieces of motion: ``height`` (k,) is lowered in place [m].
 
     ``needle`` (k, 6): base [m] and unit normal [-]; ``order`` (k,): numbers of the needles, group
     by group; ``starts`` (groups + 1,); ``ball`` (groups, 4): centre and radius of a ball around

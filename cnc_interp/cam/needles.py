@@ -16,10 +16,8 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 from cnc_interp.program.subdivide import great_circle, ragged
 
-#: Needles in each direction of a patch.
-PATCH = 64
-#: Approximate number of needles in a group, which is tested as a whole.
-GROUP = 64
+PATCH = 64  #: Needles in each direction of a patch.
+GROUP = 64  #: Approximate number of needles in a group, which is tested as a whole.
 #: Most needles at once, most in a row or column of a grid, and most of a grid.
 MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
@@ -149,20 +147,16 @@ def patches(rows: int, columns: int, tall: int, wide: int) -> Iterator[tuple[int
             yield i, j
 
 
-#: Longest piece of motion, as a share of the corner radius.
-PIECE = 0.3
+PIECE = 0.3  #: Longest piece of motion, as a share of the corner radius.
 #: Largest turn of the axis in a piece [rad]; centre and tip then both move nearly straight.
 TURN = 2.5e-3
-#: Distance of the poses of a first, rough cut [m].
-COARSE = 0.4 * MM
-#: Pieces of a batch; each batch begins with a rough cut.
-BATCH = 2000
+COARSE = 0.4 * MM  #: Distance of the poses of a first, rough cut [m].
+BATCH = 2000  #: Pieces of a batch; each batch begins with a rough cut.
 
 
 @dataclass(frozen=True)
 class MotionPieces:
-    """
-    Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
+    """Pieces of the motion of a mill, between two poses on straight lines of tip and axis.
 
     They are so short that a parabola through three heights locates the lowest one.
     """

@@ -15,12 +15,9 @@ from cnc_interp.cam.vectors import unit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import MM, UM
 
-#: Distance of the poses that are tested [m].
-STEP = 0.2 * MM
-#: Largest depth at which the mill may enter a neighbour [m].
-GOUGE = 1.0 * UM
-#: Parts shorter than this are left out [m].
-SHORTEST = 1.0 * MM
+STEP = 0.2 * MM  #: Distance of the poses that are tested [m].
+GOUGE = 1.0 * UM  #: Largest depth at which the mill may enter a neighbour [m].
+SHORTEST = 1.0 * MM  #: Parts shorter than this are left out [m].
 
 RowsAt = Callable[[FloatArray], FloatArray]
 

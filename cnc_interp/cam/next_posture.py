@@ -1,5 +1,4 @@
-"""
-Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2].
+"""Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2].
 
 The unknowns are the place s on the next guiding curve and one angle, the tilt or the yaw. Let
 v = P - C_L and e* its direction in the plane of the corner circle. With Q* = C_L + R e*:
@@ -29,12 +28,10 @@ from cnc_interp.core.units import DEG, MM, UM
 
 Freedom = Literal['tilt', 'yaw']
 
-#: Largest residual of the conditions [m].
-CLOSE = 1e-11
+CLOSE = 1e-11  #: Largest residual of the conditions [m].
 #: Further guesses of the free angle, if the first guess fails [rad].
 OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
-#: Largest Newton step of the place [m] and of the angle [rad].
-LARGEST_STEP = 1.0 * MM, 0.3
+LARGEST_STEP = 1.0 * MM, 0.3  #: Largest Newton step of the place [m] and of the angle [rad].
 
 
 @dataclass(frozen=True)

@@ -93,8 +93,7 @@ class Pass:
 
 
 def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -> FloatArray:
-    """
-    Return the distance of scallop points, lifted to the guiding surface, from the plane.
+    """Return the distance of scallop points, lifted to the guiding surface, from the plane.
 
     On a slope the contact point lies beside the plane; only there both half widths agree.
     """

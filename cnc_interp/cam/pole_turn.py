@@ -1,5 +1,4 @@
-"""
-Passes beside the pole, and the turn of the workpiece that keeps them away from it.
+"""Passes beside the pole, and the turn of the workpiece that keeps them away from it.
 
 Where the tool axis o passes the pole u at the angle d, the outer rotary axis has to turn at the
 rate ``|(o x o') . u| / sin(d)^2``. Between two poses o turns on a great circle, so ``o x o'`` is
@@ -23,8 +22,7 @@ from cnc_interp.core.units import DEG
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
-#: Turns of the workpiece that are tried, in this order [deg].
-TURNS = range(1, 61)
+TURNS = range(1, 61)  #: Turns of the workpiece that are tried, in this order [deg].
 #: A pass is near the pole where the outer axis is asked for more of its largest velocity [-].
 NEAR = 2.0
 #: A path is moved through the pole if it is nearer than this share of its tolerance [-].

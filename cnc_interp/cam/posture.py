@@ -1,5 +1,4 @@
-"""
-Postures: position and orientation of the mill at a guided point, and its motion there.
+"""Postures: position and orientation of the mill at a guided point, and its motion there.
 
 With tilt theta and yaw y about n, ``f_y = f cos y - t sin y`` (n x f = -t) and
 ``t_y = t cos y + f sin y``:

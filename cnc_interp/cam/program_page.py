@@ -28,10 +28,8 @@ from cnc_interp.report.html import (
     with_axes,
 )
 
-#: Largest number of cells of a map in each direction.
-CELLS = 700
-#: Number of tilt curves in a figure.
-CURVES = 12
+CELLS = 700  #: Largest number of cells of a map in each direction.
+CURVES = 12  #: Number of tilt curves in a figure.
 
 
 def map_figure(heights: Heights, scallop: float) -> Any:

@@ -1,5 +1,4 @@
-"""
-Stage 1: scallop points, where the envelope of the mill leaves the iso-scallop surface.
+"""Stage 1: scallop points, where the envelope of the mill leaves the iso-scallop surface.
 
 [TL2008, 3.1] in one unknown. At the angle phi of the corner circle the profile of the corner torus
 is a circle about Q = C_L + R e. The envelope touches it where the tool normal m is perpendicular
@@ -21,10 +20,8 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 
 Angle = float | FloatArray
 
-#: Largest distance of scallop points from the iso-scallop surface [m].
-CLOSE = 1e-11
-#: Largest angle of the corner circle at which the envelope is sought [rad].
-WIDEST = 1.55
+CLOSE = 1e-11  #: Largest distance of scallop points from the iso-scallop surface [m].
+WIDEST = 1.55  #: Largest angle of the corner circle at which the envelope is sought [rad].
 
 
 @dataclass(frozen=True)

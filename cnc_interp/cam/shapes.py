@@ -240,10 +240,8 @@ class RationalSurface(Surface):
         )
 
 
-#: Distance of the points that stand for the boundary [m].
-BOUNDARY = 0.05 * MM
-#: Largest gap between edges that meet, as a share of the extent of the boundary.
-GAP = 2e-4
+BOUNDARY = 0.05 * MM  #: Distance of the points that stand for the boundary [m].
+GAP = 2e-4  #: Largest gap between edges that meet, as a share of the extent of the boundary.
 
 
 class Trimmed(Surface):

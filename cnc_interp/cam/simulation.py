@@ -24,16 +24,12 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program
 from cnc_interp.proof.plan_files import PlanFiles
 
-#: Number of sections across the passes.
-SECTIONS = 12
-#: Distance of the needles in a section [m].
-FINE = 4.0 * UM
-#: Number of times that every second pose may be dropped.
-THINNINGS = 5
+SECTIONS = 12  #: Number of sections across the passes.
+FINE = 4.0 * UM  #: Distance of the needles in a section [m].
+THINNINGS = 5  #: Number of times that every second pose may be dropped.
 #: Largest error of thinned motions, and largest distance of their poses [m].
 THIN, LONGEST = 0.004 * UM, 0.4 * MM
-#: Smallest prominence of a ridge, as a share of the range of heights.
-PROMINENCE = 0.15
+PROMINENCE = 0.15  #: Smallest prominence of a ridge, as a share of the range of heights.
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,11 @@ from cnc_interp.cam.vectors import dot, norm, scaled, unit
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
 
-#: Height above the tip at which the tool axis counts for the chord tolerance [m].
-ARM = 10.0 * MM
-#: Most halvings of the intervals along a pass.
-FINEST = 20
-#: Distance of the poses that a spline is compared with [m].
-SPACING = 0.05 * MM
-#: Largest distance of a spline from these poses [m].
-CLOSE = 0.05 * UM
-#: Distance of the knots at first [m].
-COARSEST = 3.2 * MM
+ARM = 10.0 * MM  #: Height above the tip at which the tool axis counts for the chord tolerance [m].
+FINEST = 20  #: Most halvings of the intervals along a pass.
+SPACING = 0.05 * MM  #: Distance of the poses that a spline is compared with [m].
+CLOSE = 0.05 * UM  #: Largest distance of a spline from these poses [m].
+COARSEST = 3.2 * MM  #: Distance of the knots at first [m].
 
 
 class Strip(Protocol):
@@ -162,8 +157,7 @@ def merged(curve: SplinePass, s: FloatArray, tolerance: float) -> tuple[FloatArr
     return tip, axis
 
 
-#: Length that is left out before a note says so [m].
-NOTICED = 0.5 * MM
+NOTICED = 0.5 * MM  #: Length that is left out before a note says so [m].
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,4 @@
-"""
-Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
+"""Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
 
 Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
 control points. Others are converted exactly to rational B-splines. The package
@@ -48,13 +47,11 @@ CONVERTED = {
 NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
 #: A boundary within this distance of the rectangle of parameters is the rectangle [m].
 ON_BORDER = 10e-6
-#: Points along an edge that are compared with the rectangle.
-EDGE_POINTS = 65
+EDGE_POINTS = 65  #: Points along an edge that are compared with the rectangle.
 #: Largest distance of the polylines from the edges [m], and the smallest and largest number of
 #: pairs of their pieces.
 CHORD, EDGE_PIECES, MOST_PIECES = 2e-6, 8, 2048
-#: Sizes of shapes before those of the face are known.
-ANY = 1.0
+ANY = 1.0  #: Sizes of shapes before those of the face are known.
 
 
 @dataclass(frozen=True)

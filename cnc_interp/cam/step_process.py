@@ -1,5 +1,4 @@
-"""
-STEP files are read by OpenCASCADE in a process of its own, with bounds on memory and time.
+"""STEP files are read by OpenCASCADE in a process of its own, with bounds on memory and time.
 
 It may crash, or compute without end, for a file that is wrong on purpose. Then only that process
 ends, and the file is refused. It writes the surface, or a reason, to its standard output.

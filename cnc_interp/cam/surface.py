@@ -1,5 +1,4 @@
-"""
-Surfaces S(u, v): position, normal, curvature, foot points and checks.
+"""Surfaces S(u, v): position, normal, curvature, foot points and checks.
 
 The normal n points out of the material. Curvatures are positive where the surface is convex:
 ``kappa(d) = n_d . d`` for a unit tangent d. The offset ``S + h n`` is therefore regular while
@@ -70,15 +69,11 @@ class SurfacePoint:
         return mean - spread, mean + spread
 
 
-#: Ranges of u and v.
-Domain = tuple[tuple[float, float], tuple[float, float]]
+Domain = tuple[tuple[float, float], tuple[float, float]]  #: Ranges of u and v.
 
-#: Largest error of foot points [m].
-FOOT = 1e-13
-#: Largest number of Newton steps to a foot point.
-MOST_STEPS = 30
-#: Samples per direction in the checks of the whole surface.
-SAMPLES = 121
+FOOT = 1e-13  #: Largest error of foot points [m].
+MOST_STEPS = 30  #: Largest number of Newton steps to a foot point.
+SAMPLES = 121  #: Samples per direction in the checks of the whole surface.
 
 
 class SurfaceError(InterpError):

@@ -1,8 +1,7 @@
-"""
-Surface files: STEP, or JSON with lengths in mm and angles in degrees (docs/how_it_works/cam.md).
+"""Surface files: STEP, or JSON in mm and degrees (docs/how_it_works/cam.md).
 
-    {"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
-     "placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
+{"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
+"placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""
-The work of `cam simulate --tiles`: needles in tiles, their figures, levels and the page.
+"""The work of `cam simulate --tiles`: needles in tiles, their figures, levels and the page.
 
 The page zooms without a network or a server. A page from the disk may not read files beside it,
 but may load scripts. So each tile is a script with its heights: whole nanometres in three planes
@@ -113,8 +112,7 @@ def histogram(figures: Figures) -> dict[str, Any]:
 
 #: Unit of the heights on the page [m], and the number that stands for zero.
 STEP, ZERO = 1e-9, 1 << 23
-#: Points in each direction from which the page tells x, y and z.
-POINTS = 65
+POINTS = 65  #: Points in each direction from which the page tells x, y and z.
 #: Colours of the map, by their place from -1.3 to 1.3 scallop heights; blue turns to yellow at 1.
 COLOURS = [
     [0.0, '#7b1d12'], [0.35, '#d9583f'], [0.5, '#f7f7f7'], [0.75, '#4f93c9'],

@@ -26,10 +26,8 @@ from cnc_interp.settings.options import Settings
 
 Linking = Literal['zigzag', 'one-way']
 
-#: Gap between the mill and the part on a low link, as a share of the clearance.
-HOP = 0.25
-#: Smallest cosine between the tool axis and the direction of the safe level [-].
-UPRIGHT = 0.2
+HOP = 0.25  #: Gap between the mill and the part on a low link, as a share of the clearance.
+UPRIGHT = 0.2  #: Smallest cosine between the tool axis and the direction of the safe level [-].
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from cnc_interp.core.errors import InterpError
 
 #: What is translated, in the order of their calls.
 FUNCTIONS = ('gap', 'entry', 'entry_at', 'lowest', 'cut_roughly', 'cut_finely')
-#: Module constants that they use.
-CONSTANTS = ('DEPTH', 'TOP', 'SHORT')
+CONSTANTS = ('DEPTH', 'TOP', 'SHORT')  #: Module constants that they use.
 #: Types of their arguments.
 TYPES = {'float': 'wp.float64', 'int': 'wp.int32', 'FloatArray': 'wp.array2d(dtype=wp.float64)'}
 #: One thread: a needle and all pieces; ``cut_roughly`` and ``cut_finely`` take them in batches.

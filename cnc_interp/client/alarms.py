@@ -13,12 +13,9 @@ from threading import Lock
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-#: Number of alarms that are kept.
-KEPT = 200
-#: Number of earlier alarms that a new one is compared with.
-COMPARED = 8
-#: What several parts of the nodes tell within this time has one reason [s].
-TOGETHER = 5.0
+KEPT = 200  #: Number of alarms that are kept.
+COMPARED = 8  #: Number of earlier alarms that a new one is compared with.
+TOGETHER = 5.0  #: What several parts of the nodes tell within this time has one reason [s].
 #: A number of a text, not that of a word: M5 is not M6.
 NUMBER = re.compile(r'\b\d+(\.\d+)?')
 LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
@@ -41,8 +38,7 @@ class Alarm:
 
 
 class AlarmList:
-    """
-    The latest alarms; a repeated one is kept once, with its count.
+    """The latest alarms; a repeated one is kept once, with its count.
 
     ``clock``: returns a steady time [s].
     """

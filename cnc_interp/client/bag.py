@@ -133,8 +133,7 @@ class BagWriter:
                 self._fault = fault
 
     def close(self) -> None:
-        """
-        Write index and metadata.
+        """Write index and metadata.
 
         Raises OSError if this or a message could not be written: the disk is full.
         """
@@ -192,8 +191,7 @@ class SpooledMessages(Sequence[Any]):
 
 
 class Bag:
-    """
-    A bag being read.
+    """A bag being read.
 
     Raises InterpError if it cannot be read; also while reading.
     """
@@ -256,8 +254,7 @@ class Bag:
         return SpooledMessages(file, ends, lambda data: self.message(topic, data))
 
     def message(self, topic: str, data: bytes) -> Any:
-        """
-        Return a message.
+        """Return a message.
 
         Raises StreamError if its checksum is wrong. Raises InterpError if it is none of this
         topic.

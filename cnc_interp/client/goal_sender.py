@@ -1,5 +1,4 @@
-"""
-A program on its way to program_node: sent until it is answered, then followed to its end.
+"""A program on its way to program_node: sent until it is answered, then followed to its end.
 
 When program_node is killed and started again, DDS addresses the dead process for some twenty
 seconds. The goal is therefore sent again until an answer comes. It keeps its id, so it cannot run
@@ -16,8 +15,7 @@ from typing import Any
 from cnc_interp_msgs.action import RunProgram
 from unique_identifier_msgs.msg import UUID
 
-#: Time without an answer after which a goal is sent again [s].
-AGAIN = 1.0
+AGAIN = 1.0  #: Time without an answer after which a goal is sent again [s].
 #: Longest time between two questions for its result [s]: a node keeps it for ten seconds.
 SELDOM = 8.0
 
@@ -46,8 +44,7 @@ class SentProgram:
         self.feedback = message.feedback
 
     def follow(self) -> None:
-        """
-        Read an answer, or send the goal or the question for its result again. Call it repeatedly.
+        """Read an answer, or send the goal or the question for its result again; to be repeated.
 
         A second answer to the same goal says "not accepted", because the first one runs. So the
         first answer counts.

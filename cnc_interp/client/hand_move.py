@@ -20,14 +20,10 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
-#: Longest wait for the nodes [s].
-PATIENCE = 10.0
-#: Homing is not under way where the machine says so many times that it rests.
-CERTAIN = 20
-#: Letters of a pose: the tool tip in the workpiece, then the tool axis.
-POSE = 'XYZIJK'
-#: Nearer than this to its target, a move has arrived [m, rad].
-THERE = 1e-6
+PATIENCE = 10.0  #: Longest wait for the nodes [s].
+CERTAIN = 20  #: Homing is not under way where the machine says so many times that it rests.
+POSE = 'XYZIJK'  #: Letters of a pose: the tool tip in the workpiece, then the tool axis.
+THERE = 1e-6  #: Nearer than this to its target, a move has arrived [m, rad].
 
 
 @dataclass(frozen=True)
@@ -94,8 +90,7 @@ def await_machine(
 
 
 def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
-    """
-    Move axes of a running machine and wait for the end; Ctrl-C stops them.
+    """Move axes of a running machine and wait for the end; Ctrl-C stops them.
 
     Raises InterpError if no machine answers, or it refuses the move.
     """
@@ -118,8 +113,7 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """
-    Home axes of a running machine, all where none is named; Ctrl-C stops them.
+    """Home axes of a running machine, all where none is named; Ctrl-C stops them.
 
     Raises InterpError if no machine answers, or it refuses.
     """

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 
-#: Letters of linear axes; what other letters name is an angle.
-LINEAR = 'XYZUVW'
+LINEAR = 'XYZUVW'  #: Letters of linear axes; what other letters name is an angle.
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,8 @@ from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine, place_text
 
-#: Unit of the feedrate with G95, as it is shown [m].
-PER_TURN = 1e-3
-#: Lines that are remembered.
-MOST = 100
+PER_TURN = 1e-3  #: Unit of the feedrate with G95, as it is shown [m].
+MOST = 100  #: Lines that are remembered.
 
 
 class LineHistory:
@@ -75,8 +73,7 @@ class LineEnd:
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
-    """
-    Have lines executed one after the other until one is refused; Ctrl-C stops the motion.
+    """Have lines executed one after the other until one is refused; Ctrl-C stops the motion.
 
     Returns the end of each line; without lines, the modal state and the place. Raises InterpError
     if no nodes answer.

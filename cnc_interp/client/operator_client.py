@@ -47,10 +47,8 @@ OVERRIDES = ('feed_override', 'rapid_override')
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-#: Longest time until an override sent by this client is reported by the machine [s].
-ECHO = 10.0
-#: Longest wait for an event [s]. Commands of other threads are sent after it.
-SPIN = 0.01
+ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
+SPIN = 0.01  #: Longest wait for an event [s]. Commands of other threads are sent after it.
 
 
 @dataclass(frozen=True)
@@ -63,8 +61,7 @@ class Answer:
 
 
 class OperatorClient:
-    """
-    A ROS node of its own, served by ``serve`` or by a thread (``start``).
+    """A ROS node of its own, served by ``serve`` or by a thread (``start``).
 
     Commands may come from any thread.
 
@@ -223,8 +220,7 @@ class OperatorClient:
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
     ) -> SentProgram:
-        """
-        Send a program; it starts when those before it have ended.
+        """Send a program; it starts when those before it have ended.
 
         To be called in the thread that serves the node.
         """

@@ -1,5 +1,4 @@
-"""
-A request to a service that is sent again until it is answered.
+"""A request to a service that is sent again until it is answered.
 
 An answer can be lost: a node drops it if it has heard of the request before it knows where answers
 are read, as happens on a busy computer while both find each other. A node that was killed never

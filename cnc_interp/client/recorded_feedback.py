@@ -28,8 +28,7 @@ class RecordedFeedback:
 
 
 def recorded_feedback(bag: Bag) -> RecordedFeedback:
-    """
-    Read the last run in which the machine moved, its approach included.
+    """Read the last run in which the machine moved, its approach included.
 
     Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """

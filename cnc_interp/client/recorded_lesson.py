@@ -25,8 +25,7 @@ from cnc_interp.machine_model.machine import Machine
 
 #: States of a run that goes on without a stop.
 ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
-#: Parameters of the machine node that count.
-NAMES = ('machine', 'compensation', 'learnt')
+NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node that count.
 
 
 @dataclass(frozen=True)
@@ -40,8 +39,7 @@ class Lesson:
 
 
 def recorded_lesson(bag: Bag) -> Lesson:
-    """
-    Learn from the last run in a bag.
+    """Learn from the last run in a bag.
 
     Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
     in one piece.

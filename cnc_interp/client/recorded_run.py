@@ -31,8 +31,7 @@ from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.settings_messages import settings_of_block
 
-#: Segments taken over together.
-BATCH = 256
+BATCH = 256  #: Segments taken over together.
 #: Number of setpoints per grid point of the path, and shortest cell made in this way [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
@@ -69,8 +68,7 @@ class RecordedRun:
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """
-        Yield what was executed of the program; time counts from its start.
+        """Yield what was executed of the program; time counts from its start.
 
         The approach is left out, and the way by hand away from a hold and back.
 
@@ -85,8 +83,7 @@ class RecordedRun:
                 count += len(rows)
 
     def beside(self, machine: Machine) -> list[FloatArray]:
-        """
-        Return the executed positions beside the program: the approach, by hand and back.
+        """Return the executed positions beside the program: the approach, by hand and back.
 
         Returns (K, n_axes): each from rest to rest [m, rad].
         """
@@ -131,8 +128,7 @@ class RecordedRun:
                 yield path
 
     def start_row(self, machine: Machine, blocks: Blocks) -> int:
-        """
-        Return the row of ``blocks`` with which the run started; 1 for a run from the top.
+        """Return the row of ``blocks`` with which the run started; 1 for a run from the top.
 
         It is the row that begins nearest to the place on the path where the approach ended.
         """
@@ -154,8 +150,7 @@ class RecordedRun:
 
 
 def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
-    """
-    Find a run in a bag by its id, or the last one in which the machine moved.
+    """Find a run in a bag by its id, or the last one in which the machine moved.
 
     Raises InterpError if nothing was executed, or blocks or segments are missing.
     """
@@ -200,8 +195,7 @@ def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
 
 
 def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, Any]:
-    """
-    Write the plan files of a run: nothing is read, smoothed or planned again.
+    """Write the plan files of a run: nothing is read, smoothed or planned again.
 
     Blocks, path and setpoints are those of the wire. The feed of the path is that of the executed
     setpoints.

@@ -28,8 +28,7 @@ def run_recorded(
     children: Children,
     started: float,
 ) -> list[RunResult]:
-    """
-    Run programs, record them where that is asked for, and write the plan files of ``out``.
+    """Run programs, record them where that is asked for, and write the plan files of ``out``.
 
     A limit of the error at the tool is judged by the executed setpoints, so they are recorded.
     """

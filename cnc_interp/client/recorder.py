@@ -1,5 +1,4 @@
-"""
-Records the messages of a run into a bag, with the parameters of its nodes.
+"""Records the messages of a run into a bag, with the parameters of its nodes.
 
 Beginning and end of a recording are handshakes with every node, so the bag is whole:
 
@@ -46,8 +45,7 @@ NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[Any, int, int]]]]] = {
     'segments': ('segments', lambda m: [(one, one.sequence, 1) for one in m.segments]),
     'setpoints': ('setpoints', lambda m: [(m, m.first_sample, len(m.line_numbers))]),
 }
-#: Longest wait for the last messages [s].
-LAST_WAIT = 5.0
+LAST_WAIT = 5.0  #: Longest wait for the last messages [s].
 
 
 class StreamRecord:
@@ -105,8 +103,7 @@ class Recorder:
         self._streams = {topic: StreamRecord(topic) for topic in NUMBERED if topic in topics}
         self._state = b''  # the last one of the machine, serialised
         self._ended: Time | None = None  # when the nodes were asked first
-        #: Number of executed setpoints that the bag must hold.
-        self.wanted = 0
+        self.wanted = 0  #: Number of executed setpoints that the bag must hold.
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
         """Return the callback of a topic."""
@@ -189,8 +186,7 @@ class Recorder:
 
 
 def record(path: Path, namespace: str) -> int:
-    """
-    Record until Ctrl-C or SIGTERM; returns the number of messages.
+    """Record until Ctrl-C or SIGTERM; returns the number of messages.
 
     Raises InterpError if the bag cannot be made.
     """

@@ -74,8 +74,7 @@ class Comparison:
 
 
 def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
-    """
-    Compute the setpoints of all runs in a bag again from its blocks, and compare.
+    """Compute the setpoints of all runs in a bag again from its blocks, and compare.
 
     ``machine``: another machine than the bag names. Raises InterpError if blocks or setpoints are
     missing.
@@ -213,8 +212,7 @@ def _difference(samples: Setpoints, again: Setpoints) -> float:
 
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
-    """
-    Publish the machine's messages of a bag again, at their pace; return their number.
+    """Publish the machine's messages of a bag again, at their pace; return their number.
 
     ``rate``: times as fast as it was [-]; ``clock``: publish the time of the bag on ``/clock``,
     too.

@@ -39,12 +39,9 @@ STOP_TEXTS = {
 }
 #: Stops after which only the operator goes on.
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
-#: Silence after which a node counts as lost [s].
-SILENCE = 1.0
-#: Longest wait for the answers of the nodes to a recorder [s].
-RECORD_TIMEOUT = 10.0
-#: Longest wait for an event [s]. Signals and processes are checked after it.
-SPIN = 0.05
+SILENCE = 1.0  #: Silence after which a node counts as lost [s].
+RECORD_TIMEOUT = 10.0  #: Longest wait for the answers of the nodes to a recorder [s].
+SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
 
 class RunConsole:
@@ -75,8 +72,7 @@ class RunConsole:
         }
 
     def _interrupt(self, number: int, _frame: Any) -> None:
-        """
-        Take Ctrl-C, SIGTERM or SIGHUP: the first cancels the program, the second ends at once.
+        """Take Ctrl-C, SIGTERM or SIGHUP: the first cancels the program, the second ends at once.
 
         SIGHUP comes when the terminal is closed: nothing can be written to it any more.
         """
@@ -88,8 +84,7 @@ class RunConsole:
         self._interrupted = True
 
     def run(self, machine: Machine, started: float) -> list[RunResult]:
-        """
-        Run one program after the other, each to its end.
+        """Run one program after the other, each to its end.
 
         ``started``: when the command began, in monotonic time [s]. Raises InterpError when the
         first program was refused before anything moved, or a node ended.
@@ -146,8 +141,7 @@ class RunConsole:
         )
 
     def _wait_for_nodes(self) -> None:
-        """
-        Wait until program_node takes programs; it waits for the others while it checks one.
+        """Wait until program_node takes programs; it waits for the others while it checks one.
 
         A recorder must receive from all of them before anything moves.
         """

@@ -179,8 +179,7 @@ def underruns(count: int) -> str:
 def run_session(
     request: RunRequest, companion: Any = None, started: float | None = None
 ) -> list[RunResult]:
-    """
-    Start the nodes, run one or more programs through them, and end the nodes.
+    """Start the nodes, run one or more programs through them, and end the nodes.
 
     ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
     ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
@@ -233,8 +232,7 @@ def domain_of_nodes(domain: int | None) -> int:
 
 
 def check_place(namespace: str, domain: int) -> None:
-    """
-    Refuse a namespace or a domain that ROS 2 does not allow.
+    """Refuse a namespace or a domain that ROS 2 does not allow.
 
     Raises InterpError if one of them is wrong; the message says what is allowed.
     """

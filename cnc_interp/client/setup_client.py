@@ -23,8 +23,7 @@ SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch
 
 
 class SetupClient:
-    """
-    Hears the table of offsets and tools, and asks for changes.
+    """Hears the table of offsets and tools, and asks for changes.
 
     ``nodes``: the ROS node; not yet served by a thread; ``who``: name of this client in the log of
     changes.
@@ -32,8 +31,7 @@ class SetupClient:
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
-        #: The table as it was told last; None before.
-        self.table: SetupTable | None = None
+        self.table: SetupTable | None = None  #: The table as it was told last; None before.
         self.setup = JobSetup()
         nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
         self._clients = {
@@ -61,8 +59,7 @@ def of_axes(values: dict[str, float]) -> dict[str, Any]:
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
-    """
-    Return a work offset with its rotation R [m, rad].
+    """Return a work offset with its rotation R [m, rad].
 
     Where it has no value, it has the zero of the machine file.
     """
@@ -73,8 +70,7 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
 def work_coordinates(
     table: SetupTable, setup: JobSetup, positions: Any, name: str = '', tip: Any = None
 ) -> dict[str, float]:
-    """
-    Return what the coordinates read with a work offset, G92 and the tool in the spindle.
+    """Return what the coordinates read with a work offset, G92 and the tool in the spindle.
 
     ``positions``: positions of the axes of the machine [m, rad]; ``name``: the work offset; empty
     for the active one; ``tip``: the tool tip in W [m]: X Y Z are its coordinates, as with tool-tip

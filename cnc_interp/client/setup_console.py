@@ -12,13 +12,11 @@ from cnc_interp.client.setup_client import SetupClient, of_axes, offset_row, wor
 from cnc_interp.core.errors import InterpError
 from cnc_interp.program.job import ROTATION
 
-#: Longest wait for the nodes [s].
-PATIENCE = 10.0
+PATIENCE = 10.0  #: Longest wait for the nodes [s].
 
 
 class SetupConsole:
-    """
-    A connection to the table of running nodes.
+    """A connection to the table of running nodes.
 
     ``domain``: their ROS domain; None takes that of the environment. Raises InterpError if no
     program_node answers there.
@@ -44,8 +42,7 @@ class SetupConsole:
         return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
     def ask(self, service: str, **request: Any) -> str:
-        """
-        Change something; returns what was changed.
+        """Change something; returns what was changed.
 
         Raises InterpError if it is refused.
         """

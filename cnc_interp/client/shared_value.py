@@ -6,8 +6,7 @@ from collections import deque
 
 
 class SharedValue:
-    """
-    The last value heard on a topic, and the values sent from here that have not come back yet.
+    """The last value heard on a topic, and the values sent from here that have not come back yet.
 
     While a sent value is on its way, a value that is heard may be older. So the last value sent
     counts until it is heard, or until ``patience`` is over.
@@ -27,8 +26,7 @@ class SharedValue:
             self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """
-        Record a value that was received. Values sent before it will not be received any more.
+        """Record a value that was received. Values sent before it will not be received any more.
 
         A value that is heard again and again is news only the first time.
         """

@@ -165,8 +165,7 @@ def _simulate(options: argparse.Namespace) -> int:
     return simulate_motion(options)
 
 
-#: Longest time of a tile [s].
-LONGEST = 24.0 * HOUR
+LONGEST = 24.0 * HOUR  #: Longest time of a tile [s].
 
 
 def tile_workers(scheduler: str | None, workers: int) -> Any:

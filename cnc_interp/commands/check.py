@@ -92,8 +92,7 @@ def is_bag(path: Path) -> bool:
 def plan_files(
     path: Path, machine: str | None
 ) -> Iterator[tuple[Path, str | None, list[FloatArray]]]:
-    """
-    Yield a folder of plan files, the machine to use, and the motion beside the program.
+    """Yield a folder of plan files, the machine to use, and the motion beside the program.
 
     None means the machine that they name. For a bag, the plan files of its last run are written to
     a temporary folder; its motion beside the program is that of ``RecordedRun.beside``.

@@ -108,8 +108,7 @@ def drives_option(added: argparse.ArgumentParser) -> None:
 
 
 def drives(text: str) -> dict[str, str]:
-    """
-    Read the drives and their parameters, as parameters of the machine node.
+    """Read the drives and their parameters, as parameters of the machine node.
 
     Examples
     --------

@@ -19,8 +19,7 @@ from cnc_interp.settings.command_line import settings_from
 if TYPE_CHECKING:
     from cnc_interp.machine_model.machine import Machine
 
-#: Largest width of a drawing in text [characters].
-WIDEST = 100
+WIDEST = 100  #: Largest width of a drawing in text [characters].
 
 
 def add_plan_command(commands: Any) -> None:

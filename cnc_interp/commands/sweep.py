@@ -15,8 +15,7 @@ from cnc_interp.commands.parser import FAILED, FINE, command, count, option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 
-#: Most reasons why points do not move that are printed; the page has all.
-FAULTS = 5
+FAULTS = 5  #: Most reasons why points do not move that are printed; the page has all.
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:

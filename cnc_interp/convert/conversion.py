@@ -1,5 +1,4 @@
-"""
-A part program in another dialect: ``cnc-interp convert``.
+"""A part program in another dialect: ``cnc-interp convert``.
 
 ``gcode`` and ``cl`` write the blocks of the program, with native splines as chords.
 ``siemens-bspline`` writes the smooth path of the look-ahead as lines and pairs of cubic B-splines.
@@ -37,12 +36,9 @@ from cnc_interp.smoothing.segments import ROTATION
 
 #: Share of the tolerances for chords of native splines and of linear rotary axes.
 CHORD_SHARE = 0.1
-#: Tips closer than this are equal [m].
-SAME_POINT = 1e-9
-#: Tool axes closer than this are equal [-].
-SAME_AXIS = 1e-9
-#: Smallest deviation that is stated; smaller ones are rounding [m].
-ROUNDING = 1e-13
+SAME_POINT = 1e-9  #: Tips closer than this are equal [m].
+SAME_AXIS = 1e-9  #: Tool axes closer than this are equal [-].
+ROUNDING = 1e-13  #: Smallest deviation that is stated; smaller ones are rounding [m].
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,7 @@ def convert(
     program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float,
     slide: bool = False,
 ) -> Converted:  # fmt: skip
-    """
-    Write a program in another dialect.
+    """Write a program in another dialect.
 
     ``machine``: the machine that gives rotary words their meaning; ``settings``: flank height, and
     the rounding of corners for ``siemens-bspline``; ``fit_tolerance``: largest distance of cubic

@@ -1,5 +1,4 @@
-"""
-Native curves joined by parametrization splines [B2013, section 2.6], for ``cnc-interp convert``.
+"""Native curves joined by parametrization splines [B2013, section 2.6], for ``convert``.
 
 Both curves of a program stay as they are. Only the tool axis slides along the top curve, so that
 it continues the line or curve beside it. ``smoothing/native/linking.py`` has the mathematics.
@@ -21,8 +20,7 @@ from cnc_interp.smoothing.native.joining import Jets, joins_gently, line_between
 from cnc_interp.smoothing.native.linking import Linked, linked
 from cnc_interp.smoothing.orientation import norm
 
-#: Points at which the slide of the tool axis is measured.
-PROBES = 501
+PROBES = 501  #: Points at which the slide of the tool axis is measured.
 
 
 def portions(blocks: Blocks) -> list[tuple[int, int]]:

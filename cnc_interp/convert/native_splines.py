@@ -17,8 +17,7 @@ from cnc_interp.smoothing.native.joining import Jets, line_jets
 from cnc_interp.smoothing.orientation import dot, norm, turned_by
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
-#: Second points closer than this are equal [m].
-SAME_POINT = 1e-9
+SAME_POINT = 1e-9  #: Second points closer than this are equal [m].
 
 
 class SplineMoves:

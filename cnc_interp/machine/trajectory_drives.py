@@ -1,5 +1,4 @@
-"""
-Drives behind a controller that executes trajectories: joint_trajectory_controller of ros2_control.
+"""Drives behind joint_trajectory_controller of ros2_control, which executes trajectories.
 
 The controller executes what the cycle plays a fixed time later, the delay. Each trajectory covers
 what it still has to execute of the played setpoints, and after them the way to rest. The

@@ -29,8 +29,7 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
 FORGOTTEN = 1.0  #: A machine that has left its run for so long was reset or started again [s].
-#: Within this, the machine stands where a line by hand starts [m, rad].
-SAME = 1e-9
+SAME = 1e-9  #: Within this, the machine stands where a line by hand starts [m, rad].
 #: Place of a start at the line of the first motion [m]: above 0, for it waits like any other.
 FIRST_MOTION = 5e-14
 MACHINE = RECEIVERS['setpoints']

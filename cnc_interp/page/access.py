@@ -12,8 +12,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 
-#: Room for what a form adds to a file [bytes].
-FORM = 1 << 16
+FORM = 1 << 16  #: Room for what a form adds to a file [bytes].
 
 
 class Gate:
@@ -44,8 +43,7 @@ class Gate:
 
 
 def names_this_host(header: str, host: str) -> bool:
-    """
-    Tell whether the Host header is an address, ``localhost`` or the name of the server.
+    """Tell whether the Host header is an address, ``localhost`` or the name of the server.
 
     Another name may have been pointed to this computer by an attacker, whose page would then be of
     the same origin as this one. An address cannot.
@@ -61,8 +59,7 @@ def names_this_host(header: str, host: str) -> bool:
 
 
 class Access:
-    """
-    The token, and which page is in charge.
+    """The token, and which page is in charge.
 
     Pages are told apart by their browser tab, so a refreshed page stays in charge; when the tab is
     closed they are free. Any page with the token may take them over, and may always stop the

@@ -17,8 +17,7 @@ INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
 #: Colours of the axes in order. They repeat if a machine has more axes.
 AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0', '#c9b458')
-#: The charts show values as shares of their limit.
-KINDS = ('velocity', 'acceleration', 'jerk')
+KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
 #: Limits on straight lines and rapids are far above the rest: the chart ends this much above
 #: the feed and what is mostly programmed.
 HEADROOM = 1.5

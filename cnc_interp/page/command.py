@@ -34,12 +34,9 @@ if TYPE_CHECKING:
 PARENT = 'CNC_INTERP_PARENT'
 #: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
 SHORTEST_TOKEN = 16
-#: Longest one [bytes].
-LONGEST_TOKEN = 1000
-#: How long the page may take to end [s].
-LAST_WAIT = 5.0
-#: Time between looks at the nodes beside the page [s].
-WATCH_NODES = 0.5
+LONGEST_TOKEN = 1000  #: Longest one [bytes].
+LAST_WAIT = 5.0  #: How long the page may take to end [s].
+WATCH_NODES = 0.5  #: Time between looks at the nodes beside the page [s].
 
 
 def run_panel(options: Namespace) -> None:
@@ -77,8 +74,7 @@ def run_panel(options: Namespace) -> None:
 
 
 class NodeWatch:
-    """
-    Watches the nodes beside the page, in a thread.
+    """Watches the nodes beside the page, in a thread.
 
     Nodes that were killed are started again. One that ended by itself cannot work here, so the
     page ends, and leaving the context raises InterpError with the node's last words.

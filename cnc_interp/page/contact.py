@@ -1,5 +1,4 @@
-"""
-Contact with a page: no stop is lost on the way, nothing else is done that was asked for long ago.
+"""Contact with a page: no stop is lost on the way, and nothing else is done late.
 
 What is sent into a connection that breaks is gone; what waits for the next one comes late. So a
 stop is sent by the page until it is answered (``contact.js``), and everything else is done only
@@ -32,14 +31,12 @@ Command = Callable[[Act], Awaitable[None]]
 #: What the page says when it heard nothing for a while, and a key did nothing.
 INTERRUPTED = 'the connection was interrupted'
 AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
-#: What a page says that does not command.
-VIEW_ONLY = 'view only: press "take over" first'
+VIEW_ONLY = 'view only: press "take over" first'  #: What a page says that does not command.
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
 #: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].
 BEHIND = 1.5
-#: Answers to older beats do not count any more.
-REMEMBERED = round(2 * LATE / BEAT)
+REMEMBERED = round(2 * LATE / BEAT)  #: Answers to older beats do not count any more.
 
 
 class Contact:

@@ -30,12 +30,9 @@ from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.settings_messages import goal_of, settings_from
 
-#: History that the charts show, and the rate it is kept at [s].
-SPAN, STEP = 30.0, 0.1
-#: The code of tool-tip programming (TCP) in the modal state.
-TIP_CODE = 'TRAORI'
-#: Larger programs are not taken from a browser [bytes].
-LONGEST_PROGRAM = 64 << 20
+SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
+TIP_CODE = 'TRAORI'  #: The code of tool-tip programming (TCP) in the modal state.
+LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
 
 
 def in_program(state: MachineState | None) -> bool:

@@ -71,8 +71,7 @@ class SettingsDialog:
         self._dialog = ui.dialog()
 
     def open(self, settings: Settings) -> None:
-        """
-        Show settings to be changed.
+        """Show settings to be changed.
 
         The fields are made anew: values set from here into old ones come a moment after the dialog
         is seen, and would overwrite what was typed at once.

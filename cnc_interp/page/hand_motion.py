@@ -1,5 +1,4 @@
-"""
-Motion by hand on a page: keys that move an axis while they are held, or by steps.
+"""Motion by hand on a page: keys that move an axis while they are held, or by steps.
 
 The browser repeats a beat while a key is held (``hand_motion.js``), and each one becomes a beat of
 topic ``jog``. It names the last beat of the server that the page has heard. So a beat that was on
@@ -33,20 +32,13 @@ ARROWS = {
     'ArrowLeft': ('X', -1), 'ArrowRight': ('X', 1), 'ArrowDown': ('Y', -1), 'ArrowUp': ('Y', 1),
     'PageDown': ('Z', -1), 'PageUp': ('Z', 1),
 }  # fmt: skip
-#: Axes whose keys form a cross, with those of Z beside it.
-CROSS = 'XYZ'
-#: Name of the motion along the tool among the axes.
-TOOL = 'tool'
-#: In the place of a step: the axis moves while its key is held.
-HOLD = 'hold'
-#: The speed at first, counted from the slowest.
-SPEED = 1
-#: An axis nearer than this to the end of its travel is there [m, rad].
-AT_END = 1e-6
-#: A beat that names an older beat of the server was on its way for too long [s].
-STALE = 1.2
-#: Where messages of motion by hand come from.
-ALARMS = 'machine_node: jog'
+CROSS = 'XYZ'  #: Axes whose keys form a cross, with those of Z beside it.
+TOOL = 'tool'  #: Name of the motion along the tool among the axes.
+HOLD = 'hold'  #: In the place of a step: the axis moves while its key is held.
+SPEED = 1  #: The speed at first, counted from the slowest.
+AT_END = 1e-6  #: An axis nearer than this to the end of its travel is there [m, rad].
+STALE = 1.2  #: A beat that names an older beat of the server was on its way for too long [s].
+ALARMS = 'machine_node: jog'  #: Where messages of motion by hand come from.
 #: What the page says where a held key was let go by something else than its user.
 LOST = 'the window or the pointer was lost: look at the machine, then press again'
 

@@ -9,10 +9,8 @@ from nicegui import events, ui
 
 from cnc_interp.page.contact import key
 
-#: Largest override, and the step of its keys [%].
-MOST, STEP = 150, 5
-#: Keys of the rapid override [%].
-RAPIDS = (25, 50, 100)
+MOST, STEP = 150, 5  #: Largest override, and the step of its keys [%].
+RAPIDS = (25, 50, 100)  #: Keys of the rapid override [%].
 
 
 class HeldSlider(ui.slider):
@@ -51,8 +49,7 @@ class OverrideSlider:
         self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
-        """
-        Set the override where the user has moved the slider.
+        """Set the override where the user has moved the slider.
 
         The slider already shows what was asked for here. Only changes by others move it.
         """

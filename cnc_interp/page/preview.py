@@ -1,5 +1,4 @@
-"""
-A program planned beside the machine: its path, feeds and times, and the proof.
+"""A program planned beside the machine: its path, feeds and times, and the proof.
 
 The same commands that a user gives (`plan`, `check`) run as processes of lower priority than the
 nodes, and their one line of complaint is what the operator reads.
@@ -30,14 +29,10 @@ from cnc_interp.run.plan_figures import bound_text
 from cnc_interp.settings.command_line import command_words
 from cnc_interp.settings.options import Settings
 
-#: Largest number of points drawn.
-DRAWN = 20000
-#: A line of progress of a command.
-PROGRESS = re.compile(r'\w+ \d+%.*')
-#: A line about the program.
-NOTE = re.compile(r'note: |line \d+: .*' + WARNING)
-#: Niceness of the planning process: lower priority than the nodes.
-NICENESS = 5
+DRAWN = 20000  #: Largest number of points drawn.
+PROGRESS = re.compile(r'\w+ \d+%.*')  #: A line of progress of a command.
+NOTE = re.compile(r'note: |line \d+: .*' + WARNING)  #: A line about the program.
+NICENESS = 5  #: Niceness of the planning process: lower priority than the nodes.
 
 
 @dataclass(frozen=True)
@@ -152,8 +147,7 @@ class Planner:
         see_progress: Callable[[str], None],
         setup: str = '',
     ) -> Preview:
-        """
-        Plan a program that ``keep`` has written, with the text of a setup file.
+        """Plan a program that ``keep`` has written, with the text of a setup file.
 
         Raises InterpError with what `cnc-interp plan` says, one reason in a line.
         """

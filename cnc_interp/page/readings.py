@@ -89,8 +89,7 @@ def progress_words(
     state: MachineState, plan: Preview | None, override: float, start: float = 0.0,
     unit: LengthUnit = MILLIMETRES,
 ) -> dict[str, str]:  # fmt: skip
-    """
-    Return line, progress and times; the time left assumes the override to stay.
+    """Return line, progress and times; the time left assumes the override to stay.
 
     Before the run is on the program, at a path length below 0, it is at the start of the run.
     """
@@ -150,10 +149,8 @@ def history_text(alarms: list[Alarm]) -> str:
     )
 
 
-#: Messages by weight: what needs hands stands first.
-WEIGHTS = ('error', 'warning', 'notice')
-#: Messages shown beside the program.
-SHOWN = 30
+WEIGHTS = ('error', 'warning', 'notice')  #: Messages by weight: what needs hands stands first.
+SHOWN = 30  #: Messages shown beside the program.
 
 
 class Messages:

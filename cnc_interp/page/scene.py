@@ -25,8 +25,7 @@ from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import Way
 
 SIDES = 5
-#: Triangles between two neighbouring points.
-FACES = 2 * SIDES
+FACES = 2 * SIDES  #: Triangles between two neighbouring points.
 #: What is not drawn changes the course by less than this share of the radius, and red, green
 #: and blue by less than this share of full.
 UNSEEN, INDISTINCT = 0.25, 0.04
@@ -58,8 +57,7 @@ def tube(
 
 
 def thinned(points: FloatArray) -> Any:
-    """
-    Choose rows of a polyline so that no other row is farther than 1 from the chord over it.
+    """Choose rows of a polyline so that no other row is farther than 1 from the chord over it.
 
     Douglas and Peucker's way, in any number of dimensions; both ends are chosen.
     """

@@ -28,8 +28,7 @@ from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
 from cnc_interp.page.operator_page import Page
 from cnc_interp.processes.stop_signals import stops_later
 
-#: Where our own code is.
-PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
@@ -55,8 +54,7 @@ def _text(name: str, values: Mapping[str, Any]) -> str:
 
 
 STYLE = Path(__file__).with_name('style.css')
-#: How often the desk looks after programs and the machine's name [s].
-WATCH = 0.2
+WATCH = 0.2  #: How often the desk looks after programs and the machine's name [s].
 #: A page whose connection was interrupted finds its place again within this time [s].
 RECONNECT = 20.0
 PORTS = range(65536)

@@ -14,8 +14,7 @@ from cnc_interp.run.start_place import way_inside
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.settings_messages import settings_from
 
-#: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.
-POINTS = 25
+POINTS = 25  #: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.
 #: Parts of the way, and the corner of ``way_inside`` at which each ends.
 LEGS = (('1 retract', 1), ('2 position', 3), ('3 plunge', 4))
 #: Why a machine waits before it takes the way.

@@ -1,5 +1,4 @@
-"""
-The classical iso-scallop path, for comparison: the angles are constant, the passes are free.
+"""The classical iso-scallop path, for comparison: the angles are constant, the passes are free.
 
 Every pass follows from the scallop of the previous pass [TL2008, 1]. Stage 1 is that of the
 parallel planes. Then the guided point moves over the guiding surface until the mill, with its
@@ -27,15 +26,12 @@ from cnc_interp.cam.vectors import cross, dot, norm, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM, UM
 
-#: Distance of the points of a pass [m].
-SPACING = 0.8 * MM
-#: Largest residual of the conditions [m].
-CLOSE = 1e-10
+SPACING = 0.8 * MM  #: Distance of the points of a pass [m].
+CLOSE = 1e-10  #: Largest residual of the conditions [m].
 #: Largest Newton step [m].
 FARTHEST = 1.0 * MM
 MOST_PASSES = 2000
-#: Number of times that the feed direction is taken from the pass itself.
-SWEEPS = 2
+SWEEPS = 2  #: Number of times that the feed direction is taken from the pass itself.
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,4 @@
-"""
-The parametrization of a corner by the method of the paper [B2013, section 3.3], to compare with.
+"""The parametrization of a corner as in the paper [B2013, section 3.3], to compare with.
 
 The first and last three values of f are found one after the other by Newton's method on the
 discrete third derivative of the axis (Eq. 11). A cubic spline joins them.
@@ -47,8 +46,7 @@ def spans(curves: Curves, axes: FloatArray, rates: FloatArray) -> FloatArray:
 def _first_values(
     bottom: FloatArray, top: FloatArray, axis: FloatArray, rate: FloatArray
 ) -> FloatArray:
-    """
-    Return the first three values of u_top [B2013, section 3.3, Eq. 11], shape (3, n).
+    """Return the first three values of u_top [B2013, section 3.3, Eq. 11], shape (3, n).
 
     The bottom points are ``STEP`` apart in u; before the corner the axis is that of the line.
     Gauss-Newton converges fast, because the third difference is almost linear in u_top.

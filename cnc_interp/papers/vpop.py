@@ -1,5 +1,4 @@
-"""
-VPOp: the motion law by steps forward in time, after [B2012]; offline, to compare with.
+"""VPOp: the motion law by steps forward in time, after [B2012]; offline, to compare with.
 
 Each step (``vpop_steps.py``) takes the largest jerk that all axes allow. If they allow none, the
 motion came too fast. Then the law goes back to an earlier step, brakes with the lowest j, and goes
@@ -45,20 +44,15 @@ from cnc_interp.papers.vpop_steps import (
     go_forward,
 )
 
-#: Number of steps by which a difficult place must be passed.
-MARGIN = 8.0
-#: Number of speeds that are tried by bisection at one place.
-SPEEDS = 12
-#: Growth of the number of steps by which the law goes back in a search [-].
-GROWTH = 1.5
+MARGIN = 8.0  #: Number of steps by which a difficult place must be passed.
+SPEEDS = 12  #: Number of speeds that are tried by bisection at one place.
+GROWTH = 1.5  #: Growth of the number of steps by which the law goes back in a search [-].
 #: Largest number of steps from the beginning of braking until a place is passed.
 LONGEST_SEARCH = 8192
-#: Largest number of steps in one stretch.
-MOST_STEPS = 4_000_000
+MOST_STEPS = 4_000_000  #: Largest number of steps in one stretch.
 #: Jerk of the last part before rest, relative to a straight line; tried in this order [-].
 RELEASES = (0.995, 0.97, 0.93, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
-#: Largest accepted distance between the rest and the end of the path [m].
-LANDED = 1e-13
+LANDED = 1e-13  #: Largest accepted distance between the rest and the end of the path [m].
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -71,8 +65,7 @@ def _from(state: FloatArray, rows: FloatArray) -> FloatArray:
 def _touch(
     curve: Curve, state: FloatArray, passed: float, down: FloatArray, up: FloatArray
 ) -> tuple[float, int, bool]:
-    """
-    Brake from a state; find the first step from which the largest j passes a place.
+    """Brake from a state; find the first step from which the largest j passes a place.
 
     Returns the lowest speed (0: nothing passes), the braking steps, and whether braking alone
     ends before the place.

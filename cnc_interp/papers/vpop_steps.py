@@ -1,5 +1,4 @@
-"""
-Steps forward in time: the kernels below VPOp (``vpop.py``).
+"""Steps forward in time: the kernels below VPOp (``vpop.py``).
 
 At each state (v, a) = (s_dot, s_ddot) every axis leaves an interval of j = s_dddot:
 
@@ -26,10 +25,8 @@ from cnc_interp.kinematics.axis_path import septic_value
 Curve: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]
 #: Part of velocity, feed, and acceleration and jerk limits that the steps leave free [-].
 SLACK_SPEED, SLACK_FEED, SLACK = 2e-4, 2e-5, 1e-3
-#: Largest number of corrections of j in one step.
-ROUNDS = 5
-#: Jerk with which a speed is approached, relative to what the axes leave [-].
-EASE = 0.9
+ROUNDS = 5  #: Largest number of corrections of j in one step.
+EASE = 0.9  #: Jerk with which a speed is approached, relative to what the axes leave [-].
 #: Longest step near rest, relative to the time in which the jerk reaches the speed [-].
 SHARE = 0.1
 
@@ -93,8 +90,7 @@ def _last_a(room: float, jerk: float, t: float, otherwise: float) -> float:
 def go_forward(
     curve: Curve, rows: FloatArray, target: float, release: float, passed: float, margin: float
 ) -> tuple[int, int]:
-    """
-    Go forward from the state in row 0; return what ended it, and the number of steps.
+    """Go forward from the state in row 0; return what ended it, and the number of steps.
 
     Above the speed ``target`` j is the lowest one, below it the largest one. With ``release`` j is
     the lowest one down to rest. It ends ``margin`` steps after the position ``passed``, without a

@@ -13,8 +13,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MINUTE
 
-#: In place of a motion code, a feed or a state: there is none.
-NONE = -1.0
+NONE = -1.0  #: In place of a motion code, a feed or a state: there is none.
 #: More states, or more changes of state, motion code and feed, are not kept.
 MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 
@@ -50,8 +49,7 @@ def modes_without_motion(
 
 
 class ModesOfBlocks:
-    """
-    The modal states of a program: each one once, and the blocks at which they change.
+    """The modal states of a program: each one once, and the blocks at which they change.
 
     A program with very many changes is followed up to the last one that is kept. Then nothing is
     known, so that the memory is bounded.

@@ -1,5 +1,4 @@
-"""
-Arcs and helices of G2 and G3, for many blocks at once.
+"""Arcs and helices of G2 and G3, for many blocks at once.
 
 An arc has a centre c, a unit normal n and a sweep (positive: counter-clockwise about the normal).
 With the vector v from the centre to the start and the distance r from the axis, its point at u is
@@ -28,8 +27,7 @@ SHORTAGE, SHORTAGE_MOST = 0.0127 * MM, 0.5 * MM
 #: A larger difference is told [m].
 TOLD = 0.0127 * MM
 _SAME_POINT = 1e-12
-#: A centre farther away than this is an error of the program [m].
-_FARTHEST_CENTRE = 1e6
+_FARTHEST_CENTRE = 1e6  #: A centre farther away than this is an error of the program [m].
 
 
 @dataclass(frozen=True)

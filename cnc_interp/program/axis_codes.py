@@ -15,13 +15,11 @@ from cnc_interp.program.motion import Mover
 from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.program.words import BlockWords
 
-#: Largest rotation of a work offset [deg].
-MOST_ANGLE = 3600.0
+MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].
 
 
 class AxisCodes:
-    """
-    The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
+    """The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
 
     All but G52 change the setup, which outlives the program on the machine.
     """
@@ -108,8 +106,7 @@ class AxisCodes:
         mover.change(mover.frames.work_change(int(index), given, here, angle))
 
     def _write_tool(self, kind: int, number: float, words: BlockWords) -> None:
-        """
-        Process G10 L1, L10 and L11: set the length (Z) and the radius (R) of a tool.
+        """Process G10 L1, L10 and L11: set the length (Z) and the radius (R) of a tool.
 
         L1 gives the length. L10 gives the coordinate that Z reads here once the tool is taken by
         G43; L11 the same in G59.3, without G92.

@@ -10,8 +10,7 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 
-#: Values of ``Blocks.program_stop``: continue, M0, M1.
-GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2
+GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
 #: Values of ``Blocks.corner``: whether a stop is faster is tried, or known.
 OPEN_CORNER, ROUND_CORNER, STOP_CORNER = 0, 1, 2
 #: Values of ``Blocks.interpolation``: what runs linearly in a block.
@@ -19,8 +18,7 @@ POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 
 
 class Blocks(Table):
-    """
-    The blocks of a part program in order; row 0 is the start pose.
+    """The blocks of a part program in order; row 0 is the start pose.
 
     ``interpolation`` says what a linear row interpolates. POSES: the tool tip moves on a straight
     line to the end pose, and the tool axis turns on the great circle between both orientations
@@ -42,8 +40,7 @@ class Blocks(Table):
     #: Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is
     #: given.
     feedrate: FloatArray = column()
-    #: Programmed duration (inverse-time feed, G93) [s], else NaN.
-    duration: FloatArray = column()
+    duration: FloatArray = column()  #: Programmed duration (inverse-time feed, G93) [s], else NaN.
     rapid: BoolArray = column()  #: Whether the block is a rapid (G0).
     #: Whether the tool rests at the end of the block (G61, M0, program end).
     exact_stop: BoolArray = column()
@@ -63,8 +60,7 @@ class Blocks(Table):
     #: Positions of the k extra axes of the machine (U V W) at the end of the block [m]. They run
     #: linearly with the tip.
     extra: FloatArray = column('k', default=0.0)
-    #: POSES, ROTARY_LINEAR or AXES_LINEAR.
-    interpolation: IntArray = column(default=POSES)
+    interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
     #: about the resting tip [rad], else NaN.
     rotary_from: FloatArray = column(2, default=nan)
@@ -84,8 +80,7 @@ class Blocks(Table):
 
 
 class BlockSpool:
-    """
-    A program of any length in a temporary file, with length and slices like ``Blocks``.
+    """A program of any length in a temporary file, with length and slices like ``Blocks``.
 
     The file has no name. It lies in the system folder for temporary files (``TMPDIR``) and
     vanishes with the process.

@@ -1,5 +1,4 @@
-"""
-Drilling cycles of CL data, as NX, SolidWorks, CATIA and Creo write them.
+"""Drilling cycles of CL data, as NX, SolidWorks, CATIA and Creo write them.
 
 ``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at each of the next GOTO points, until
 ``CYCLE/OFF``: a rapid to r and to c above the point along the tool axis, feed f to d below it, and

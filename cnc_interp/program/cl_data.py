@@ -1,5 +1,4 @@
-"""
-CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors.
+"""CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors.
 
 A statement is a major word, a slash and minor words. ``$`` at the end of a line continues the
 statement, ``$$`` begins a comment. The tool axis turns on the great circle between two points.
@@ -49,8 +48,7 @@ _UNENDED = '$'
 _NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'
 
 
-#: Directions with a smaller difference are equal [rad].
-_SAME_ANGLE = 1e-9
+_SAME_ANGLE = 1e-9  #: Directions with a smaller difference are equal [rad].
 
 
 @dataclass

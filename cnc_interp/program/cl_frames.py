@@ -1,5 +1,4 @@
-"""
-Frames of CL data: coordinate systems, TRACUT and COPY.
+"""Frames of CL data: coordinate systems, TRACUT and COPY.
 
 The points after MSYS (NX: origin, X, Y) or CSYS (three rows of four numbers, or X, Y, Z and the
 origin) lie in that system. The first one is that of the workpiece; others are taken into it.
@@ -19,11 +18,9 @@ from cnc_interp.program.frames import rotation
 #: How far the axes of a system may be from right angles [-].
 _ROUNDED = 1e-4
 _COPY = re.compile(r'(\d+)\s*(?:,\s*(SAME|TRANSL|XYROT|YZROT|ZXROT)\s*((?:,\s*[-+.\dE]+\s*)*))?')
-#: A part of a program is copied at most so many times.
-_MOST_COPIES = 10_000
+_MOST_COPIES = 10_000  #: A part of a program is copied at most so many times.
 
-#: A system that moves nothing.
-IDENTITY = '1,0,0,0,0,1,0,0,0,0,1,0'
+IDENTITY = '1,0,0,0,0,1,0,0,0,0,1,0'  #: A system that moves nothing.
 
 
 def system_of(numbers: Sequence[float]) -> tuple[FloatArray, FloatArray] | None:

@@ -17,8 +17,7 @@ HARMLESS = {
     'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
     'SETUP', 'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TRNTYP', 'TURRET',
 }  # fmt: skip
-#: Words with this beginning are information of a CAM system.
-INFORMATION = 'CSI_'
+INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM system.
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
 OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.

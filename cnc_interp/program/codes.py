@@ -102,8 +102,7 @@ NOT_BESIDE_CONTOUR = (
 )  # fmt: skip
 #: Switches of a control's look-ahead, and their words: G05 P10000, G05.1 Q1, G08 P1.
 LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
-#: With these letters, a code of ``LOOK_AHEAD`` is a spline.
-SPLINE_LETTERS = frozenset('XYZIJ')
+SPLINE_LETTERS = frozenset('XYZIJ')  #: With these letters, a code of ``LOOK_AHEAD`` is a spline.
 
 _LINEAR = 'post the program with linear moves'
 _FRAME = 'changing the coordinate system is not supported this way; post in one workpiece frame'

@@ -1,5 +1,4 @@
-"""
-Cutter compensation in space: from contact points and surface normals to the tip of the tool.
+"""Cutter compensation in space: from contact points and surface normals to the tip of the tool.
 
 The cutter has a corner of radius r on a circle of radius R about its axis: R is 0 for a ball, r is
 0 for a flat end. It touches the surface at c. With the unit normal n, which points away from the
@@ -25,12 +24,9 @@ from cnc_interp.program.words import BlockWords
 #: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second
 #: value the side on which the tool touches is not sure.
 PARALLEL, UNSURE = 1e-6, 1e-3
-#: A normal may point down the tool by this cosine, because programs round.
-ROUNDED = 1e-4
-#: The flank of the tool touches if the cosine of normal and tool axis is less.
-FLANK = 1e-3
-#: A shorter way between two contact points has no direction [m].
-SHORTEST = 1e-9
+ROUNDED = 1e-4  #: A normal may point down the tool by this cosine, because programs round.
+FLANK = 1e-3  #: The flank of the tool touches if the cosine of normal and tool axis is less.
+SHORTEST = 1e-9  #: A shorter way between two contact points has no direction [m].
 #: Words of the normal, and a shorter one has no direction [-].
 NORMAL_WORDS, SMALLEST = ('A5', 'B5', 'C5'), 1e-6
 _NO_FIT = 'the cutter does not fit in here; take a smaller tool'

@@ -1,5 +1,4 @@
-"""
-Rounded and chamfered corners between two lines: RND, RNDM, CHR and CHF of Siemens and Heidenhain.
+"""Rounded and chamfered corners of lines: RND, RNDM, CHR, CHF of Siemens and Heidenhain.
 
 The line before a corner waits until the next one is known. Both are shortened, and an arc or a
 line joins them.
@@ -34,8 +33,7 @@ class Corner:
         self, here: FloatArray, corner: FloatArray, after: FloatArray, frame: FloatArray,
         fault: Fault,
     ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:  # fmt: skip
-        """
-        Return where the first line ends, where the second begins, and the arc between [m].
+        """Return where the first line ends, where the second begins, and the arc between [m].
 
         The columns of ``frame`` (3, 3) are both axes of the plane and its normal. None where a
         modal rounding has no corner.

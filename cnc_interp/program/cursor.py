@@ -1,5 +1,4 @@
-"""
-The position of the reader in a program: its line, and the active subprogram calls.
+"""The position of the reader in a program: its line, and the active subprogram calls.
 
 Backward jumps and calls are counted, so that an endless program is refused.
 """

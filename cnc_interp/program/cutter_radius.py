@@ -1,5 +1,4 @@
-"""
-Cutter radius compensation: from the contour of the part to the path of the tool centre.
+"""Cutter radius compensation: from the contour of the part to the path of the tool centre.
 
 G41 keeps the tool to the left of the contour, G42 to the right, at the distance of its radius. In
 the plane of the contour each element is offset by d (left is positive): a line along its normal,
@@ -28,8 +27,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MM
 from cnc_interp.program import target_row as col
 
-#: Two elements meet without a corner if their directions differ by less [rad].
-SMOOTH = 1e-6
+SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ by less [rad].
 #: An element that is shorter is none [m]. Rounding of intersections [m].
 SHORTEST, ROUNDING = 1e-9, 1e-9
 #: A cutter can touch the contour again within so many elements; more are not compared.
@@ -43,8 +41,7 @@ SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _NO_FIT = 'the cutter does not fit in here; take a smaller radius, or round the contour'
 
 
-#: Takes what is told instead of refused.
-Told = Callable[[ProgramError], None]
+Told = Callable[[ProgramError], None]  #: Takes what is told instead of refused.
 
 
 @dataclass(frozen=True)
@@ -372,8 +369,7 @@ class CutterRadius:
                 self._check(part.distance(element.at(share)), row, other, number)
 
     def _check(self, distance: float, row: FloatArray, one: int, other: int) -> None:
-        """
-        Raise if the tool centre is nearer to the contour than its radius and the tolerance.
+        """Raise if the tool centre is nearer to the contour than its radius and the tolerance.
 
         What may be a lead, before or after a closed contour, is judged when that is known.
         """

@@ -1,5 +1,4 @@
-"""
-Canned cycles: drilling, tapping and boring as rapid and feed moves.
+"""Canned cycles: drilling, tapping and boring as rapid and feed moves.
 
 G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
 G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. G76 and G87
@@ -52,8 +51,7 @@ class Hole:
     waits: bool = False  #: Whether an operator retracts the tool.
     out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
     shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
-    #: Feed out of the hole [m/s]; None: that into it.
-    feed_out: float | None = None
+    feed_out: float | None = None  #: Feed out of the hole [m/s]; None: that into it.
 
 
 def go_along(

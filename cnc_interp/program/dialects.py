@@ -1,5 +1,4 @@
-"""
-Dialects: the form of a text, and what its words mean where controls differ.
+"""Dialects: the form of a text, and what its words mean where controls differ.
 
 A profile is declared once for each control. It is chosen by ``--dialect``, else recognised from
 words that only one control has, else from the suffix of the file. A text that shows nothing, or

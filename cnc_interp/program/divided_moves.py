@@ -1,5 +1,4 @@
-"""
-Motions divided into blocks: arcs into chords, curved motion into pieces.
+"""Motions divided into blocks: arcs into chords, curved motion into pieces.
 
 Lines in machine axes stay whole, however far the rotary axes turn, up to eight turns.
 """

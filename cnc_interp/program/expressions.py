@@ -1,5 +1,4 @@
-"""
-Expressions of G-code: the grammar of lines with expressions, and their values.
+"""Expressions of G-code: the grammar of lines with expressions, and their values.
 
 One grammar contains the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B, and the
 ``=``, names and parentheses of Siemens. If they conflict, the form of the word decides (``X[...]``
@@ -275,8 +274,7 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
 }
 
 
-#: ``#1`` to this number are local in a subprogram that is called with arguments.
-MOST_LOCAL = 33
+MOST_LOCAL = 33  #: ``#1`` to this number are local in a subprogram that is called with arguments.
 #: The largest number of a parameter of LinuxCNC, for EXISTS.
 MOST_NUMBER = 5602
 _CONSTANTS = {'TRUE': 1.0, 'FALSE': 0.0, '$PI': math.pi, 'PI': math.pi,

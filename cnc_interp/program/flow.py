@@ -1,5 +1,4 @@
-"""
-Statements that change the order of lines: jumps, loops, subprograms.
+"""Statements that change the order of lines: jumps, loops, subprograms.
 
 O words of LinuxCNC are ``o100 sub``, ``call``, ``while``, ``if``, ``do`` and ``repeat``. Fanuc
 has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. ``siemens_flow.py`` has the

@@ -1,5 +1,4 @@
-"""
-Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
+"""Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
 
     point = work + Rz @ (programmed_turn @ program + shift + G52 + G92) + tool length
 
@@ -19,8 +18,7 @@ Vector = FloatArray
 
 
 class Frames:
-    """
-    The active frames at one moment of the program.
+    """The active frames at one moment of the program.
 
     ``setup``: work offsets and G92 at the start; ``zero`` (3,): machine coordinates of the
     workpiece zero in the machine file [m].
@@ -29,14 +27,12 @@ class Frames:
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
         self._zero = np.concatenate([zero, np.zeros(2)])
         self._letters = ('X', 'Y', 'Z', *rotary_letters)
-        #: The work offset that the program has named last; empty before.
-        self.named = ''
+        self.named = ''  #: The work offset that the program has named last; empty before.
         self.local = np.zeros(5)
         self.length = 0.0
         #: Shift and rotation that the program has set, in the frame of the work offset.
         self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
-        #: The code of the rotation; empty for ROT.
-        self.tilt_code = ''
+        self.tilt_code = ''  #: The code of the rotation; empty for ROT.
         self.take(setup)
 
     def take(self, setup: JobSetup) -> None:
@@ -74,8 +70,7 @@ class Frames:
     def work_change(
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
-        """
-        Return the change of a work offset by G10 L2, or by L20 where the position is given.
+        """Return the change of a work offset by G10 L2, or by L20 where the position is given.
 
         With L20 the coordinates of the offset read the words. Those without a word keep what they
         read, so both X and Y of a turned offset change.

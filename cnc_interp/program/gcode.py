@@ -1,5 +1,4 @@
-"""
-G-code to motion targets: the codes of a program, line by line.
+"""G-code to motion targets: the codes of a program, line by line.
 
 Nearly all lines of a program are plain motion. ``runs.py`` executes many of them at once. Every
 other line is split into words. Then flow, settings, motion and stops are executed in this order.

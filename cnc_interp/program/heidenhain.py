@@ -1,5 +1,4 @@
-"""
-Heidenhain plain text: its lines become the words of the reader of G-code, which executes them.
+"""Heidenhain plain text: its lines become the words of the reader of G-code, which executes them.
 
 L, LN, LP, CC, C, CP, CR, CT, RND and CHF are motions, with FMAX, R0 RL RR, M91. Datum shifts,
 rotations and planes are frames. Cycles 1, 2 and 200 to 207 drill, by CYCL CALL, M99 or M89. LBL,

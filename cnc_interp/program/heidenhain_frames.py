@@ -1,5 +1,4 @@
-"""
-Frames of Heidenhain: datum shift (cycle 7), rotation (10), tilted planes (PLANE and cycle 19).
+"""Frames of Heidenhain: datum shift (cycle 7), rotation (10), tilted planes (PLANE and cycle 19).
 
 Each lies in the one before: the rotation in the plane, the plane in the shifted datum.
 """

@@ -6,8 +6,7 @@ import math
 import re
 from collections.abc import Callable
 
-#: Returns the value of a parameter by its name.
-Values = Callable[[str], float]
+Values = Callable[[str], float]  #: Returns the value of a parameter by its name.
 
 _TOKEN = re.compile(r'\s*(?:(Q[LR]?\d+)|(\d+\.?\d*|\.\d+)|([A-Z]+)|(.))')
 _FUNCTIONS: dict[str, Callable[[float], float]] = {

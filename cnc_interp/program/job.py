@@ -27,8 +27,7 @@ Position = Mapping[str, float]
 #: Longest remark of a tool [characters], and its largest number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
 _TOOL_KEYS = {'length', 'radius', 'corner_radius', 'remark'}
-#: Digits after the point in setup files [mm, deg].
-_DIGITS = 9
+_DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ class JobSetup:
 
     @staticmethod
     def load(path: Path) -> JobSetup:
-        """
-        Read a setup from a YAML file in mm and deg.
+        """Read a setup from a YAML file in mm and deg.
 
         Raises ProgramError if the file is missing or not YAML, or a key or value is wrong.
         """

@@ -1,5 +1,4 @@
-"""
-Lines by hand (MDI): single lines of G-code that share one modal state.
+"""Lines by hand (MDI): single lines of G-code that share one modal state.
 
 A line starts where the machine stands, because it may have been moved by hand since the line
 before. Everything else (units, plane, feed, offsets, variables) is taken over from there. A line
@@ -19,8 +18,7 @@ from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
 from cnc_interp.settings.options import Settings
 
-#: Name of a line in messages.
-MDI = 'MDI'
+MDI = 'MDI'  #: Name of a line in messages.
 
 
 class MdiLine(ProgramStream):
@@ -33,8 +31,7 @@ class MdiLine(ProgramStream):
 
 
 class MdiReader:
-    """
-    Reads lines by hand, one after the other.
+    """Reads lines by hand, one after the other.
 
     ``geometry``: axis names and kinematics of the machine; ``settings``: values that the lines do
     not give, and choices of the user.
@@ -45,8 +42,7 @@ class MdiReader:
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
-        """
-        Begin to read a line; the modal state changes with ``keep``.
+        """Begin to read a line; the modal state changes with ``keep``.
 
         ``stands`` (n_axes,): axis positions of the machine [m, rad]. Raises ProgramError if the
         text is not one line.

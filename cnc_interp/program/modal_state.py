@@ -96,8 +96,7 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 
 
 class ModalState:
-    """
-    The position and the modal settings of a program, and the targets so far.
+    """The position and the modal settings of a program, and the targets so far.
 
     ``geometry``: axis names and kinematics of the machine; ``settings``: values that the program
     does not give, and choices of the user; ``setup``: work offsets, tool lengths and reference
@@ -273,8 +272,7 @@ class ModalState:
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def switch_tcp(self, word: str) -> None:
-        """
-        Switch tool-tip programming on by a word, or off (empty); the axes do not move.
+        """Switch tool-tip programming on by a word, or off (empty); the axes do not move.
 
         On a tilted plane X Y Z stay positions of the tool tip.
         """

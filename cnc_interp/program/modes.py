@@ -94,8 +94,7 @@ class Modes:
         return tools[number] if number else Tool()
 
     def _contact_normals(self, code: str, words: BlockWords, tool: int) -> None:
-        """
-        Process G41.2 and G42.2: D is the tool, R its corner radius.
+        """Process G41.2 and G42.2: D is the tool, R its corner radius.
 
         With Q and P, X Y Z are tips of a tool with this radius and corner radius.
         """

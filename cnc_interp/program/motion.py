@@ -1,5 +1,4 @@
-"""
-The targets of single blocks, from their words and the modal state.
+"""The targets of single blocks, from their words and the modal state.
 
 ``runs.py`` does the same for many plain lines at once.
 """
@@ -23,8 +22,7 @@ from cnc_interp.program.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.words import BlockWords
 
 NO_CORNER = Corner('', 0.0)
-#: Two directions agree if their cosine is 1 within this [-].
-SAME_AXIS = 1e-9
+SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].
 #: The plane that two centre letters of an arc tell.
 _PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
 MOST_TURN = 1e3 * 360.0 * DEG
@@ -210,8 +208,7 @@ class Mover(ModalState):
         return angle
 
     def machine_words(self, words: BlockWords) -> str:
-        """
-        Decide what machine coordinates mean while X Y Z are tool tips.
+        """Decide what machine coordinates mean while X Y Z are tool tips.
 
         With the rotary axes at zero all controls agree. Otherwise they are axis positions on
         Fanuc, for which tool-tip programming is switched off; the result is the word that switches
@@ -260,8 +257,7 @@ class Mover(ModalState):
         self, point: FloatArray, rotary: FloatArray, vector: FloatArray | None = None,
         arc: tuple[float, ...] = NO_ARC, feed_given: bool = True, rapid: bool | None = None,
     ) -> None:  # fmt: skip
-        """
-        Add the target of one block.
+        """Add the target of one block.
 
         ``point`` (3,): target [m]; ``rotary`` (2,): rotary axes [rad]; ``vector`` (3,): unit tool
         axis of direction words; ``arc``: its columns; ``rapid``: None for the modal motion code.

@@ -24,16 +24,13 @@ POLE_TOLERANCES = 4.0
 #: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
 #: a row. In each of them the tip moves more than this share of the turn at flank height [-].
 FEWEST_DENSE, SLOW_TIP = 32, 0.05
-#: A short line has the tolerance of an arc that is at most so many motions away.
-BESIDE_ARC = 8
+BESIDE_ARC = 8  #: A short line has the tolerance of an arc that is at most so many motions away.
 
-#: At most so many motions before one near the pole are joined with it.
-FARTHEST = 1000
+FARTHEST = 1000  #: At most so many motions before one near the pole are joined with it.
 
 
 class Moves:
-    """
-    Motions between consecutive targets, which can be evaluated at any parameter.
+    """Motions between consecutive targets, which can be evaluated at any parameter.
 
     ``interpolation`` (n,): what runs linearly in each motion, as in ``Blocks``; ``dense``,
     ``led``, ``since_arc``: the same before the next motion; ``undecided``: number of last motions
@@ -79,8 +76,7 @@ class Moves:
         return some
 
     def _interpolation(self, settings: Settings) -> IntArray:
-        """
-        Say what runs linearly; without tool-tip programming, the axes where one turns.
+        """Say what runs linearly; without tool-tip programming, the axes where one turns.
 
         So do extra axes with rotary axes beside them: both are coordinates of the same corners.
         Short blocks whose poses run linearly as well become curves with their neighbours.
@@ -113,8 +109,7 @@ class Moves:
         return kind
 
     def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
-        """
-        Return in which motions the rotary axes run linearly to their words, shape (n,).
+        """Return in which motions the rotary axes run linearly to their words, shape (n,).
 
         Motions with rotary ``words`` do that come near the pole, and so do those that long ones
         join with them: no corner joins poses with linear rotary axes while both turn. So do extra
@@ -239,8 +234,7 @@ class Moves:
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """
-        Return what a chord must be near to: poses, or points where rotary axes run linearly.
+        """Return what a chord must be near to: poses, or points where rotary axes run linearly.
 
         The tip deviates from a chord in the axes as much as X Y Z do, because the rotary axes of
         both are the same. The parameters are those of ``poses``.
@@ -275,8 +269,7 @@ class Moves:
         return np.asarray(self._arc | near)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
-        """
-        Return feedrate and duration of the motions; one of both is NaN.
+        """Return feedrate and duration of the motions; one of both is NaN.
 
         If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
         rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary

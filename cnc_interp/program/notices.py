@@ -45,8 +45,7 @@ class Notices:
         return tuple(self._texts.values())
 
 
-#: Different refusals after which the reading ends, and refused lines.
-MOST, MOST_LINES = 20, 1000
+MOST, MOST_LINES = 20, 1000  #: Different refusals after which the reading ends, and refused lines.
 #: Lines that are named for one refusal; more different refusals get a table of their words.
 NAMED, NAMED_ALONE = 5, 3
 #: The code or the letters with which a word begins.
@@ -54,8 +53,7 @@ _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 
 
 class Refusals:
-    """
-    Refused lines of a program, collected while the rest of it is read.
+    """Refused lines of a program, collected while the rest of it is read.
 
     No motion comes of a program after its first refusal. Lines with the same refusal count as
     one. A refusal that may only follow from a line that was passed over is not kept: an arc that
@@ -73,8 +71,7 @@ class Refusals:
         return self._count > 0
 
     def add(self, problem: ProgramError, of_place: bool, of_state: bool = False) -> None:
-        """
-        Keep a refusal; raise all of them if there are too many to go on.
+        """Keep a refusal; raise all of them if there are too many to go on.
 
         ``of_place``: it may only follow from a wrong position before the line; ``of_state``: it
         may only follow from any line that was passed over.

@@ -33,8 +33,7 @@ class Program:
 
 
 class ProgramStream:
-    """
-    A part program that is read while its blocks are taken, whatever its length.
+    """A part program that is read while its blocks are taken, whatever its length.
 
     Iteration yields batches of blocks in order. The first row of the first batch is the start
     pose. All batches together are the blocks of ``Program``.
@@ -145,8 +144,7 @@ def read_program(
 def read_text(
     text: str, source: str, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
 ) -> Program:  # fmt: skip
-    """
-    Read a part program from a string.
+    """Read a part program from a string.
 
     Examples
     --------

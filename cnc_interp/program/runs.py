@@ -16,8 +16,7 @@ from cnc_interp.program.modal_state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion import MOST_TURN, Mover
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
-#: Shorter runs are as fast line by line.
-SHORTEST = 6
+SHORTEST = 6  #: Shorter runs are as fast line by line.
 
 
 def _filled(values: FloatArray, first: float) -> FloatArray:

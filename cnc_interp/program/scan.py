@@ -1,5 +1,4 @@
-"""
-Plain lines of G-code to columns of numbers, in a compiled loop.
+"""Plain lines of G-code to columns of numbers, in a compiled loop.
 
 Nearly every line of a program has only an optional N, one of G0 to G3, and numbers after X Y Z A
 B C I J K R F. Such lines become rows of numbers here. Each number is the nearest double: up to 15
@@ -20,8 +19,7 @@ EMPTY, PLAIN, RARE = 0, 1, 2
 #: Letters of the columns of a plain line.
 COLUMNS = 'XYZABCIJKRF'
 X, Y, Z, A, B, C, I, J, K, R, F = range(11)
-#: Code of a line without G0 to G3.
-NO_CODE = -1
+NO_CODE = -1  #: Code of a line without G0 to G3.
 
 _MOST_DIGITS = 15
 _POWERS = 10.0 ** np.arange(_MOST_DIGITS + 1)
@@ -36,8 +34,7 @@ def scan_lines(
     text: NDArray[np.uint8], first: IntArray, last: IntArray, kind: NDArray[np.int8],
     code: NDArray[np.int8], values: FloatArray,
 ) -> int:  # fmt: skip
-    """
-    Scan lines that end with a newline; return their number.
+    """Scan lines that end with a newline; return their number.
 
     ``first``, ``last`` (m,): offsets of the first character and the newline; ``kind``, ``code``
     (m,): EMPTY, PLAIN or RARE, and G0 to G3 or NO_CODE; ``values`` (m, 11): numbers of plain lines

@@ -20,8 +20,7 @@ from cnc_interp.program.job import (
     fits_as_remark,
 )
 
-#: Larger values are taken for a wrong unit [m, rad].
-LARGEST = 1e5 * MM
+LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
 #: What can be changed of a tool.
 TOOL_FIELDS = ('length', 'radius', 'corner_radius', 'remark')
 _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
@@ -30,8 +29,7 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 def values_by_axis(
     letters: Sequence[str], values: Sequence[float], axes: Sequence[str]
 ) -> dict[str, float]:
-    """
-    Return the value of each axis named [m, rad].
+    """Return the value of each axis named [m, rad].
 
     Raises InterpError if the machine has no such axis, or a value is missing or not possible.
     """
@@ -48,8 +46,7 @@ def values_by_axis(
 def offset_changes(
     setup: JobSetup, name: str, values: Position, clear: bool, activate: bool
 ) -> list[SetupChange]:
-    """
-    Return the changes of a work offset or of G92.
+    """Return the changes of a work offset or of G92.
 
     ``name``: G54 to G59.3, or G92; empty for the active work offset; ``values``: the values that
     change [m, rad]; ``clear``: whether all values before are removed; ``activate``: whether the
@@ -78,8 +75,7 @@ def offset_changes(
 def tool_changes(
     setup: JobSetup, number: int, given: Mapping[str, float | str], remove: bool, load: bool
 ) -> list[SetupChange]:
-    """
-    Return the changes of a tool.
+    """Return the changes of a tool.
 
     ``remove``: whether the tool is taken out of the table; ``load``: whether this tool is in the
     spindle from now on. Raises InterpError if a value is not possible, or nothing is asked for.
@@ -124,8 +120,7 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
 def touch_off_changes(
     setup: JobSetup, name: str, values: Position, machine: Position, zero: Position
 ) -> list[SetupChange]:
-    """
-    Return the change of a work offset after which coordinates read given values here.
+    """Return the change of a work offset after which coordinates read given values here.
 
         machine = work offset + Rz (value + G92) + length of the tool in the spindle (Z)
 
@@ -155,8 +150,7 @@ def touch_off_changes(
 def work_coordinates(
     setup: JobSetup, name: str, machine: Position, zero: Position
 ) -> dict[str, float]:
-    """
-    Return what the coordinates read with a work offset, G92 and the tool in the spindle.
+    """Return what the coordinates read with a work offset, G92 and the tool in the spindle.
 
     ``name``: the work offset; empty for the active one; ``machine``, ``zero``: where the axes
     stand, and the workpiece zero of the machine file [m, rad]. Returns coordinate by axis letter

@@ -15,8 +15,7 @@ from cnc_interp.program.job import JobSetup, SetupChange
 
 
 class SetupTable:
-    """
-    Offsets and tools of the machine.
+    """Offsets and tools of the machine.
 
     A change is in the log first, then in the file, then here. The log is the file beside with
     ``.log`` at the end of its name: one line for each change with time, who, what, and the values
@@ -28,8 +27,7 @@ class SetupTable:
 
     def __init__(self, file: Path | None):
         self.file = file
-        #: The last change: who made it, and what it was.
-        self.changed_by = self.change = ''
+        self.changed_by = self.change = ''  #: The last change: who made it, and what it was.
         self._log: TextIO | None = None
         self.setup = JobSetup()
         if file is None:
@@ -47,8 +45,7 @@ class SetupTable:
             self.setup = JobSetup.load(file)
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """
-        Change the table, all of it or nothing.
+        """Change the table, all of it or nothing.
 
         Returns what was changed, with the values before and after; empty if nothing was. Raises
         InterpError if it cannot be written.

@@ -1,5 +1,4 @@
-"""
-Native 5-axis B-splines of the Siemens 840D: from words to spline rows of Blocks.
+"""Native 5-axis B-splines of the Siemens 840D: from words to spline rows of Blocks.
 
 [B2013, section 4.1]. ``BSPLINE SD=3`` opens a curve. Each following block gives a control point of
 the tool tip (X Y Z), a second point on the tool axis (XH YH ZH) and a knot interval (PL).
@@ -21,8 +20,7 @@ Point = tuple[float, float, float]
 
 #: Names of words for curves and second points; they are written with an equals sign.
 CURVE_WORDS = frozenset(('XH', 'YH', 'ZH', 'PL', 'SD', 'PW'))
-#: Smallest distance between tip and second point [m].
-_SHORTEST_TOOL = 1e-6
+_SHORTEST_TOOL = 1e-6  #: Smallest distance between tip and second point [m].
 #: Largest difference between the start of a curve and the tool: tip [m] and tool axis [-].
 _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
@@ -40,8 +38,7 @@ def tool_vector(tip: Point, second: Point) -> Point:
 
 
 class Curve:
-    """
-    The control points of one curve, added block by block.
+    """The control points of one curve, added block by block.
 
     ``tip``, ``axis``: pose of the tool: the first control point [m] and the unit tool axis [-];
     ``second``: second point at the start if the program has named it [m]; ``height``: distance of
@@ -60,8 +57,7 @@ class Curve:
         self, tip: Point, second: Point | None, interval: float,
         speed_and_tolerances: tuple[float, float, float], line_number: int,
     ) -> None:  # fmt: skip
-        """
-        Add a control point of the tip, and of the second curve or None [m].
+        """Add a control point of the tip, and of the second curve or None [m].
 
         ``speed_and_tolerances``: feedrate [m/s], contour and orientation tolerance [m].
         """

@@ -1,5 +1,4 @@
-"""
-Drilling cycles of the Siemens 840D: CYCLE81 to CYCLE89, CYCLE840, with MCALL, HOLES1 and HOLES2.
+"""Drilling cycles of the 840D: CYCLE81 to CYCLE89, CYCLE840, with MCALL, HOLES1 and HOLES2.
 
 Their first arguments are the retract plane RTP, the reference plane RFP, the safety distance SDIS
 above it, and the depth, DP absolute or DPR below the reference plane. The feed begins at RFP +

@@ -25,8 +25,7 @@ _TYPE = re.compile(r'(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.
 _NAME = re.compile(r'\s*([A-Z_]\w*)\s*(?:\[([^\]]*)\])?\s*(?:=(.*))?')
 _COMMAS = re.compile(r',(?![^(\[]*[)\]])(?![^"]*"(?:[^"]*"[^"]*")*[^"]*$)')
 _CALL = re.compile(r'(?:CALL\s*"([^"]+)"|([A-Z_][A-Z_]\w*|L\d+))\s*(?:P\s*=?\s*(\d+))?')
-#: More elements of an array are not set to 0 one by one.
-_MOST_ELEMENTS = 10_000
+_MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by one.
 
 
 class SiemensFlow(Cursor):

@@ -75,8 +75,7 @@ class LineWindow:
 
 
 class Source:
-    """
-    The text of a program.
+    """The text of a program.
 
     ``stream``: the text. A stream that cannot be positioned is read into memory.
     ``folders``: where its subprograms may lie, as for ``open_named``; a file adds its own folder.

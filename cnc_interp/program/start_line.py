@@ -24,8 +24,7 @@ class StartBlock:
 
 
 class StartLine:
-    """
-    Counts how often the line is reached, and notes the row with the first motion of each pass.
+    """Counts how often the line is reached, and notes the row with the first motion of each pass.
 
     The reader reads the program from its top, so that all state is as if it had been run.
 

@@ -1,5 +1,4 @@
-"""
-Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
+"""Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
 Rotary axes that move linearly do not turn the tool axis on a great circle. If the words are axis
 positions, the tip does not move on a line. Arcs are not lines either. The deviation of a piece
@@ -49,8 +48,7 @@ def piece_counts(
     poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_top: FloatArray,
     height: float,
 ) -> IntArray:  # fmt: skip
-    """
-    Return how many equal pieces, (n,), keep curved motion near chords and great circles.
+    """Return how many equal pieces, (n,), keep curved motion near chords and great circles.
 
     ``poses``: function of block indices and parameters in [0, 1], (m,), to tips [m] and unit tool
     axes; ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``,

@@ -9,25 +9,18 @@ from math import nan
 POINT, AXIS, ROTARY = slice(0, 3), slice(3, 6), slice(6, 8)
 #: Whether words have named rotary axes; whether the axis turns on the great circle, else linearly.
 NAMED, GREAT_CIRCLE = 8, 9
-#: [m/s], [s]; one of both counts.
-FEEDRATE, DURATION = 10, 11
-#: Whether it is a rapid; 1 for an exact stop, or ``AT_M1``, ``AT_M0``.
-RAPID, EXACT_STOP = 12, 13
-#: Tolerances [m], and the line of the main program.
-CONTOUR, ORIENTATION, LINE = 14, 15, 16
-#: Whether POINT is axis positions; feedrate of rotary axes [rad/s].
-AXES, TURN_RATE = 17, 18
+FEEDRATE, DURATION = 10, 11  #: [m/s], [s]; one of both counts.
+RAPID, EXACT_STOP = 12, 13  #: Whether it is a rapid; 1 for an exact stop, or ``AT_M1``, ``AT_M0``.
+CONTOUR, ORIENTATION, LINE = 14, 15, 16  #: Tolerances [m], and the line of the main program.
+AXES, TURN_RATE = 17, 18  #: Whether POINT is axis positions; feedrate of rotary axes [rad/s].
 #: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of U V W [m].
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 #: How often the line at which a run starts was reached before the target; the reader counts.
 PASSES = 29
-#: How many changes of the setup come before it; ``TargetColumns`` counts.
-CHANGES = 30
+CHANGES = 30  #: How many changes of the setup come before it; ``TargetColumns`` counts.
 #: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
 MODES, MOTION, FEED, WIDTH = slice(31, 34), 32, 33, 34
 #: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
 AT_M1, AT_M0 = 2.0, 3.0
-#: The columns CENTRE, NORMAL and SWEEP of a line that is not an arc.
-NO_ARC = (nan,) * 7
-#: Letters of the columns EXTRA.
-EXTRA_LETTERS = 'UVW'
+NO_ARC = (nan,) * 7  #: The columns CENTRE, NORMAL and SWEEP of a line that is not an arc.
+EXTRA_LETTERS = 'UVW'  #: Letters of the columns EXTRA.

@@ -1,5 +1,4 @@
-"""
-Motion targets to blocks: rows of numbers are collected and converted in batches.
+"""Motion targets to blocks: rows of numbers are collected and converted in batches.
 
 A reader appends one row of numbers per motion statement. When a batch is full, its rows become
 blocks together. Positions become poses, arcs become chords, repeated points are merged, and curved
@@ -29,8 +28,7 @@ from cnc_interp.program.start_line import StartLine
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
-#: More changes of the setup than this are not kept one by one.
-MOST_CHANGES = 1000
+MOST_CHANGES = 1000  #: More changes of the setup than this are not kept one by one.
 
 
 @dataclass(frozen=True)
@@ -164,8 +162,7 @@ class TargetColumns:
         return self.take()
 
     def _convert(self, last: bool) -> None:
-        """
-        Convert the collected rows to blocks.
+        """Convert the collected rows to blocks.
 
         The last ones wait: for rows that repeat them, and for an arc beside which they are.
         """

@@ -1,5 +1,4 @@
-"""
-Tilted working planes: a frame in space, and the tool turned to stand upright on it.
+"""Tilted working planes: a frame in space, and the tool turned to stand upright on it.
 
 G68.2 to G68.4 and CYCLE800 define a feature coordinate system in the workpiece,
 
@@ -30,12 +29,10 @@ CODES = DEFINING | {'G53.1', 'G53.3', 'G53.6'}
 #: Orders of rotations: about turned axes (Euler), and about axes at rest.
 EULER = (313, 323, 121, 131, 212, 232)
 FIXED = (123, 132, 213, 231, 312, 321)
-#: Below this two directions count as parallel, or as at right angles [-].
-SMALL = 1e-6
+SMALL = 1e-6  #: Below this two directions count as parallel, or as at right angles [-].
 #: Where CYCLE800 has its arguments: after retract and name of the swivel data come these.
 STATE, MODE, BEFORE, ANGLES, AFTER, DIRECTION = 2, 3, slice(4, 7), slice(7, 10), slice(10, 13), 13
-#: Kinds of angles of CYCLE800.
-BY_AXES, SOLID, PROJECTED, DIRECT = range(4)
+BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
 
 
 class TiltedPlane:
@@ -202,8 +199,7 @@ class TiltedPlane:
     # --- the tool ------------------------------------------------------------------------------
 
     def _orient(self, code: str, words: BlockWords) -> None:
-        """
-        Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
+        """Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
 
         P0 takes the nearest solution, P1 a tilting axis above zero, P2 below. X Y Z of the machine
         stay with G53.1, the tool tip with G53.6; with G53.3 it moves to the words of the block.
@@ -282,8 +278,7 @@ class TiltedPlane:
         self.stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
 
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
-        """
-        Return the rotation that a mode of CYCLE800 makes of three angles, (3, 3).
+        """Return the rotation that a mode of CYCLE800 makes of three angles, (3, 3).
 
         The mode has the axes of the three rotations in two bits each (1 is X), the first one in
         the lowest, and the kind of the angles in the next two bits.

@@ -75,8 +75,7 @@ Fault = Callable[[str, str], ProgramError]
 
 
 def without_comments(line: str, fault: Fault) -> str:
-    """
-    Remove the comments from a line in upper case.
+    """Remove the comments from a line in upper case.
 
     A parenthesis opens a comment, except after an operator or directly after a name. So the
     arguments of ``CYCLE832(...)`` and ``Z=(R1+2)`` are kept.

@@ -1,5 +1,4 @@
-"""
-Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data.
+"""Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data.
 
 The writers know only words and formats. ``convert/conversion.py`` decides what is written.
 """
@@ -16,8 +15,7 @@ from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
 #: Decimals of coordinates [mm], angles [deg] and tool axes [-]; finer than double precision needs.
 _LENGTH, _ANGLE, _AXIS = 9, 10, 12
-#: Feedrate of rapids in a spline, which needs an F [mm/min].
-RAPID_FEED = 100_000.0
+RAPID_FEED = 100_000.0  #: Feedrate of rapids in a spline, which needs an F [mm/min].
 #: Words for a stop in G-code and in CL data.
 _STOPS = {GO_ON: ('G9', 'DELAY/0'), STOP: ('M0', 'STOP'), OPTIONAL_STOP: ('M1', 'OPSTOP')}
 

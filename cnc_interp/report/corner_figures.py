@@ -30,12 +30,9 @@ from cnc_interp.report.html import (
 
 HEIGHT = 640
 TOP_COLOUR = '#2e7d4f'
-#: Number of tool axes drawn in one corner.
-TOOLS = 13
-#: Distance between the drawn curves, as a multiple of the corner size.
-GAP = 1.1
-#: Curves with fewer points than this are drawn with a marker at each point.
-FEW = 60
+TOOLS = 13  #: Number of tool axes drawn in one corner.
+GAP = 1.1  #: Distance between the drawn curves, as a multiple of the corner size.
+FEW = 60  #: Curves with fewer points than this are drawn with a marker at each point.
 
 #: One scene serves all corners, because browsers limit the number of scenes of a page.
 CHOOSER = """

@@ -23,10 +23,8 @@ from cnc_interp.smoothing.segment_curves import corner_breaks, corner_jets
 from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments
 
 MOST = 8
-#: Samples of each half of a corner for its figures.
-SAMPLES = 60
-#: Range of the feed figure on either side, as a multiple of the corner length.
-MARGIN = 1.5
+SAMPLES = 60  #: Samples of each half of a corner for its figures.
+MARGIN = 1.5  #: Range of the feed figure on either side, as a multiple of the corner length.
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from cnc_interp.smoothing.segments import CORNER, SPLINE, PathSegments
 
 #: Points of a span in the close-up, and its spans on either side of the largest bound.
 POINTS, AROUND = 24, 5
-#: Largest number of bounds drawn along the path.
-MOST = 4000
+MOST = 4000  #: Largest number of bounds drawn along the path.
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,7 @@ from cnc_interp.report.series import KINDS, Series, extremes
 
 #: Buckets of the small figures of the axes, and of the tool path in space.
 SMALL_BUCKETS, SPACE_BUCKETS = 250, 2500
-#: Number of tool axes in the figure of the tool path.
-TOOL_LINES = 160
+TOOL_LINES = 160  #: Number of tool axes in the figure of the tool path.
 
 
 def path_figure(series: Series) -> Any:

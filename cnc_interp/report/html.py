@@ -151,8 +151,7 @@ def document(title: str, body: str, style: str = '') -> str:
 INK, GRID = '#22303c', '#e6eaee'
 BLUE, ORANGE, RED = '#1f6fb2', '#e08a1e', '#c0392b'
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-#: Buckets of thinned curves over the whole width; each keeps its extremes.
-BUCKETS = 600
+BUCKETS = 600  #: Buckets of thinned curves over the whole width; each keeps its extremes.
 #: Largest ratio of the upper end of a feed axis to the feed: Eq. 10 is infinite on lines.
 HEADROOM = 1.45
 #: What a feed shows where it is touched: its custom data are time, way and line.

@@ -36,8 +36,7 @@ from cnc_interp.report.series import extremes
 
 #: Length of a window of the measured transfer function [s], and where it is believed.
 WINDOW, COHERENCE = 0.5, 0.8
-#: Range of the Bode plot [Hz].
-LOWEST, HIGHEST = 1.0, 120.0
+LOWEST, HIGHEST = 1.0, 120.0  #: Range of the Bode plot [Hz].
 
 
 def values_of(

@@ -10,8 +10,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.report.html import section, table
 from cnc_interp.report.series import KINDS, Series
 
-#: A limit is reached from this share on [-].
-AT_LIMIT = 0.98
+AT_LIMIT = 0.98  #: A limit is reached from this share on [-].
 #: Lines that are listed.
 LISTED = 12
 NO_LIMIT = 'between limits'

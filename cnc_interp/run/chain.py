@@ -107,8 +107,7 @@ def plan_to_files(
     stream: ProgramStream, machine: Machine, directory: Path, settings: Settings | None = None,
     progress: Callable[[float], None] | None = None, processes: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
-    """
-    Plan a program while it is read and write its plan files; memory does not grow with it.
+    """Plan a program while it is read and write its plan files; memory does not grow with it.
 
     ``directory``: files in it are replaced once all is planned; ``progress``: told the share that
     has been planned, 0 to 1; ``processes``: how many plan motion; the files are the same.

@@ -20,18 +20,12 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 from cnc_interp.program.subdivide import ragged
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 
-#: Cells of the path planned at a time.
-PORTION = 500
-#: Cells planned at a time where the drives wait for the first setpoint.
-FINE = 64
-#: Cells of the path that a stop may use.
-AHEAD = 4000
-#: Cells into which the way down to a lower feed is cut.
-ENVELOPE = 24
-#: Feed allowed on the way down, as a multiple of the fastest stop [-].
-ABOVE = 1.02
-#: Places nearer than this are the same place; no cell is so short [m].
-SAME = 1e-13
+PORTION = 500  #: Cells of the path planned at a time.
+FINE = 64  #: Cells planned at a time where the drives wait for the first setpoint.
+AHEAD = 4000  #: Cells of the path that a stop may use.
+ENVELOPE = 24  #: Cells into which the way down to a lower feed is cut.
+ABOVE = 1.02  #: Feed allowed on the way down, as a multiple of the fastest stop [-].
+SAME = 1e-13  #: Places nearer than this are the same place; no cell is so short [m].
 
 
 @dataclass(frozen=True)
@@ -187,10 +181,8 @@ if TYPE_CHECKING:
 LIVE = PlanOptions(bound=False)
 #: Length of the slices in which motion is sampled [s]; a change of the override waits for one.
 SLICE = 0.1
-#: Speed below which the end of a law is rest [m/s].
-STILL = 1e-9
-#: Times nearer than this are the same [s].
-SAME_TIME = 1e-9
+STILL = 1e-9  #: Speed below which the end of a law is rest [m/s].
+SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
 
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:

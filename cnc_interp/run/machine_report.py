@@ -9,8 +9,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import SELF_STARTING, State
 
-#: A machine that rests for so long after cycle_start has nothing to execute [s].
-SETTLED = 0.1
+SETTLED = 0.1  #: A machine that rests for so long after cycle_start has nothing to execute [s].
 #: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
 FILLED = 0.5
 
@@ -68,8 +67,7 @@ class MachineReport:
 
 
 class LossRecovery:
-    """
-    Watches a machine after a node was restarted, and tells when to send the program again.
+    """Watches a machine after a node was restarted, and tells when to send the program again.
 
     A machine that still has setpoints starts at once on cycle_start; it must not move meanwhile.
     So the rest is sent where it goes on resting. A machine whose stop was not planned waits for

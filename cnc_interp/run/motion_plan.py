@@ -221,8 +221,7 @@ class MotionPlan:
 
 
 class MotionStream:
-    """
-    The path of one run and the plan that counts now: path in, chunks of setpoints out.
+    """The path of one run and the plan that counts now: path in, chunks of setpoints out.
 
     ``revision`` makes a second plan after a setpoint handed out, which ``adopt`` puts in the place
     of the first. ``resume`` begins a plan from rest anywhere on the path.

@@ -1,5 +1,4 @@
-"""
-A feed planner with several processes, while this one smooths, interpolates and writes.
+"""A feed planner with several processes, while this one smooths, interpolates and writes.
 
 At a rest nothing of the motion before it counts but its end time. So stretches between exact stops
 are planned by different processes, each from time zero; the clock is set afterwards with the same
@@ -33,14 +32,12 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
 
-#: Work in a section, in path cells: some 0.1 s of planning.
-ENOUGH = 500
+ENOUGH = 500  #: Work in a section, in path cells: some 0.1 s of planning.
 #: Work that a rest adds: a short stroke costs as much as so many cells on a long path.
 STROKE = 20
 #: Option of ``prctl``: the signal that a process receives when its parent has died.
 PARENT_DEATH_SIGNAL = 1
-#: Sections that are given out ahead, for each process.
-AHEAD = 4
+AHEAD = 4  #: Sections that are given out ahead, for each process.
 
 
 @dataclass(frozen=True)

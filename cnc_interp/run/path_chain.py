@@ -1,5 +1,4 @@
-"""
-Blocks -> smooth segments -> path in machine axes: the first stages, for whoever starts at blocks.
+"""Blocks -> smooth segments -> path in machine axes, for whoever starts at blocks.
 
 The nodes use them one by one, because segments come over the wire: the look-ahead node smooths
 (``smoother_of``), the feedrate node goes on (``run_planner.py``). Smoothing proposes stops at
@@ -68,8 +67,7 @@ class PathPart:
 
 
 class PathChain:
-    """
-    Blocks in, segments and their path in machine axes out.
+    """Blocks in, segments and their path in machine axes out.
 
     ``push`` and ``finish`` raise InterpError, with line, axis and value, if a block cannot be
     executed. ``watch`` takes the time of both stages. Without ``chooses`` every corner is rounded

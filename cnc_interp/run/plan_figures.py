@@ -267,8 +267,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-#: An excess of up to 0.1 % of a limit or a tolerance is rounding.
-ROUNDING = 1.001
+ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit or a tolerance is rounding.
 
 
 def excesses(

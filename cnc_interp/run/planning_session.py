@@ -1,5 +1,4 @@
-"""
-The planning of one run after the other; no ROS, no clock, no threads.
+"""The planning of one run after the other; no ROS, no clock, no threads.
 
 ``step`` returns what is to be done next as a task; who called it has it done, in a thread if need
 be, and hands the result to ``finish``. ``SessionPort`` is the node's side.
@@ -134,21 +133,17 @@ class PathEnd(IntEnum):
     QUEUED = 3  # its last setpoint is handed to the sender
 
 
-#: Segments taken over together.
-SEGMENTS_PER_TASK = 64
+SEGMENTS_PER_TASK = 64  #: Segments taken over together.
 #: Motion sampled beyond what was sent [s]; the rest of what is planned waits unsampled.
 SAMPLED_AHEAD = 0.6
-#: Time between the end of a revision and the next one [s].
-REVISE_AGAIN = 0.02
+REVISE_AGAIN = 0.02  #: Time between the end of a revision and the next one [s].
 #: Motion sent ahead of the machine before a revision begins, as the plan that goes on is not
 #: sampled meanwhile; longest time between two where there is less [s].
 REFILLED, REFILLING = 0.8, 0.5
 #: Motion ahead of the machine after which a revision joins; the most, after a late one [s].
 LEAD, LONGEST_LEAD = 0.065, 0.4
-#: Time given to a revision, relative to the time of the one before [-].
-LONGER = 1.3
-#: A revision that joins less ahead of the machine than this is late [s].
-MARGIN = 0.03
+LONGER = 1.3  #: Time given to a revision, relative to the time of the one before [-].
+MARGIN = 0.03  #: A revision that joins less ahead of the machine than this is late [s].
 
 
 @dataclass(frozen=True)

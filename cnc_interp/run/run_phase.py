@@ -46,8 +46,7 @@ TABLE: dict[tuple[Phase, Step], Phase] = {
     (P.LOST, S.BEGIN_AGAIN): P.OFFERED,
     **{(phase, S.END): P.ENDED for phase in P},
 }
-#: Phases in which blocks are sent.
-SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)
+SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)  #: Phases in which blocks are sent.
 
 
 class Code(IntEnum):

@@ -22,8 +22,7 @@ from cnc_interp.smoothing.segments import PathSegments
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
 
-#: Largest distance of a machine that stands on the path [m, rad].
-ON_PATH = 1e-8
+ON_PATH = 1e-8  #: Largest distance of a machine that stands on the path [m, rad].
 #: Number of stored source lines above which those of executed blocks are dropped.
 LINES_KEPT = 4096
 
@@ -41,8 +40,7 @@ class Revision(NamedTuple):
 
 
 class RunPlanner:
-    """
-    The planning of one run: the approach, then the program; or the rest of a program.
+    """The planning of one run: the approach, then the program; or the rest of a program.
 
     The machine stands at rest at ``stands`` [m, rad]. The program goes on from the path length
     ``continue_at`` [m], if that is above 0. A machine that stands elsewhere waits for cycle_start,

@@ -125,10 +125,8 @@ class Chunk:
         return Chunk(self.samples[:count], tail, Wait.NOTHING)
 
 
-#: Setpoints that must be known before the first one whose differences are taken.
-BEFORE = 3
-#: Steps of an axis below this are rest [m, rad].
-STILL = 1e-12
+BEFORE = 3  #: Setpoints that must be known before the first one whose differences are taken.
+STILL = 1e-12  #: Steps of an axis below this are rest [m, rad].
 
 
 def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
@@ -153,8 +151,7 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
 
 
 def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
-    """
-    Divide the torques that three setpoints in a row ask for by the largest ones, (K, n_axes) [-].
+    """Divide the torques that three setpoints in a row need by the largest ones, (K, n_axes).
 
     Arguments as in ``limit_shares``; zero for axes without a largest torque. Where an axis turns,
     Coulomb friction has both signs, so the smaller torque counts.

@@ -1,5 +1,4 @@
-"""
-The place on the path at which a run starts, and the way there.
+"""The place on the path at which a run starts, and the way there.
 
 A run that does not start at the top begins inside the program. All of it is read and smoothed, so
 the path is that of the full run. Only what lies before the place is not executed.
@@ -28,8 +27,7 @@ from cnc_interp.smoothing.segments import PathSegments
 
 #: Positions tried in a cell, and how often the nearest interval is divided again.
 TRIED, DIVIDED = 16, 8
-#: Axes nearer than this to the next point stay where they are [m, rad].
-THERE = 1e-9
+THERE = 1e-9  #: Axes nearer than this to the next point stay where they are [m, rad].
 
 
 @dataclass(frozen=True)
@@ -209,8 +207,7 @@ def approach(
 def way_inside(
     transform: Transform, stands: FloatArray, place: FloatArray, retract: float
 ) -> FloatArray:
-    """
-    Return the corners of the way to a place inside, (5, n_axes) [m, rad].
+    """Return the corners of the way to a place inside, (5, n_axes) [m, rad].
 
     The tool is drawn back at least by ``retract``, and farther where the other end lies higher
     along the tool, as far as the travel goes: it positions at one height, above both ends.

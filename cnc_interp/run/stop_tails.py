@@ -1,5 +1,4 @@
-"""
-Stops along the path: the tail of each chunk, and the way down to another plan.
+"""Stops along the path: the tail of each chunk, and the way down to another plan.
 
 A stop is looked for at every few setpoints of a plan (``StopSearch``). A tail follows the plan to
 the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan that joins in motion
@@ -21,8 +20,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
 
-#: Time between setpoints at which a stop is looked for [s].
-STOP_EVERY = 0.005
+STOP_EVERY = 0.005  #: Time between setpoints at which a stop is looked for [s].
 #: Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early.
 HASTE, HASTY_EVERY = 0.3, 0.02
 #: Part of every limit that the way down leaves free, so that a law beside it exists [-].

@@ -1,5 +1,4 @@
-"""
-The look-ahead: from blocks to smooth segments.
+"""The look-ahead: from blocks to smooth segments.
 
 Runs of short blocks first become curves (``compressor.py``). Then each vertex between the
 remaining blocks is classified: a corner is rounded, at a stop the tool rests, and otherwise the
@@ -34,8 +33,7 @@ from cnc_interp.smoothing.emission import Emission, no_segments
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Choice, StopChoice
 
-#: A line shorter than this share of its block goes to the corners [-].
-LEFT_OVER = 0.05
+LEFT_OVER = 0.05  #: A line shorter than this share of its block goes to the corners [-].
 #: The same with the paper's corners, which are enlarged by rounding errors only [-].
 ROUNDING = 1e-9
 

@@ -1,5 +1,4 @@
-"""
-Blocks to smooth segments: linear blocks through the look-ahead, native splines span by span.
+"""Blocks to smooth segments: linear blocks through the look-ahead, native splines span by span.
 
 Lines and splines meet at the programmed poses. The look-ahead sees a stop at such a pose. If the
 spline continues the line smoothly, this stop is removed from the segments afterwards.
@@ -27,8 +26,7 @@ from cnc_interp.smoothing.stop_choice import Choice
 
 
 class PathSmoother:
-    """
-    Smooth a stream of blocks. The result does not depend on how the stream is divided.
+    """Smooth a stream of blocks. The result does not depend on how the stream is divided.
 
     Without a ``choice`` between the ways that it proposes, every corner is rounded.
     """
@@ -47,8 +45,7 @@ class PathSmoother:
         self._start: FloatArray | None = None  # rotary words of the start pose
 
     def push(self, blocks: Blocks) -> PathSegments:
-        """
-        Add blocks, the start pose first; return the segments that later blocks cannot change.
+        """Add blocks, the start pose first; return the segments that later blocks cannot change.
 
         Raises BlockError if a tool axis reverses, or control points do not form a curve.
         """

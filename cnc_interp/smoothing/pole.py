@@ -1,5 +1,4 @@
-"""
-What smoothing does near the pole: tool axes beside it are put on it, and room is left to pass it.
+"""What smoothing does near the pole: axes beside it are put on it, and room is left to pass.
 
 CL data give tool axes with six to twelve digits. Beside the pole the last digit alone decides
 where the outer rotary axis stands, and from block to block it would turn half round for nothing.
@@ -44,8 +43,7 @@ class Upright:
         self._waiting: Blocks | None = None  # a block that may be the last one
 
     def push(self, blocks: Blocks) -> Blocks:
-        """
-        Return blocks whose tool axes are on the pole where they were nearly.
+        """Return blocks whose tool axes are on the pole where they were nearly.
 
         The last row may come with the next call. The start pose, exact stops, rows that name
         rotary positions, rows whose rotary axes run linearly, control points, and rows before a

@@ -75,8 +75,7 @@ def corner_jets(
     bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
     u: float, inside: float,
 ) -> tuple[VectorJet, VectorJet]:  # fmt: skip
-    """
-    Return the jets in u of tool tip [m] and unit tool axis on a CORNER [B2013, Eq. 5].
+    """Return the jets in u of tool tip [m] and unit tool axis on a CORNER [B2013, Eq. 5].
 
     ``parametrization`` (spans, 8) has the start of each span of f and seven Bezier values on it.
     If u is a break, ``inside`` selects the side: a parameter inside the same smooth piece.

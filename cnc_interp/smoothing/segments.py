@@ -14,8 +14,7 @@ POINTS = 6
 
 
 class PathSegments(Table):
-    """
-    Smooth segments in path order, one row per segment, each with a parameter u in [0, 1].
+    """Smooth segments in path order, one row per segment, each with a parameter u in [0, 1].
 
     ``LINE``: the tip moves straight from ``bottom[0]`` to ``bottom[1]``. The tool axis turns on a
     great circle at a constant rate [B2013, Eq. 4].

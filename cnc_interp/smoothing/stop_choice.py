@@ -1,5 +1,4 @@
-"""
-Corners at which a stop may be faster, and short runs of blocks that may be faster as lines.
+"""Corners at which a stop may be faster, and short runs of blocks that may be faster as lines.
 
 Rounding nearly always saves time. It may not where the axes move in another way on the corner
 than on the lines beside it: near the pole, where the rounded orientation may lead the outer rotary
@@ -38,14 +37,11 @@ from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import Skeleton
 from cnc_interp.smoothing.orientation import angles_between, dot, norm
 
-#: Most lines before and after the corner that a way has.
-BEFORE, AFTER = 3, 6
+BEFORE, AFTER = 3, 6  #: Most lines before and after the corner that a way has.
 #: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].
 FAST = 2.0 / MM
-#: A corner is tried where the path turns more than this [rad].
-SHARP = 160.0 * DEG
-#: A corner is tried beside a line shorter than this [m].
-MICRO = 3.0 * UM
+SHARP = 160.0 * DEG  #: A corner is tried where the path turns more than this [rad].
+MICRO = 3.0 * UM  #: A corner is tried beside a line shorter than this [m].
 #: Most blocks of a run that is tried, and the length below which it always is [tolerances].
 MOST_BLOCKS, TINY = 8, 15.0
 

@@ -1,5 +1,4 @@
-"""
-Lines and corners whose rotary axes are coordinates of the path.
+"""Lines and corners whose rotary axes are coordinates of the path.
 
 A row whose rotary axes run linearly is a line in coordinates c: X Y Z of the axes (AXES_LINEAR) or
 of the tip (ROTARY_LINEAR), both rotary axes, and the extra axes. Its length counts the rotary axes
@@ -34,10 +33,8 @@ from cnc_interp.smoothing.orientation import norm
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
-#: Bisections for the middle of a corner.
-_BISECTIONS = 45
-#: Parameters at which the curve may pass the vertex.
-_PLACES = np.linspace(0.1, 0.9, 33)
+_BISECTIONS = 45  #: Bisections for the middle of a corner.
+_PLACES = np.linspace(0.1, 0.9, 33)  #: Parameters at which the curve may pass the vertex.
 
 
 @dataclass(frozen=True)
@@ -231,8 +228,7 @@ class AxisCorners:
 def _largest_gap(
     inner: FloatArray, outer: FloatArray, before: FloatArray, after: FloatArray, both: FloatArray
 ) -> FloatArray:
-    """
-    Bound the distance from the program, and that of the vertex from the curve, shape (n,).
+    """Bound the distance from the program, and that of the vertex from the curve, shape (n,).
 
     The first is at most ``max_u min(a before, b after)``, found where both are equal, because one
     falls and the other rises. The second is at most ``a before + b after`` at any parameter. Both

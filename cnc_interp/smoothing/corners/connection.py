@@ -1,5 +1,4 @@
-"""
-Smooth connection of the orientation on corners and lines [B2013, sections 2.5-3.3, Appendix B].
+"""Smooth connection of the orientation on corners and lines [B2013, sections 2.5-3.3, Appendix B].
 
 The tool axis on a corner is the direction of D(u) = C_top(f(u)) + E(u) - C_bottom(u). At both ends
 it must continue the tool axis o(s) of the line, together with its derivatives. So D = rho o(s(u))
@@ -58,8 +57,7 @@ def connect(
 
 
 class End:
-    """
-    One end of many corners, seen towards the corner.
+    """One end of many corners, seen towards the corner.
 
     On the line o_s = w k x o, o_ss = -w^2 o and o_sss = -w^2 o_s [B2013, Eq. 4]. s(u) is the arc
     length of the bottom curve.
@@ -121,8 +119,7 @@ def lacking(
 def matching_slopes(
     bottom: FloatArray, top: FloatArray, axis: FloatArray, turning: FloatArray, rho: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """
-    Return the derivatives of f for which the tool axis continues along the top curve.
+    """Return the derivatives of f for which the tool axis continues along the top curve.
 
     D = C_top(f(u)) - C_bottom(u) shall be rho o(u) in each order [B2013, B.3-B.5]. The highest
     derivative of f acts along C_top' only. So it follows from the component e of C_top' at right

@@ -1,5 +1,4 @@
-"""
-The 5-axis corner: two cubic B-splines within both tolerances [B2013, sections 2.2-2.3].
+"""The 5-axis corner: two cubic B-splines within both tolerances [B2013, sections 2.2-2.3].
 
 Bottom polygon: P2 is the programmed corner, P1 and P3 are at the distance L1 from it, P0 and P4 at
 the distance L2 on the two lines. The largest deviation is that of the middle,
@@ -30,14 +29,11 @@ from cnc_interp.smoothing.corners.corner_curves import Curves, poses
 from cnc_interp.smoothing.corners.orientation_bounds import orientation_bounds
 from cnc_interp.smoothing.orientation import norm, turned_by
 
-#: Smallest ratio L2/L1 if the lines are too short for the tolerance.
-LEAST_RATIO = 1.5
-#: The same for the top polygon with ``tolerance``.
-LEAST_TOP_RATIO = 1.4
+LEAST_RATIO = 1.5  #: Smallest ratio L2/L1 if the lines are too short for the tolerance.
+LEAST_TOP_RATIO = 1.4  #: The same for the top polygon with ``tolerance``.
 #: L2/L1 of literal corners, and how often they shrink on top alone, before both curves shrink.
 PAPER_RATIO, TOP_TURNS = 1.4, 4
-#: Largest turn of the tool axis on each side of one corner [rad].
-LARGEST_TURN = 0.7
+LARGEST_TURN = 0.7  #: Largest turn of the tool axis on each side of one corner [rad].
 #: A corner whose deviation over tolerance is below this value is accepted [-].
 USED_UP = 1.0 + 1e-9
 
@@ -177,8 +173,7 @@ def fit(
 
 
 def _deviations(corners: Corners, outer: FloatArray, curves: Curves, style: Style) -> FloatArray:
-    """
-    Return contour deviation and bound of the orientation deviation, shape (n, 2) [m].
+    """Return contour deviation and bound of the orientation deviation, shape (n, 2) [m].
 
     The contour deviation is the distance of the middle from the programmed corner (Eq. 3). It is
     the largest deviation in both directions. The orientation deviation is measured at flank

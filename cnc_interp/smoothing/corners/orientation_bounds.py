@@ -1,5 +1,4 @@
-"""
-Proven bounds of the orientation deviation of a corner, for every way to construct it.
+"""Proven bounds of the orientation deviation of a corner, for every way to construct it.
 
 On each smooth piece of a corner two errors are analytic in u (o' is the programmed axis, Eq. 4):
 
@@ -43,8 +42,7 @@ TO_BEZIER = np.linalg.inv(
 ELLIPSES = np.array([40.0, 16.0, 6.0, 2.5])
 #: Rows of the programmed data on one side of a corner.
 AXIS, LEG, SLOPE, CHORD, SCALARS = range(5)
-#: Columns of the last of these rows: rotation per metre, L2.
-TURN, OUTER = range(2)
+TURN, OUTER = range(2)  #: Columns of the last of these rows: rotation per metre, L2.
 #: Errors below this value are rounding errors of coordinates [m].
 ROUNDING = 1e-14
 BINOMIAL = np.array([[float(comb(n, k)) for k in range(8)] for n in range(8)])
@@ -247,8 +245,7 @@ def _programmed_lines(
     bottom: FloatArray, top: FloatArray, legs: FloatArray, rates: FloatArray, outer: FloatArray,
     height: float,
 ) -> FloatArray:  # fmt: skip
-    """
-    Return the programmed data on both sides of a corner, shape (2, 5, 3).
+    """Return the programmed data on both sides of a corner, shape (2, 5, 3).
 
     At x metres from the corner the programmed axis is cos(turn x) axis + sin(turn x) slope. The
     foot of the top point is x = (top point - corner of the top polygon) . chord.
@@ -336,8 +333,7 @@ def _taylor(
     u: float, half: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
     parametrization: FloatArray,
 ) -> tuple[FloatArray, FloatArray, bool, float]:  # fmt: skip
-    """
-    Return the Taylor coefficients at u of tip, shape (4, 3), and tool vector, shape (m, 3).
+    """Return the Taylor coefficients at u of tip, shape (4, 3), and tool vector, shape (m, 3).
 
     The tip is relative to the corner. The tool vector is the difference of both curves (Eq. 5).
     The third value tells whether the top curve is in its second half. The last one bounds the

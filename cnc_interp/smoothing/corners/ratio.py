@@ -1,5 +1,4 @@
-"""
-The ratio L2/L1 of a corner for the shortest machining time; [B2013, section 2.2] leaves it open.
+"""The ratio L2/L1 of a corner for the shortest time; [B2013, section 2.2] leaves it open.
 
 Near a corner the axes move almost linearly with tip and tool axis. So in the space of the axes
 the corner is the same B-spline, with legs along the slopes q_s of both lines. Each axis is divided

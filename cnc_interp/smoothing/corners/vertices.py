@@ -22,8 +22,7 @@ STRAIGHT = 1e-9
 #: of the block [rad/m]. Rotary axes at 20 rev/min move such a tip at 0.1 mm/s. A rounded corner
 #: would be smaller than that way, and no feed solver converges on its derivatives by path length.
 SWIVEL = 20.0 / MM
-#: Kinds of vertices: the path passes, is rounded, or the tool rests.
-PASS, ROUND, STOP = 0, 1, 2
+PASS, ROUND, STOP = 0, 1, 2  #: Kinds of vertices: the path passes, is rounded, or the tool rests.
 
 
 @dataclass

@@ -1,5 +1,4 @@
-"""
-The certificate: a proof that a curve stays within the tolerances, without samples.
+"""The certificate: a proof that a curve stays within the tolerances, without samples.
 
 On the part of a span between two vertices, the blocks are linear in u and the curve is a quintic.
 Their difference is a quintic, which lies in the convex hull of its Bezier points. Curve and blocks
@@ -19,8 +18,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.bezier import quintic_part
 from cnc_interp.smoothing.dense.polyline import Polyline
 
-#: Largest number of times that a part is halved if the hull is too wide.
-HALVINGS = 3
+HALVINGS = 3  #: Largest number of times that a part is halved if the hull is too wide.
 #: Smallest step of the Bezier points of the tip along the chord of the span, over the chord [-].
 ADVANCE = 0.01
 
@@ -30,8 +28,7 @@ def _hull(
     points: FloatArray, a: float, b: float, first: FloatArray, last: FloatArray,
     tool: FloatArray, turn: float, height: float, turning: bool, work: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
-    """
-    Bound contour and orientation deviation of the part a ... b of a quintic span from a line [m].
+    """Bound contour and orientation deviation of a part a ... b of a quintic span [m].
 
     The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
     has no effect on it. Primes mark the line. With d = D - D' and the direction o' of D',

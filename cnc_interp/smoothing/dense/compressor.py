@@ -1,5 +1,4 @@
-"""
-The compressor: runs of short blocks become smooth curves within the tolerances.
+"""The compressor: runs of short blocks become smooth curves within the tolerances.
 
 A run of short blocks is a polyline (``polyline.py``) that is processed window by window. A quintic
 spline through the whole window is fitted into the tolerance tube (``tube_fit.py``) and certified
@@ -30,8 +29,7 @@ from cnc_interp.smoothing.dense.skeleton import CornerSearch, Skeleton, Skeleton
 from cnc_interp.smoothing.dense.thinning import FEWEST_BLOCKS, LONG, SHORT, run_end
 from cnc_interp.smoothing.stop_choice import MOST_BLOCKS, Choice, may_be_slow, ways_of_run
 
-#: Number of vertices that are kept before the last one sent.
-KEPT_VERTICES = 512
+KEPT_VERTICES = 512  #: Number of vertices that are kept before the last one sent.
 #: Shortest distance between the committed curve and the end of its run, in tolerances.
 SHORTEST_REST = 40.0
 
@@ -239,8 +237,7 @@ class Compressor:
             self._line(last, tail)
 
     def _retreat(self, run: Run, worst: float) -> None:
-        """
-        End a run earlier, because no curve keeps the tolerance at the position ``worst`` [m].
+        """End a run earlier, because no curve keeps the tolerance at the position ``worst`` [m].
 
         The run ends at a vertex there, with a corner. If this vertex is too near, the blocks are
         followed as lines: all of them if nothing is committed yet. Otherwise the tool stops at

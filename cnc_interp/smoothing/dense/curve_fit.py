@@ -25,8 +25,7 @@ from cnc_interp.smoothing.orientation import rotation_between, share_near_pole
 
 #: Spans in a window, spans committed of it, and most spans in the last window of a run.
 WINDOW, COMMIT, LAST = 40, 20, 60
-#: Smallest number of spans of a curve between its ends.
-LEAST = 6
+LEAST = 6  #: Smallest number of spans of a curve between its ends.
 #: Attempts for a window, in order: fewest and most sweeps, aim, factor of the knot spacing.
 ATTEMPTS = ((1, 40, 0.85, 1.0), (1, 80, 0.7, 1.0), (1, 60, 0.75, 0.5), (1, 60, 0.75, 0.25))
 
@@ -60,8 +59,7 @@ class Window(NamedTuple):
 
 
 class Run:
-    """
-    A run of short blocks, and the curve through it as far as it is committed.
+    """A run of short blocks, and the curve through it as far as it is committed.
 
     The polyline grows while blocks arrive. ``jet`` (m, 6) has value and derivatives at the start
     of the curve, divided by factorials of their order.

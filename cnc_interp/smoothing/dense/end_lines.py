@@ -23,12 +23,9 @@ from cnc_interp.smoothing.dense.thinning import Vertices, longest_chord
 
 #: Wanted length of a chord at a corner, and the part of it for the corner, both in tolerances.
 CHORD, CORNER_PART = 20.0, 14.0
-#: Distance along the blocks within which a chord must end, in tolerances.
-REACH = 30.0
-#: Largest distance of the blocks from the chord, in tolerances.
-OFF = 0.3
-#: A block on a chord keeps its own program row if it is longer than this [tolerances].
-CUT = 0.5
+REACH = 30.0  #: Distance along the blocks within which a chord must end, in tolerances.
+OFF = 0.3  #: Largest distance of the blocks from the chord, in tolerances.
+CUT = 0.5  #: A block on a chord keeps its own program row if it is longer than this [tolerances].
 #: A curve begins inside a long block, at most this many longest spacings before the end of the
 #: block, and within this part of its length.
 LEAD, LEAD_SHARE = 2.0, 0.4
@@ -130,8 +127,7 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
 def with_end_line(
     line: Polyline, v: Vertices, vertex: int, step: int, other: int, ended: bool, height: float
 ) -> tuple[EndLine, Polyline, FloatArray]:  # fmt: skip
-    """
-    Choose the line on which a run begins at a vertex (``step`` 1) or ends there (-1).
+    """Choose the line on which a run begins at a vertex (``step`` 1) or ends there (-1).
 
     Returns it, the polyline with it, and the motion at its outer end. ``other`` is the last vertex
     of the run that is known, in the other direction; ``ended`` tells whether the run ends there.

@@ -1,5 +1,4 @@
-"""
-Knots and samples of a curve through dense blocks.
+"""Knots and samples of a curve through dense blocks.
 
 The blocks are a polyline of tool tips p and unit tool axes o. With the top point T = p + h o at
 flank height h, the curve parameter u grows by du = sqrt((|dp|^2 + |dT|^2) / 2) per block. So u
@@ -16,18 +15,13 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.smoothing.dense.polyline import Polyline
 
-#: Longest and shortest spacing of knots, in tolerances.
-LONGEST, FINEST = 100.0, 2.0
+LONGEST, FINEST = 100.0, 2.0  #: Longest and shortest spacing of knots, in tolerances.
 #: Distance after a window up to which the polyline influences its knots, in longest spacings.
 AHEAD = 3.0
-#: Number of spacings that are tried; each one is half of the spacing before.
-LADDER = 7
-#: Largest second difference of the polyline over one spacing, in tolerances.
-BEND = 4.0
-#: Largest change of the spacing per unit of u [-].
-GROWTH = 0.5
-#: Largest distance of samples, as part of a spacing [-].
-DENSITY = 0.35
+LADDER = 7  #: Number of spacings that are tried; each one is half of the spacing before.
+BEND = 4.0  #: Largest second difference of the polyline over one spacing, in tolerances.
+GROWTH = 0.5  #: Largest change of the spacing per unit of u [-].
+DENSITY = 0.35  #: Largest distance of samples, as part of a spacing [-].
 
 
 @njit(cache=True, nogil=True)

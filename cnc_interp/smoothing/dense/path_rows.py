@@ -11,13 +11,11 @@ from cnc_interp.core.columns import Table, column
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.orientation import norm
 
-#: What moves less than this does not move [m]; angles count at flank height.
-STANDSTILL = 1e-9
+STANDSTILL = 1e-9  #: What moves less than this does not move [m]; angles count at flank height.
 
 
 def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
-    """
-    Return how far poses are apart: tip, tool axis, rotary and extra axes, shape (n,) [m].
+    """Return how far poses are apart: tip, tool axis, rotary and extra axes, shape (n,) [m].
 
     Rotary positions that are named only after the block may be anywhere: the way is infinite.
     """
@@ -34,8 +32,7 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
 
 
 def settled(blocks: Blocks, before: Blocks | None, height: float) -> Blocks:
-    """
-    Put the end of each block that does not move on the end of the block before it.
+    """Put the end of each block that does not move on the end of the block before it.
 
     So the path goes on from there without a step. The way counts from the last end that moved:
     small steps may add up to a motion. ``before`` is the last row of the call before.

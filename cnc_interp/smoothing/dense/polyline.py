@@ -29,8 +29,7 @@ class Polyline(NamedTuple):
     used: FloatArray
     tolerance: FloatArray
     feed: FloatArray  #: (n - 1,): Programmed speed of the tip [m/s].
-    #: (n - 1, 2): Row and line of the program.
-    origin: IntArray
+    origin: IntArray  #: (n - 1, 2): Row and line of the program.
 
     def part(self, first: int, last: int) -> Polyline:
         """Return the polyline of the vertices first ... last."""

@@ -17,8 +17,7 @@ from cnc_interp.smoothing.orientation import dot, norm, rotations_between
 
 #: Poses of a curve with a smaller difference are one pose [m]; small steps do not add up here.
 REPEATED = 0.1 * STANDSTILL
-#: A block longer than this always stays a straight line [tolerances].
-LONGEST = 500.0
+LONGEST = 500.0  #: A block longer than this always stays a straight line [tolerances].
 #: Smallest movement of the tip on a curve, as part of the movement of the top [-].
 LEAST_TIP = 0.02
 
@@ -226,8 +225,7 @@ class SkeletonBuilder:
         self.skeleton = skeleton.join(more)
 
     def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
-        """
-        Return distance / time of the rows between vertices, shape (m,) [m/s].
+        """Return distance / time of the rows between vertices, shape (m,) [m/s].
 
         If all feeds are equal, the result is exactly F. It is never above F of the last row,
         because only that row may be longer than the tolerance.

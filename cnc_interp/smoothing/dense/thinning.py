@@ -1,5 +1,4 @@
-"""
-Thinning of dense blocks: the vertices and corners that matter at the scale of the tolerance.
+"""Thinning of dense blocks: the vertices and corners that matter at the scale of the tolerance.
 
 CAM output contains repeated points, steps of 0.1 um and rounding errors. The skeleton keeps a
 vertex if it is more than half a tolerance away from the last one kept. It also keeps a vertex if
@@ -21,15 +20,13 @@ from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 
 #: Shortest step of the skeleton, and largest distance of a dropped vertex, in tolerances.
 STEP, DROP = 0.5, 0.1
-#: Largest number of consecutive dropped rows.
-MOST_DROPPED = 512
+MOST_DROPPED = 512  #: Largest number of consecutive dropped rows.
 #: Shortest chord between which a corner is measured, and the distance in u within which such a
 #: chord is searched, both in tolerances.
 CHORD, REACH = 3.0, 6.0
 #: Kinds of segments: short enough for a curve, too long, or never part of a curve.
 SHORT, LONG, FIXED = 0, 1, 2
-#: Smallest number of blocks in a run.
-FEWEST_BLOCKS = 3
+FEWEST_BLOCKS = 3  #: Smallest number of blocks in a run.
 
 
 class Vertices(NamedTuple):

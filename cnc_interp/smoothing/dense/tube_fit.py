@@ -1,5 +1,4 @@
-"""
-The smoothest quintic spline within the tolerance tube of a polyline.
+"""The smoothest quintic spline within the tolerance tube of a polyline.
 
 The spline X = (tip, top) minimises the squared distance from samples of the polyline plus a
 multiple of the integral of |X'''|^2. This is a banded system of normal equations. It is solved
@@ -24,8 +23,7 @@ Samples = tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatA
 
 #: Weight of the integral of |X'''|^2 [m^6] at a tolerance of TYPICAL [m].
 STIFFNESS, TYPICAL = 1e-19, 1e-5
-#: Exponent of the change of weights.
-POWER = 1.2
+POWER = 1.2  #: Exponent of the change of weights.
 #: Smallest and largest factor on a weight in one sweep, and the range of weights.
 LEAST_CHANGE, MOST_CHANGE = 0.2, 8.0
 LEAST_WEIGHT, MOST_WEIGHT = 1e-5, 1e9

@@ -1,5 +1,4 @@
-"""
-Corners and splines as pairs of cubic B-splines with one parameter, the form of native programs.
+"""Corners and splines as pairs of cubic B-splines with one parameter, the form of native programs.
 
 On a corner the tool axis is the direction of top(f(u)) + E(u) - bottom(u). Two curves with one
 knot vector cannot express f and E. Instead a cubic spline with more knots interpolates
@@ -83,8 +82,7 @@ class CubicCurve(Portion):
 def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
-    """
-    Approximate one corner or spline within a distance by two cubic B-splines with one parameter.
+    """Approximate a corner or spline within a distance by two cubic B-splines, one parameter.
 
     The second point is at flank height, or on the top curve of the segment. Raises BlockError if
     more than MOST_INTERVALS knot intervals are necessary.

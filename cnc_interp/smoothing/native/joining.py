@@ -1,5 +1,4 @@
-"""
-The general connection of two 5-axis path portions [B2013, section 2.6 and Fig. 4].
+"""The general connection of two 5-axis path portions [B2013, section 2.6 and Fig. 4].
 
 Two portions meet at one point with one tool axis. With the arc length s of the tip, the second one
 may begin with other p_s, p_ss, o_s, o_ss than the first one has at its end. Each jump would reduce
@@ -29,10 +28,8 @@ from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
 
 #: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6
-#: Above this angle between the directions at a join, the tool rests [rad].
-SHARPEST = 0.1
-#: Largest number of times that a span is halved for a join.
-MOST_HALVINGS = 12
+SHARPEST = 0.1  #: Above this angle between the directions at a join, the tool rests [rad].
+MOST_HALVINGS = 12  #: Largest number of times that a span is halved for a join.
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,4 @@
-"""
-Two given 5-axis B-spline portions joined by a parametrization spline [B2013, section 2.6, Fig. 4].
+"""Two 5-axis B-spline portions joined by a parametrization spline [B2013, 2.6, Fig. 4].
 
 A portion is a pair of cubic B-splines with one knot vector: the tip on the bottom curve, a second
 point of the tool axis on the top curve. Two portions may meet with G2 continuity on both curves,
@@ -33,8 +32,7 @@ if TYPE_CHECKING:
 
 #: Ends of two portions that are closer than this meet [m], [-].
 SAME_POINT, SAME_AXIS = 1e-9, 1e-9
-#: Most pieces of one knot interval of the written top curve.
-MOST_PIECES = 256
+MOST_PIECES = 256  #: Most pieces of one knot interval of the written top curve.
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,7 @@ def linked(
     portion: Portion, before: Jets | None, after: Jets | None, height: float,
     tolerance: float = 1e-8, septic: bool = False,
 ) -> Linked:  # fmt: skip
-    """
-    Join a portion with the paths before and after it, if any, by a parametrization spline.
+    """Join a portion with the paths before and after it, if any, by a parametrization spline.
 
     Raises InterpError if no increasing f has these derivatives.
     """

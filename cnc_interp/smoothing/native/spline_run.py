@@ -1,5 +1,4 @@
-"""
-One native 5-axis B-spline: from control points to smooth segments, in any batches.
+"""One native 5-axis B-spline: from control points to smooth segments, in any batches.
 
 Each span of the pair of cubic B-splines becomes exactly one SPLINE segment. The curve may meet a
 line, or its own next span at a repeated knot. There the jets of both sides are compared. If they
@@ -51,8 +50,7 @@ class SplineRun:
         return self._rows_known()[-1:]
 
     def push(self, rows: Blocks) -> PathSegments | None:
-        """
-        Add control points and return the segments that later ones cannot change.
+        """Add control points and return the segments that later ones cannot change.
 
         Raises BlockError if the curve does not begin at the tool, the tip stands still in it, or
         its knots interrupt it.
@@ -69,8 +67,7 @@ class SplineRun:
         return segments
 
     def finish(self, after: Jets | None) -> PathSegments | None:
-        """
-        Return the rest of the curve; without jets of the path after it, the tool rests at its end.
+        """Return the rest of the curve; without jets of the path after it, the tool rests there.
 
         Raises BlockError if it has fewer than four control points or is not clamped at its end.
         """

@@ -115,6 +115,7 @@ def _compare_run(
         float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
         _place(float(told[0].s[0]), float(blocks[0].continue_at)) if goes_on else math.nan,
         followed, wanted.retract, wanted.plunge_feed, wanted_tool(transform.machine, wanted),
+        asks=run_id.attempt == 0,
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)

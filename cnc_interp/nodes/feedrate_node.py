@@ -214,7 +214,7 @@ class FeedrateNode(LifecycleNode):
         return RunPlanner(
             self._transform, first.flank_height, self._values['interpolation_period'],
             self._values['chunk_time'], stands, place, settings,
-            self._values['retract'], self._values['plunge_feed'], tool,
+            self._values['retract'], self._values['plunge_feed'], tool, asks=first.attempt == 0,
         )  # fmt: skip
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:

@@ -49,6 +49,7 @@ class Prepared:
     used: frozenset[str]  #: What it uses of them.
     modes: ModesOfBlocks  #: The modal state of each block.
     start: StartPlace | None = None  #: Where the run starts, if that is not the top.
+    waits_first: bool = False  #: Whether it waits for the operator before it moves (M0).
     line: MdiLine | None = None  #: The line by hand, whose state is kept once executed.
 
     def __getitem__(self, rows: slice) -> Blocks:
@@ -120,6 +121,7 @@ def check(
     return Prepared(
         blocks, (*stream.read_as, *stream.notices), text, settings, length, stops, setup,
         settings.setup is not None, stream.changes, stream.used, stream.modes, start,
+        stream.waits_first,
     )  # fmt: skip
 
 

@@ -208,11 +208,11 @@ class ProgramRun:
 
     @property
     def start_at(self) -> float:
-        """Path length at which the run starts [m]; 0 at the top, without a line to start at."""
+        """Path length at which the run starts [m]; 0 at the top, where nothing waits."""
         program = self.preparation.prepared
-        if program is None or program.start is None:
+        if program is None or not (program.start or program.waits_first):
             return 0.0
-        return max(program.start.s, FIRST_MOTION)
+        return max(program.start.s if program.start else 0.0, FIRST_MOTION)
 
     def is_stale(self, setup: JobSetup) -> bool:
         """Tell whether the run waits and was checked with another setup of the machine."""

@@ -323,9 +323,12 @@ class ClReader:
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
             stands = self.targets.stands
-            not_yet = codes.NOT_STOPPED if kind == AT_M0 else codes.NOT_YET
+            waits = kind == AT_M0
+            not_yet = codes.WAITS_FIRST if waits else codes.NOT_YET
             self._notice(major, not_yet if stands else text)
-            if not stands:
+            if stands:
+                self.targets.waits_first |= waits
+            else:
                 self.targets.stop_here(kind)
         elif major in ('MSYS', 'CSYS') and (system := self._system_of(minor)) is not None:
             if self._system and moves(system):

@@ -125,7 +125,7 @@ REFUSED_G: dict[str, str] = {
 
 #: Of stops before the first motion, M1 and M0.
 NOT_YET = 'before the first motion nothing waits'
-NOT_STOPPED = f'{WARNING}the machine does NOT stop there: it goes to the start and on at once'
+WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}

@@ -467,8 +467,9 @@ class GcodeReader:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         self.mover.end_corner()
         if self.mover.targets.stands and not self.splines.open:
-            told = codes.NOT_YET if code == 'M1' else codes.NOT_STOPPED
-            self.notice(f'{code} at the start', told)
+            waits = code != 'M1'
+            self.mover.targets.waits_first |= waits
+            self.notice(f'{code} at the start', codes.WAITS_FIRST if waits else codes.NOT_YET)
         else:
             self.notice(code, codes.STOP_M[code])
             self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)

@@ -101,6 +101,11 @@ class ProgramStream:
         return self._reader.start
 
     @property
+    def waits_first(self) -> bool:
+        """Whether the program waits for the operator before its first motion (M0)."""
+        return self._reader.targets.waits_first
+
+    @property
     def changes(self) -> tuple[ProgramChange, ...]:
         """Return what the program changes of the setup; complete after the last block."""
         return self._reader.targets.changes

@@ -56,6 +56,7 @@ class TargetColumns:
         self.modes = ModesOfBlocks()
         self.state = (NONE, NONE, NONE)  # of the next target, as ``ModesOfBlocks.see`` takes it
         self._before: FloatArray | None = None  # the last target that became a block
+        self.waits_first = False  # for the operator, before the first motion
         self._parts: list[Blocks] = []
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known

@@ -43,16 +43,16 @@ class RunPlanner:
     """The planning of one run: the approach, then the program; or the rest of a program.
 
     The machine stands at rest at ``stands`` [m, rad]. The program goes on from the path length
-    ``continue_at`` [m], if that is above 0. A machine that stands elsewhere waits for cycle_start,
-    then goes there (``approach_inside``). ``push``, ``work``, ``resume`` and ``revise`` may take
-    long. They run in one thread of their own.
+    ``continue_at`` [m], if that is above 0. A machine that stands elsewhere, or any one if the
+    planner ``asks``, waits for cycle_start and goes there (``approach_inside``). ``push``,
+    ``work``, ``resume`` and ``revise`` may take long. They run in one thread of their own.
     """
 
     def __init__(
         self, transform: Transform, flank_height: float, period: float, chunk_time: float,
         stands: FloatArray, continue_at: float = math.nan,
         settings: OperatorSettings | None = None, retract: float = 0.0,
-        plunge_feed: float = math.inf, tool: ToolLimit | None = None,
+        plunge_feed: float = math.inf, tool: ToolLimit | None = None, asks: bool = False,
     ):  # fmt: skip
         self._transform, self._flank_height, self._stands = transform, flank_height, stands
         self._builder = AxisPathBuilder(transform, flank_height, period)
@@ -62,7 +62,7 @@ class RunPlanner:
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
-        self._retract, self._plunge_feed = retract, plunge_feed
+        self._retract, self._plunge_feed, self._asks = retract, plunge_feed, asks
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -93,10 +93,10 @@ class RunPlanner:
         if path.s[-1] <= self._continue_at + SAME:
             return None
         there = evaluate(path, np.array([self._continue_at]))[0][0]
-        if np.abs(there - self._stands).max() > ON_PATH:
-            way = self._way(self._stands, there, inside=True)
-            assert way is not None
+        away = np.abs(there - self._stands).max() > ON_PATH
+        if away or self._asks:
             self.stream.end_leg(Wait.APPROACH)  # the operator sees it before it begins
+        if away and (way := self._way(self._stands, there, inside=True)) is not None:
             self.stream.push(way)
             self.stream.end_leg(Wait.NOTHING)
         self._starts = self._continue_at, there

@@ -62,7 +62,11 @@ def waits(client, reason):
 
 @pytest.mark.parametrize('loses_a_node', few_of(2, [False, True]))
 def test_without_a_terminal_it_waits_for_cycle_start(program, loses_a_node):
-    run = start(program, '--from-line', '3')  # that of the first motion waits, too
+    words = ['--from-line', '3']  # that of the first motion waits, too
+    if not loses_a_node:  # nor does a stop before it let anything move
+        program.write_text(PROGRAM.replace('Z0\n', 'Z0\nM0\n'))
+        words = []
+    run = start(program, *words)
     try:
         # before anything moves, and not as a note among others
         assert any(line.startswith('line 1: M3: WARNING: ') for line in run.stderr)

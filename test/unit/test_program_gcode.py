@@ -9,9 +9,8 @@ from test_program_subdivision import TableAC
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import JobSetup, Tool, read_program, read_text, targets
+from cnc_interp.program import JobSetup, Tool, open_program, read_program, read_text, targets
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
-from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))
@@ -132,13 +131,18 @@ def test_program_stops_say_whom_they_wait_for():
     assert any('M1: with optional stop on: waits' in notice for notice in read(text).notices)
 
 
-def test_nobody_is_waited_for_before_the_first_motion():
-    program = read('M1\nG0 X0\nM0\nG1 X1 F600\nX2')
-    assert not program.blocks.program_stop.any()
-    notices = program.notices
-    assert any('M1 at the start: before the first motion nothing waits' in one for one in notices)
-    (warned,) = warnings_of(notices)  # told in red before the motion
-    assert warned.startswith('line 3: M0 at the start: WARNING: the machine does NOT stop there')
+@pytest.mark.parametrize(
+    ('text', 'waits'),
+    [('G0 X0\nM0', True), ('M0\nG0 X0', True), ('M60', True), ('M1\nG0 X0', False)],
+)
+def test_a_stop_before_the_first_motion_is_waited_for_before_anything_moves(text, waits, tmp_path):
+    file = tmp_path / 'part.ngc'
+    file.write_text(f'{text}\nG1 X1 F600\nX2\n')
+    stream = open_program(file, TableAC(), Settings())
+    program = stream.read()
+    assert not program.blocks.program_stop.any() and stream.waits_first == waits
+    told = 'waits for cycle start before it goes' if waits else 'before the first motion nothing'
+    assert any(told in notice for notice in program.notices)
 
 
 def test_g64_keeps_the_path_within_p_whatever_q_allows():

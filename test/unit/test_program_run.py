@@ -49,7 +49,9 @@ class Heard:
 def waiting():
     """A run that is checked and waits for the machine."""
     run, peers = ProgramRun(RunProgram.Goal(text='M30')), Heard()
-    run.preparation.prepared = SimpleNamespace(notices=(), start=None, path_length=1.0)
+    run.preparation.prepared = SimpleNamespace(
+        notices=(), start=None, waits_first=False, path_length=1.0
+    )
     assert run.phase is Phase.QUEUED
     run.take_turn(0.0)
     assert run.step(peers, 0.0, 3.0) is None and run.phase is Phase.WAITING

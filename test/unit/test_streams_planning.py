@@ -16,6 +16,7 @@ from cnc_interp.program import read_text
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.run.setpoints import Wait
 from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
@@ -70,6 +71,25 @@ def sampled(planner):
     )
     assert limit_use(q, MACHINE.limits) <= 1.001
     return q, s, block
+
+
+@pytest.mark.parametrize('place', [5e-14, 5e-3])
+@pytest.mark.parametrize('asks', [True, False])
+def test_a_start_inside_is_asked_for_where_the_machine_stands_there_too(place, asks):
+    whole = segments()
+    path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
+    there = evaluate(path, np.array([place]))[0][0]
+    planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, there, place, asks=asks)
+    planner.push(whole, {})
+    planner.finish()
+    first = []
+    while not first:
+        first = planner.work(planner.stream.current, True, -np.inf)
+    assert (first[0].wait is Wait.APPROACH) == asks
+    if asks:
+        assert np.abs(first[0].samples.position - there).max() < 1e-12
+        q, s, _ = sampled(planner)
+        assert abs(s[-1] - path.s[-1]) < 1e-12 and np.abs(q[-1] - path.q[-1]).max() < 1e-12
 
 
 @pytest.mark.parametrize('place', few_of(4, [5e-3, -0.01, 0.0, 0.03]))

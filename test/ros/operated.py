@@ -89,11 +89,13 @@ class Bench(NodesUnderTest):
         return self.start(text=text)
 
     def until_at(self, length):
-        """Spin until the machine has run so far [m]."""
+        """Spin until the machine has run so far [m] in the program loaded last."""
         self.spin_until(
             lambda: (
                 self.state.state == MachineState.RUNNING
-                and self.state.approach_samples
+                and self.state.samples
+                and self.loaded
+                and self.state.program_id == self.loaded[-1].program_id
                 and self.state.path_position > length
             )
         )

@@ -23,7 +23,7 @@ from cnc_interp.client.session import RunRequest, RunResult
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.processes.node_processes import KILLED, Children
+from cnc_interp.processes.node_processes import Children
 from cnc_interp.program.notices import tell, warnings_of
 from cnc_interp.wire.settings_messages import goal_of
 
@@ -61,7 +61,6 @@ class RunConsole:
         self._interrupted = self._cancelling = False
         self._restarted = False  # a node, and the run has not gone on since
         self._forgotten = False  # the programs, because program_node was lost
-        self._faults: list[str] = []  # of cnc_interp: tracebacks of nodes that were restarted
         self._stop_told = False
         self._warned = ''  # the run whose warnings were told last
         self._pressed: Future[Answer] | None = None  # cycle_start after a restart
@@ -137,7 +136,7 @@ class RunConsole:
             jerk_use=by_axis(outcome.jerk_use),
             position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
-            faults=tuple(self._faults),
+            faults=tuple(self._children.faults.values()),
         )
 
     def _wait_for_nodes(self) -> None:
@@ -236,8 +235,6 @@ class RunConsole:
         """Restart lost nodes and continue from where the machine has stopped."""
         for name, why in self._children.revive().items():
             print(f'\n{name} {why}; it is started again', file=sys.stderr)
-            if why != KILLED:
-                self._faults.append(self._children.traceback_of(name))
             self._restarted = True
             self._forgotten = self._forgotten or name == 'program_node'
         state = self._client.state

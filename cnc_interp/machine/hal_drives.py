@@ -153,7 +153,7 @@ CAUSES = {
 
 
 class HalDrives:
-    """Drives behind a running session of HAL; see ``drives.CycleDrives``.
+    """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
 
     ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of linear [m]
     and rotary axes [rad]. Raises DriveFaultError if no session runs, the wiring is wrong, or HAL's

@@ -1,4 +1,4 @@
-"""Drives behind joint_trajectory_controller of ros2_control, which executes trajectories.
+"""Drives that joint_trajectory_controller of ros2_control moves along trajectories.
 
 The controller executes what the cycle plays a fixed time later, the delay. Each trajectory covers
 what it still has to execute of the played setpoints, and after them the way to rest. The
@@ -74,7 +74,7 @@ class Controller(Protocol):
 
 
 class TrajectoryDrives:
-    """Drives behind a trajectory controller; see ``drives.DelayedDrives``.
+    """Drives that a trajectory controller moves; see ``drives.DelayedDrives``.
 
     ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following errors of
     linear [m] and rotary axes [rad]; ``silence`` after which the feedback counts as lost [s].

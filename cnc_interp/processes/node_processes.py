@@ -21,7 +21,6 @@ NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
 LAST_WAIT = 10.0  #: A node that lives longer is killed: a machine may have to stop [s].
 FAULT = 1  #: How a process ends that Python ends for an error that nobody caught.
-KILLED = 'was killed'  #: Why a node was lost that a signal has ended.
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ class Children:
         self._arguments = arguments or {}
         self._context = load_nodes()
         self.nodes: dict[str, Started] = {}
-        self._faults: dict[str, str] = {}
+        self.faults: dict[str, str] = {}  #: Last traceback of each node that ended by one.
         try:
             for node in NODES:
                 self.nodes[node] = self._start(node)
@@ -114,20 +113,16 @@ class Children:
             if (code := node.process.exitcode) is None:
                 continue
             words = node.last_words
-            if code == FAULT and self._faults.get(node.name) != words:
-                self._faults[node.name] = words
+            if code == FAULT and not self.faults.get(node.name, '').endswith(words):
+                text = node.log.read_text(errors='replace')
+                self.faults[node.name] = text[max(text.rfind('Traceback ('), 0) :].strip()
                 lost[node.name] = f'ended by a fault of cnc_interp: {words}'
             elif code < 0:
-                lost[node.name] = KILLED
+                lost[node.name] = 'was killed'
             else:
                 raise InterpError(f'{node.name} ended: {words}')
             self.nodes[node.name] = self._start(node.name)
         return lost
-
-    def traceback_of(self, name: str) -> str:
-        """Return what a node has written last, from the beginning of a traceback."""
-        text = self.nodes[name].log.read_text(errors='replace')
-        return text[max(text.rfind('Traceback ('), 0) :].strip()
 
     def end(self) -> None:
         for node in self.nodes.values():

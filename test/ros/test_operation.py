@@ -240,7 +240,7 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
         bench.spin_until(lambda: bench.state.plan_over)
         told = bench.children.revive()
         assert told['feedrate_node'].endswith('ZeroDivisionError: float division by zero')
-        assert 'in faulty' in bench.children.traceback_of('feedrate_node')
+        assert 'in faulty' in bench.children.faults['feedrate_node']
         bench.spin_until(lambda: any('was restarted' in text for _, text in bench.diagnostics))
         assert bench.press('cycle_start').success
         bench.finish(handle)

@@ -226,11 +226,15 @@ def test_what_a_worker_dies_of_is_told():
     assert ended[4].result is Loss.KILLED and ended[4].kills > 3
 
 
-def stubborn(path):
-    """A function of a worker that is killed 30 times, and once is not."""
+def count_call(path):
     with Path(path).open('a+') as file:
         file.write('x')
-        times = file.tell()
+        return file.tell()
+
+
+def stubborn(path):
+    """A function of a worker that is killed 30 times, and once is not."""
+    times = count_call(path)
     if times <= 30:
         os.kill(os.getpid(), signal.SIGKILL)
     return times
@@ -256,9 +260,7 @@ def test_a_killed_call_is_begun_again_as_long_as_it_has_time(tmp_path, monkeypat
 
 def lost_with_its_server(path):
     """A function of a worker that dies with the fork server twice."""
-    with Path(path).open('a+') as file:
-        file.write('x')
-        times = file.tell()
+    times = count_call(path)
     if times <= 2:
         os.kill(os.getppid(), signal.SIGKILL)
         os.kill(os.getpid(), signal.SIGKILL)

@@ -8,14 +8,14 @@ a rapid back to r. The signs of d, and words for the same thing, differ between 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MM
+from cnc_interp.program.holes import Hole, pecks_of
 
 #: Kinds of cycles: those that come back by feed, that turn back after pecks, and that rest.
 _FEED_OUT, _PECKING = {'TAP', 'BORE', 'REAM', 'BORE8'}, {'DEEP', 'DEEP2', 'BRKCHP', 'CHIPBR'}
@@ -27,47 +27,15 @@ _VALUES = {
 }  # fmt: skip
 #: How near the tool comes to the last peck in a rapid [m].
 _NEAR = 0.5 * MM
-_MOST_PECKS = 10_000
-
-
-@dataclass(frozen=True)
-class ClCycle:
-    """A drilling cycle; lengths along the tool axis from the point of GOTO [m]."""
-
-    kind: str
-    depth: float
-    clear: float
-    retract: float
-    feed: float | None  #: In the unit that the statement names [m/min]; None: the one before.
-    peck: float = 0.0
-    following: float = 0.0  #: Pecks after the first one.
-    dwell: float = 0.0
-
-    @property
-    def feeds_out(self) -> bool:
-        """Whether the tool comes back by feed."""
-        return self.kind in _FEED_OUT
-
-    def levels(self) -> Iterator[tuple[float, bool, bool]]:
-        """Yield levels above the point, whether in a rapid, and whether it rests there."""
-        yield self.retract, True, False
-        yield self.clear, True, False
-        done, step = -self.clear if self.kind not in _PECKING else 0.0, self.peck or self.depth
-        count = 0
-        while self.kind in _PECKING and done + step < self.depth - 1e-9 and count < _MOST_PECKS:
-            done, step, count = done + step, self.following or self.peck, count + 1
-            yield -done, False, False
-            yield self.clear, True, False
-            yield min(-done + _NEAR, self.clear), True, False
-        yield -self.depth, False, self.dwell > 0.0 or self.feeds_out
-        yield (self.clear, False, False) if self.feeds_out else (self.retract, True, False)
-        yield self.retract, True, False
 
 
 def cycle_of(
     minor: str, units: dict[str, float], unit: float, fault: Callable[[str, str], ProgramError]
-) -> ClCycle:
-    """Return the cycle of a CYCLE statement; raise for words that are not known."""
+) -> tuple[Hole, float | None, bool]:
+    """Return the hole of a CYCLE statement, the feed that it names [m/min], and if it dwells.
+
+    Its levels are those along the tool axis, above the points that follow.
+    """
     kind, *words = [word.strip() for word in minor.split(',')]
     if kind not in KINDS:
         raise fault('this cycle is not supported; output the tool path as GOTO points', kind)
@@ -84,14 +52,21 @@ def cycle_of(
         feed_unit = units.get(word) or feed_unit
     if 'depth' not in found:
         raise fault('the cycle needs its depth FEDTO', kind)
-    clear = abs(found.get('clear', 0.0)) * unit
-    feed = found['feed'] * feed_unit if 'feed' in found else None
-    return ClCycle(
-        kind, abs(found['depth']) * unit, clear,
-        max(abs(found.get('retract', 0.0)) * unit, clear), feed,
-        abs(found.get('peck', 0.0)) * unit, abs(found.get('next', 0.0)) * unit,
-        found.get('dwell', 0.0),
+    depth, clear, first, following = (
+        abs(found.get(name, 0.0)) * unit for name in ('depth', 'clear', 'peck', 'next')
+    )
+    pecks: list[float] = []
+    if kind in _PECKING:
+        pecks = pecks_of(
+            0.0, -depth, first or depth, lambda text: fault(text, kind),
+            lambda *_: following or first,
+        )  # fmt: skip
+    dwells, feeds_out = found.get('dwell', 0.0) > 0.0, kind in _FEED_OUT
+    hole = Hole(
+        clear, -depth, max(abs(found.get('retract', 0.0)) * unit, clear), pecks, gap=_NEAR,
+        rests=dwells, out=clear if feeds_out else None,
     )  # fmt: skip
+    return hole, found['feed'] * feed_unit if 'feed' in found else None, dwells
 
 
 def way_to(

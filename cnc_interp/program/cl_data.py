@@ -21,8 +21,9 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cl_cycles import ClCycle, cycle_of, way_to
+from cnc_interp.program.cl_cycles import cycle_of, way_to
 from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
+from cnc_interp.program.holes import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import LineStart, Source
 from cnc_interp.program.start_line import StartLine
@@ -82,7 +83,7 @@ class ClReader:
         self.axis = (0.0, 0.0, 1.0)
         self._point = (nan, nan, nan)
         self._circle: _Circle | None = None
-        self._cycle: ClCycle | None = None
+        self._cycle: tuple[Hole, float | None, bool] | None = None
         self._heading: FloatArray | None = None  # of the next arc, by INDIRV
         self._frames = ClFrames()
         self._system = ''  # by name
@@ -200,20 +201,22 @@ class ClReader:
         if self._cycle is None:
             self._go(x, y, z)
         else:
-            self._drill(self._cycle, np.array([x, y, z]))
+            self._drill(*self._cycle[:2], np.array([x, y, z]))
 
-    def _drill(self, cycle: ClCycle, place: FloatArray) -> None:
+    def _drill(self, hole: Hole, feed: float | None, place: FloatArray) -> None:
         """Drill at a point along the tool axis."""
         axis, kept = np.array(self.axis), self.feedrate
-        self.feedrate = kept if cycle.feed is None else cycle.feed / MINUTE
-        higher = way_to(np.array(self._point), place, axis, cycle.retract)
-        if higher is not None and not self.targets.empty:
+        self.feedrate = kept if feed is None else feed / MINUTE
+        higher = way_to(np.array(self._point), place, axis, hole.clear)
+        first = [] if higher is None or self.targets.empty else [higher]
+        for point in (*first, place + hole.clear * axis, place + hole.retract * axis):
             self.rapid = True
-            self._go(*higher)
-        for level, self.rapid, rests in cycle.levels():
+            self._go(*point)
+        for level, stroke, _, stop in hole.strokes():
+            self.rapid = stroke == RAPID
             self._go(*(place + level * axis))
-            if rests:
-                self.targets.stop_here()
+            if stop:
+                self.targets.stop_here(stop)
         self.feedrate, self.rapid = kept, False
 
     def _go(self, x: float, y: float, z: float) -> None:
@@ -313,7 +316,7 @@ class ClReader:
         elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
             units = {k: v for k, v in cl_words.FEED_UNITS.items() if v}
             self._cycle = cycle_of(minor, units, self.unit, self._fault)
-            if self._cycle.dwell > 0.0:
+            if self._cycle[2]:
                 self._notice(major, codes.DWELL)
         elif major == 'CYCLE':
             self._cycle = None

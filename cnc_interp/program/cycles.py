@@ -3,14 +3,10 @@
 G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
 G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. G76 and G87
 of Fanuc shift the tool by I and J at the bottom, G88 waits there. Z, R, Q and P stay valid for the
-next holes. G98 retracts to the start level of the cycle, G99 to R. ``siemens_cycles.py`` has those
-of the 840D; both make their holes here.
+next holes. G98 retracts to the start level of the cycle, G99 to R.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,80 +15,19 @@ from cnc_interp.core.units import INCH, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
-from cnc_interp.program.target_row import AT_M0
 from cnc_interp.program.words import BlockWords
 
 #: Clearance above the last peck, and retract distance of G73, by unit [m].
 _CLEARANCE = {MM: 0.254 * MM, INCH: 0.01 * INCH}
-_MOST_PECKS, _MOST_REPEATS = 10_000, 10_000
+_MOST_REPEATS = 10_000
 _PECKING = {'G73', 'G83'}
 TAPPING = {'G74', 'G84', 'G84.2', 'G84.3'}
 _FEED_OUT = {*TAPPING, 'G85', 'G89'}
 _RESTING = {'G76', 'G82', 'G86', 'G87', 'G89'}
 _SHIFTING = {'G76', 'G87'}
-
-
-@dataclass(frozen=True)
-class Hole:
-    """How a hole is made, at the place where the tool stands on the level ``retract``."""
-
-    retract: float  #: Level at which the feed begins [m].
-    bottom: float
-    clear: float  #: Level on which the tool leaves the hole.
-    pecks: Sequence[float] = ()  #: Levels at which the tool turns back before the bottom.
-    #: Whether it retracts a little after each peck only, and by how much; where it comes back, it
-    #: stops short of the last peck by ``gap``.
-    breaks: bool = False
-    gap: float = 0.0
-    feeds_back: bool = False  #: Whether it comes back from each peck by feed.
-    rests: bool = False
-    waits: bool = False  #: Whether an operator retracts the tool.
-    out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
-    shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
-    feed_out: float | None = None  #: Feed out of the hole [m/s]; None: that into it.
-
-
-def go_along(
-    mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool, rapid: bool = True
-) -> None:
-    """Go to a level of the drilling axis [m] at a place in program coordinates, (5,) [m, rad]."""
-    target = place.copy()
-    target[axis] = along
-    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=rapid)
-
-
-def make_hole(mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given: bool) -> None:
-    """Drill at a place in program coordinates, shape (5,) [m, rad]."""
-
-    def go(along: float, rapid: bool, at: FloatArray = place) -> None:
-        go_along(mover, at, axis, along, feed_given, rapid)
-
-    for peck in hole.pecks:
-        go(peck, False)
-        if hole.breaks:
-            go(min(peck + hole.gap, hole.retract), True)
-            continue
-        go(hole.retract, not hole.feeds_back)
-        if not hole.feeds_back:
-            go(min(peck + hole.gap, hole.retract), True)
-    go(hole.bottom, False)
-    if hole.rests or hole.waits:
-        mover.targets.stop_here(AT_M0 if hole.waits else 1.0)
-    if hole.out is not None:
-        mover.targets.stop_here()
-        kept = mover.feedrate
-        mover.feedrate = kept if hole.feed_out is None else hole.feed_out
-        go(hole.out, False)
-        mover.feedrate = kept
-    elif hole.shift is not None:
-        beside = place.copy()
-        beside[:3] += hole.shift
-        go(hole.bottom, True, beside)
-        go(hole.clear, True, beside)
-    go(hole.clear, True)
 
 
 class CannedCycle:
@@ -213,7 +148,4 @@ class CannedCycle:
             return []
         if not 0.0 < step < FARTHEST:
             raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)
-        count = np.ceil((retract - bottom) / step - 1e-9)
-        if not count <= _MOST_PECKS:
-            raise mover.fault(f'more than {_MOST_PECKS} pecks; enlarge Q', self.code)
-        return [max(retract - peck * step, bottom) for peck in range(1, int(count))]
+        return pecks_of(retract, bottom, step, lambda text: mover.fault(text, self.code))

@@ -2,7 +2,8 @@
 
 One grammar contains the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B, and the
 ``=``, names and parentheses of Siemens. If they conflict, the form of the word decides (``X[...]``
-or ``X=...``). Angles are in deg, as on the controls.
+or ``X=...``). Formulas of Heidenhain (``Q2 + 5 * SIN Q3``) have rules of their own, where a
+function stands before its value and a sign binds first. Angles are in deg, as on the controls.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ _GRAMMAR = r"""
 line: item*
 values: bracketed*
 condition: expression
+formula: q_sum
 
 ?item: ADDRESS signed                          -> word
      | ADDRESS "=" expression                  -> word
@@ -62,6 +64,18 @@ given: [expression | STRING]
       | NAME "[" expression "]" "/" bracketed  -> quotient
       | OWN_NAME                               -> own_name
 
+?q_sum: q_product
+      | q_sum SIGN q_product                   -> operation
+?q_product: q_power
+          | q_product Q_TIMES q_power          -> operation
+?q_power: q_atom
+        | q_atom Q_POWER q_power               -> operation
+?q_atom: NUMBER                                -> number
+       | Q_NAME                                -> name
+       | SIGN q_atom                           -> sign
+       | Q_FUNCTION q_atom                     -> call
+       | "(" q_sum ")"                         -> group
+
 SIGN: /[-+]/
 POWER: "**"
 TIMES.4: /\*(?!\*)|\/|(MOD|DIV)(?![A-Z_])/
@@ -76,6 +90,10 @@ ADDRESS.2: /[A-Z](?![A-Z_])(?!\d+\s*=)/
 INDEXED.3: /[A-Z]\d+(?=\s*=(?!=))/
 R_NUMBER.3: /R\d+/
 NAME: /[A-Z_$][A-Z_][A-Z0-9_]*/
+Q_TIMES: /\*|\/|LEN|ANG/
+Q_POWER: "^"
+Q_NAME.2: /Q[LR]?\d+|PI(?![A-Z])/
+Q_FUNCTION: /[A-Z]+/
 %ignore /\s+/
 """
 _TOO_DEEP = 'the expression is nested too deeply; use parameters'
@@ -117,14 +135,14 @@ def _parser() -> Lark:
         _GRAMMAR,
         parser='lalr',
         lexer='contextual',
-        start=['line', 'values', 'condition'],
+        start=['line', 'values', 'condition', 'formula'],
         maybe_placeholders=False,
     )
 
 
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
-    """Parse a line, a row of bracketed values, or a condition; all without comments."""
+    """Parse a line, a row of bracketed values, a condition, or a formula of Heidenhain."""
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:
@@ -133,9 +151,18 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
         column = getattr(problem, 'column', None)
         rest = text[column - 1 :] if isinstance(column, int) and column > 0 else ''
         at = f'at {rest[:12].strip()!r}' if rest.strip() else 'at the end of the line'
+        example = 'Q1 = Q2 + 5' if start == 'formula' else 'X[#1 + 2.5] or X=R1+2.5'
         raise ExpressionError(
-            f'the expression cannot be read {at}; write for example X[#1 + 2.5] or X=R1+2.5'
+            f'the expression cannot be read {at}; write for example {example}'
         ) from None
+
+
+def formula(text: str, variables: Variables) -> float:
+    """Return the value of a formula of Heidenhain."""
+    try:
+        return float(text)
+    except ValueError:
+        return evaluate(parse(text.replace('DIV', '/'), 'formula')[0], variables)
 
 
 def evaluate(node: Node, variables: Variables) -> float:
@@ -179,7 +206,7 @@ def _value(node: Node, variables: Variables) -> float:
         vacant = other[0] == 'parameter' and other[1][0] != 'own_name'
         vacant = vacant and variables.is_vacant(parameter_index(other[1], variables))
         return float(vacant is (operator in ('EQ', '==')))
-    return float(_OPERATORS[operator](_value(left, variables), _value(right, variables)))
+    return float(OPERATORS[operator](_value(left, variables), _value(right, variables)))
 
 
 NOTHING = ('parameter', ('number', '0'))
@@ -226,12 +253,14 @@ def element_name(name: str, indices: tuple[Node, ...], variables: Variables) -> 
     return f'{name}[{",".join(f"{_value(index, variables):g}" for index in indices)}]'
 
 
-_OPERATORS: dict[str, Callable[[float, float], float]] = {
+OPERATORS: dict[str, Callable[[float, float], float]] = {
     '+': lambda x, y: x + y,
     '-': lambda x, y: x - y,
     '*': lambda x, y: x * y,
     '/': lambda x, y: x / y,
-    '**': math.pow,
+    **dict.fromkeys(('**', '^'), math.pow),
+    'LEN': math.hypot,
+    'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0,
     'MOD': lambda x, y: x % y,
     'DIV': lambda x, y: float(math.trunc(x / y)),
     'AND': lambda x, y: bool(x) and bool(y),
@@ -255,7 +284,7 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'ABS': ((1,), abs),
     'SQRT': ((1,), math.sqrt),
     'SQR': ((1,), math.sqrt),
-    'POT': ((1,), lambda x: x * x),
+    **dict.fromkeys(('POT', 'SQ'), ((1,), lambda x: x * x)),
     'SIN': ((1,), lambda x: math.sin(math.radians(x))),
     'COS': ((1,), lambda x: math.cos(math.radians(x))),
     'TAN': ((1,), lambda x: math.tan(math.radians(x))),
@@ -265,10 +294,14 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'ATAN2': ((2,), lambda y, x: math.degrees(math.atan2(y, x))),
     'EXP': ((1,), math.exp),
     'LN': ((1,), math.log),
+    'LOG': ((1,), math.log10),
+    'NEG': ((1,), lambda x: -x),
+    'FRAC': ((1,), lambda x: math.modf(x)[0]),
+    'SGN': ((1,), lambda x: float((x > 0) - (x < 0))),
     'FIX': ((1,), lambda x: float(math.floor(x))),
     'FUP': ((1,), lambda x: float(math.ceil(x))),
     'ROUND': ((1,), _nearest),
-    'TRUNC': ((1,), lambda x: float(math.trunc(x))),
+    **dict.fromkeys(('TRUNC', 'INT'), ((1,), lambda x: float(math.trunc(x)))),
     'MINVAL': ((2,), min),
     'MAXVAL': ((2,), max),
 }

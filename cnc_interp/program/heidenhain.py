@@ -2,8 +2,8 @@
 
 L, LN, LP, CC, C, CP, CR, CT, RND and CHF are motions, with FMAX, R0 RL RR, M91. Datum shifts,
 rotations and planes are frames. Cycles 1, 2 and 200 to 207 drill, by CYCL CALL, M99 or M89. LBL,
-CALL LBL and FN 9 to FN 12 are flow, Q parameters have formulas (``heidenhain_q.py``). All other
-words are refused with their line.
+CALL LBL and FN 9 to FN 12 are flow, Q parameters have formulas. All other words are refused with
+their line.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.corners import Corner
 from cnc_interp.program.cursor import Loop
-from cnc_interp.program.cycles import Hole, go_along, make_hole
-from cnc_interp.program.expressions import UNSET
+from cnc_interp.program.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_frames import HeidenhainFrames
-from cnc_interp.program.heidenhain_q import CONDITIONS, FUNCTIONS, QError, formula
+from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.motion import NO_CORNER
 from cnc_interp.program.source import LineStart
 from cnc_interp.program.words import BlockWords
@@ -48,6 +47,7 @@ _SET = re.compile(r'(Q[LR]?\d+)\s*=\s*(.*)')
 _PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
 _TURNING = re.compile(r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
                       r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)')  # fmt: skip
+_CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
 #: Words that move nothing.
 _IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE)')
 _IDLE_M = {'M94', 'M97', 'M98', 'M101', 'M102', 'M103', 'M107', 'M108', 'M109', 'M110', 'M111',
@@ -57,7 +57,6 @@ _OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
 _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M140', 'M144', 'M150'}
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
-_MOST_PECKS = 10_000
 
 
 class HeidenhainReader(GcodeReader):
@@ -93,8 +92,7 @@ class HeidenhainReader(GcodeReader):
         if not line:
             return
         try:
-            if (found := _SET.fullmatch(line)) and self.defining and not numbered:
-                self._set(found[1], formula(found[2], self._q))
+            if self.defining and not numbered and self._assign(line):
                 return
             self.defining = False
             self._in_flow = True
@@ -102,19 +100,19 @@ class HeidenhainReader(GcodeReader):
             self._in_flow = False
             if not passed:
                 self._statement(line)
-        except QError as problem:
+        except ExpressionError as problem:
             raise self.fault(str(problem), line[:20]) from None
 
     # --- flow and parameters -------------------------------------------------------------------
 
-    def _q(self, name: str) -> float:
-        """Return a Q parameter."""
-        if not self.variables.exists(f'<_{name}>'):
-            raise QError(f'{name} {UNSET}')
-        return self.variables.named(f'<_{name}>')
+    def _value(self, text: str) -> float:
+        return formula(text, self.variables)
 
-    def _set(self, name: str, value: float) -> None:
-        self.variables.set_name(f'<_{name}>', value)
+    def _assign(self, line: str) -> bool:
+        """Set a parameter by ``Q1 = ...``, if the line does."""
+        if match := _SET.fullmatch(line):
+            self.variables.set_name(match[1], self._value(match[2]))
+        return match is not None
 
     def _flow(self, line: str) -> bool:
         """Execute labels, calls, jumps and assignments."""
@@ -128,8 +126,8 @@ class HeidenhainReader(GcodeReader):
             flow.call_file(match[1], 1)
         elif match := _FN.fullmatch(line):
             self._function(int(match[1]), match[2])
-        elif match := _SET.fullmatch(line):
-            self._set(match[1], formula(match[2], self._q))
+        elif self._assign(line):
+            pass
         elif line.startswith('END PGM'):
             if flow.depth and flow.source is not flow.main:
                 flow.leave()
@@ -170,23 +168,16 @@ class HeidenhainReader(GcodeReader):
 
     def _function(self, number: int, rest: str) -> None:
         """Process FN 0 to FN 13: sets a parameter, or jumps to a label."""
-        if 9 <= number <= 12:
+        if sign := _CONDITIONS.get(number):
             match = _JUMP.fullmatch(rest)
             if match is None:
                 raise self.fault('write IF +Q1 EQU +Q2 GOTO LBL 1', f'FN {number}')
-            left, right = (formula(match[i], self._q) for i in (1, 3))
-            if CONDITIONS[number](left, right):
+            if OPERATORS[sign](self._value(match[1]), self._value(match[3])):
                 place = self._label(match[4])
                 self.flow.loops.clear()
                 self.flow.back_or_on(place)
-            return
-        match = _SET.fullmatch(rest)
-        if match is None or (number not in FUNCTIONS and number != 0):
+        elif number > 13 or not self._assign(rest):
             raise self.fault('only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}')
-        if number == 0:
-            self._set(match[1], formula(match[2], self._q))
-        else:
-            self._set(match[1], FUNCTIONS[number](match[2], self._q))
 
     # --- statements ----------------------------------------------------------------------------
 
@@ -242,7 +233,7 @@ class HeidenhainReader(GcodeReader):
             elif match['dr']:
                 turn = match['sign']
             elif match['name']:
-                values[match['name']] = formula(match['value'].replace(' ', ''), self._q)
+                values[match['name']] = self._value(match['value'].replace(' ', ''))
         return values, found, turn
 
     def _motion(self, kind: str, text: str, stop: str = '') -> None:
@@ -403,7 +394,7 @@ class HeidenhainReader(GcodeReader):
         if match is None:
             return NO_CORNER
         kind = 'CHR' if match[1] == 'CHF' else 'RND'  # CHF is measured along the lines here
-        return Corner(kind, formula(match[2], self._q) * self.mover.unit)
+        return Corner(kind, self._value(match[2]) * self.mover.unit)
 
     # --- tools, frames, cycles -----------------------------------------------------------------
 
@@ -460,10 +451,10 @@ class HeidenhainReader(GcodeReader):
         names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
         if part == '0':
             for name in ('Q203', 'Q204', 'Q210', 'Q211', 'Q202'):
-                self._set(name, 0.0)
+                self.variables.set_name(name, 0.0)
         for word, name in names.items():
             if part not in (None, '0') and (found := re.fullmatch(rf'{word}\s*(\S+)', rest)):
-                self._set(name, formula(found[1], self._q))
+                self.variables.set_name(name, self._value(found[1]))
 
     def _drill(self) -> None:
         """Run the cycle where the tool stands in the plane."""
@@ -472,7 +463,7 @@ class HeidenhainReader(GcodeReader):
             raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')
 
         def of(name: str, default: float = 0.0) -> float:
-            return self._q(name) if self.variables.exists(f'<_{name}>') else default
+            return self.variables.named(name) if self.variables.exists(name) else default
 
         if self.cycle == 240 and of('Q343'):
             raise self.fault('a depth by the diameter is not supported; write Q201', 'Q343')
@@ -486,13 +477,10 @@ class HeidenhainReader(GcodeReader):
         pecks: list[float] = []
         if self.cycle in (1, 200, 203, 205) and step > 0.0:
             less, least = of('Q212') * unit, of('Q205') * unit
-            done = step
-            while surface - done > bottom + 1e-9:
-                pecks.append(surface - done)
-                step = max(step - less, least, 1e-6)
-                done += step
-                if len(pecks) > _MOST_PECKS:
-                    raise self.fault(f'more than {_MOST_PECKS} pecks; enlarge Q202', 'Q202')
+            pecks = pecks_of(
+                surface, bottom, step, lambda text: self.fault(text, 'Q202'),
+                lambda stroke, _: max(stroke - less, least, 1e-6),
+            )  # fmt: skip
         taps = self.cycle in (2, 206, 207)
         if taps:
             mover.notice(
@@ -511,7 +499,7 @@ class HeidenhainReader(GcodeReader):
             mover,
             Hole(retract, bottom, clear, pecks, breaks, gap, rests=of('Q211') > 0.0 or taps,
                  out=retract if taps or self.cycle == 201 else None, feed_out=out or None),
-            here, axis, feed_given=True,
+            here, axis,
         )  # fmt: skip
         mover.feedrate = kept
 

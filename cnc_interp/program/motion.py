@@ -366,13 +366,7 @@ class Mover(ModalState):
             raise self.fault(
                 'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
             )
-        plane, other = self.plane, self._plane_told(offset)
-        if other != plane and self._fits(target, offset, bool(absolute.any()), other):
-            plane = other
-            self.notice(
-                'WARNING: arcs in another plane than the active one',
-                'their letters I J K tell it; most controls need G17, G18 or G19',
-            )
+        plane = self._plane_told(target, offset, bool(absolute.any()))
         arcs = arcs_of(
             plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
             offset, np.array([radius]), absolute, turns, self.unit,
@@ -398,7 +392,9 @@ class Mover(ModalState):
         """Return the centre or radius of the arc before, where this one has none and it fits."""
         if self.last_radius > 0.0 and words.g:
             found = offset, self.last_radius
-        elif self._fits(target, self.last_centre, plane=self._plane_told(self.last_centre)):
+        elif self._fits(
+            target, self.last_centre, plane=self._plane_told(target, self.last_centre)
+        ):
             found = self.last_centre, radius
         else:
             return offset, radius
@@ -408,11 +404,20 @@ class Mover(ModalState):
         )
         return found
 
-    def _plane_told(self, offset: FloatArray) -> str:
-        """Return the plane that I J K tell, where they tell one."""
-        given = ''.join(np.array(list('IJK'))[np.isfinite(offset[0])])
-        known = self.dialect in (FANUC, PLAIN)
-        return _PLANE_OF.get(given, self.plane) if known else self.plane
+    def _plane_told(self, target: FloatArray, offset: FloatArray, absolute: bool = False) -> str:
+        """Return the plane of an arc: that which I J K tell, where one letter fits in no other."""
+        given = set(np.array(list('IJK'))[np.isfinite(offset[0])])
+        known = given and self.dialect in (FANUC, PLAIN)
+        if known and not (len(given) == 1 and self._fits(target, offset, absolute)):
+            for letters, plane in _PLANE_OF.items():
+                other = given <= set(letters) and plane != self.plane
+                if other and self._fits(target, offset, absolute, plane):
+                    self.notice(
+                        'WARNING: arcs in another plane than the active one',
+                        'their letters I J K tell it; most controls need G17, G18 or G19',
+                    )
+                    return plane
+        return self.plane
 
     def _fits(
         self, target: FloatArray, offset: FloatArray, absolute: bool = False, plane: str = ''

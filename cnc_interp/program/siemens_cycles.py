@@ -14,7 +14,7 @@ import numpy as np
 from cnc_interp.core.units import DEG, MINUTE, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
-from cnc_interp.program.cycles import Hole, go_along, make_hole
+from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.motion import Mover
 
 CYCLES = {f'CYCLE{number}' for number in (81, 82, 83, 84, 840, 85, 86, 87, 88, 89)}
@@ -24,7 +24,7 @@ _TAPPING = {'CYCLE84', 'CYCLE840'}
 _FEED_OUT = {*_TAPPING, 'CYCLE85', 'CYCLE89'}
 #: How far the tool goes back to break the chip, and how near it comes again [m].
 _BREAK, _NEAR, _NEAR_SHARE, _NEAR_MOST = 1.0 * MM, 0.6 * MM, 0.02, 7.0 * MM
-_MOST_PECKS, _MOST_HOLES = 10_000, 10_000
+_MOST_HOLES = 10_000
 
 Given = Sequence[float | None]
 
@@ -82,7 +82,7 @@ class SiemensCycle:
             waits=waits, out=retract if self.name in _FEED_OUT else None, shift=shift,
             feed_out=self._feed_out(),
         )  # fmt: skip
-        make_hole(mover, hole, here, axis, feed_given=True)
+        make_hole(mover, hole, here, axis)
         mover.feedrate = kept
 
     def _feed(self, modal: float | None) -> float | None:
@@ -112,22 +112,19 @@ class SiemensCycle:
         if not 0.0 < stroke < depth:
             return []
         less, least = self._value(7), max(self._value(13) * unit, 0.0)
-        levels, done = [], stroke
-        while depth - done > 1e-9:
-            levels.append(reference - done)
-            if len(levels) > _MOST_PECKS:
-                raise self._mover.fault(f'more than {_MOST_PECKS} pecks', self.name)
+
+        def then(stroke: float, left: float) -> float:
             if less > 0.0:
                 stroke = max(stroke - less * unit, less * unit)
             elif less < 0.0:
                 stroke = max(stroke * -less, least, 1e-6)
-            left = depth - done
             stroke = max(stroke, least)
             if less > 0.0 and stroke < left < 2.0 * stroke:
-                done += 0.5 * left  # the last two strokes are alike
-            else:
-                done += min(stroke, left)
-        return levels
+                return 0.5 * left  # the last two strokes are alike
+            return min(stroke, left)
+
+        return pecks_of(reference, bottom, stroke, lambda text: self._mover.fault(text, self.name),
+                        then)  # fmt: skip
 
 
 def places_of(name: str, given: Given, mover: Mover) -> list[tuple[float, float]]:

@@ -39,6 +39,21 @@ def pytest_configure(config):
         max_examples=tiers.examples(30, 100),
     )  # fmt: skip
     settings.load_profile('any speed')
+    if not hasattr(config, 'workerinput'):
+        config.pluginmanager.register(Failures(config))
+
+
+class Failures:
+    """Tells at once which test failed, and how: a run that is cut off has no last words."""
+
+    def __init__(self, config):
+        self.config = config
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report):
+        if report.failed:
+            terminal = self.config.pluginmanager.get_plugin('terminalreporter')
+            terminal.write_line(f'\n{report.nodeid}, {report.when}:\n{report.longreprtext}')
 
 
 def turn():

@@ -13,7 +13,7 @@ from pathlib import Path
 from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
-PATIENCE = 300.0  # [s]; a bound for slow and busy computers, not a timing
+PATIENCE = 120.0  # [s]; a bound for slow and busy computers, not a timing
 #: What a page shows is fresh: its user would press a key now.
 IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
 #: Drawing in software takes half a core at the 20 frames a second of the view.

@@ -15,7 +15,7 @@ from cnc_interp.drives.drive_model import follow_all, lag_of, memory_of, words_o
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
-SAME = 1e-6  #: Distances that differ by less are equal [m].
+HEIGHT = 0.03  #: Poses are as near as their tips and the points so high on their tool axes [m].
 SETTLING = 0.1  #: Time after the last setpoint in which the axes settle [s].
 AHEAD = 0.01  #: A table that brakes is ahead of its setpoints by less than this [s].
 
@@ -96,17 +96,17 @@ def tool_error(
 
 
 @njit(cache=True, nogil=True)
-def on_chord(tips: FloatArray, k: int, tip: FloatArray) -> tuple[float, float]:
+def on_chord(path: FloatArray, k: int, point: FloatArray) -> tuple[float, float]:
     """Return the nearest place on chord k of a path, 0 to 1, and its distance squared [m2]."""
     along, length_sq = 0.0, 0.0
-    for c in range(3):
-        chord = tips[k + 1, c] - tips[k, c]
-        along += (tip[c] - tips[k, c]) * chord
+    for c in range(len(point)):
+        chord = path[k + 1, c] - path[k, c]
+        along += (point[c] - path[k, c]) * chord
         length_sq += chord * chord
     part = min(1.0, max(0.0, along / length_sq)) if length_sq > 0.0 else 0.0
     distance_sq = 0.0
-    for c in range(3):
-        gap = tip[c] - tips[k, c] - part * (tips[k + 1, c] - tips[k, c])
+    for c in range(len(point)):
+        gap = point[c] - path[k, c] - part * (path[k + 1, c] - path[k, c])
         distance_sq += gap * gap
     return part, distance_sq
 
@@ -115,20 +115,19 @@ def on_chord(tips: FloatArray, k: int, tip: FloatArray) -> tuple[float, float]:
 def path_and_axis_errors(
     tips: FloatArray, axes: FloatArray, tip: FloatArray, axis: FloatArray, memory: int
 ) -> FloatArray:
-    """Compare pose i with ``memory`` chords from i on; of equally near ones, the likest axis."""
-    found, away, turn = np.zeros((len(tip), 2)), np.zeros(memory), np.zeros(memory)
-    for i in range(len(tip)):
+    """Find the errors of pose i by the nearest tip, and by the nearest pose, from chord i on."""
+    path = np.concatenate((tips, HEIGHT * axes), axis=1)
+    poses = np.concatenate((tip, HEIGHT * axis), axis=1)
+    found = np.zeros((len(poses), 2))
+    for i in range(len(poses)):
+        least, nearest, turn_sq = np.inf, np.inf, 0.0
         for k in range(i, i + memory):
-            part, distance_sq = on_chord(tips, k, tip[i])
-            turn_sq = 0.0
-            for c in range(3):
-                lean = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
-                turn_sq += lean * lean
-            away[k - i], turn[k - i] = np.sqrt(distance_sq), np.sqrt(turn_sq)
-        nearest = away.min()
-        least = np.inf
-        for k in range(memory):
-            if away[k] <= nearest + SAME:
-                least = min(least, turn[k])
-        found[i, 0], found[i, 1] = nearest, least
+            nearest = min(nearest, on_chord(tips, k, tip[i])[1])
+            part, distance_sq = on_chord(path, k, poses[i])
+            if distance_sq < least:
+                least, turn_sq = distance_sq, 0.0
+                for c in range(3):
+                    lean = axis[i, c] - axes[k, c] - part * (axes[k + 1, c] - axes[k, c])
+                    turn_sq += lean * lean
+        found[i, 0], found[i, 1] = np.sqrt(nearest), np.sqrt(turn_sq)
     return found

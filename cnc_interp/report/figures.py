@@ -12,9 +12,7 @@ from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import ARCSEC, UM
-from cnc_interp.drives.tool_error import ToolError, tool_error
-from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.plan_files import PlanFiles
+from cnc_interp.drives.tool_error import ToolError
 from cnc_interp.report.html import (
     AT_PLACE,
     BLUE,
@@ -266,19 +264,15 @@ PLOTS = (
 )
 
 
-def tool_error_section(plan: PlanFiles, machine: Machine) -> str:
-    """Draw the errors of the simulated drives at the tool, with and without compensation."""
-    velocity = np.asarray(plan.setpoints['velocity'])
-    position = np.asarray(plan.position)
-    plain, compensated = (
-        tool_error(machine, plan.period, position, velocity, model) for model in (None, machine)
-    )
+def tool_error_section(errors: tuple[ToolError, ToolError], period: float) -> str:
+    """Draw the errors of the simulated drives at the tool, as they are and compensated."""
+    plain, compensated = errors
     return section(
         'Error at the tool',
         'By the drives of the machine file: the tip from the commanded path, and the tool axis '
         f'from the commanded one. As they are: {_largest(plain)}. '
         f'Compensated: {_largest(compensated)}.',
-        drawing(_figure(plain, compensated, plan.period)),
+        drawing(_figure(plain, compensated, period)),
     )
 
 

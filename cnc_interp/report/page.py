@@ -16,7 +16,7 @@ from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
 from cnc_interp.report.curves import read_segments
 from cnc_interp.report.html import document, drawing, section, tiles
-from cnc_interp.report.series import Series, series_of
+from cnc_interp.report.series import Series, series_of, tool_error_use, tool_errors
 from cnc_interp.report.time_lost import time_section
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -75,11 +75,12 @@ def render(
                 ExaminedPlan(other.names[1], other.plan, *_examined(other.plan, second)),
             )
         )
-    body.append(time_section(series))
+    errors = tool_errors(plan, machine) if machine.drives else None
+    body.append(time_section(series, tool_error_use(plan, errors) if errors else None))
     for plot in PLOTS:
         body.append(section(plot.heading, plot.text(series), drawing(plot.draw(series))))
-    if machine.drives:
-        body.append(tool_error_section(plan, machine))
+    if errors:
+        body.append(tool_error_section(errors, plan.period))
     if segments is not None:
         if views := views_of(plan, segments):
             body.append(corner_section(views))

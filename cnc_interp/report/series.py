@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.limit_table import limits_along
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import ProgramShapes, measure
@@ -100,6 +102,26 @@ def torque_use(plan: PlanFiles, machine: Machine) -> dict[int, FloatArray]:
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = torque_shares(held, machine.limit_table, plan.period)[1:]
     return {axis: shares[:, axis] for axis in machine.loads}
+
+
+def tool_errors(plan: PlanFiles, machine: Machine) -> tuple[ToolError, ToolError]:
+    """Simulate the drives of the machine file on a plan, as they are and compensated."""
+    position, velocity = np.asarray(plan.position), np.asarray(plan.setpoints['velocity'])
+    plain, compensated = (
+        tool_error(machine, plan.period, position, velocity, model) for model in (None, machine)
+    )
+    return plain, compensated
+
+
+def tool_error_use(plan: PlanFiles, errors: tuple[ToolError, ToolError]) -> FloatArray | None:
+    """Return the error at the tool over the limit it was planned with, if there is one, (K,)."""
+    asked: Any = plan.summary.get('tool_error')
+    if not asked:
+        return None
+    settings: Any = plan.summary.get('settings', {})
+    error = errors[settings.get('compensation') is not None]
+    largest = np.maximum(error.tip, error.axis * plan.flank_height) / asked['limit']
+    return largest[: len(plan.position)]
 
 
 def _between(column: FloatArray, grid: FloatArray, cell: IntArray, s: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from cnc_interp.report.html import section, table
 from cnc_interp.report.series import KINDS, Series
 
 AT_LIMIT = 0.98  #: A limit is reached from this share on [-].
+NEAR_LIMIT = 0.9  #: An error of the drives, which is planned by a model, from this share on [-].
 #: Lines that are listed.
 LISTED = 12
 NO_LIMIT = 'between limits'
@@ -37,8 +38,8 @@ class TimeLost:
     by_line: dict[int, tuple[float, float, float, str]]
 
 
-def time_lost(series: Series) -> TimeLost:
-    """Attribute lost time to limits and lines."""
+def time_lost(series: Series, tool_error: FloatArray | None = None) -> TimeLost:
+    """Attribute lost time to limits and lines; ``tool_error`` (K,) is over its limit [-]."""
     step = np.gradient(series.time) if len(series.time) > 1 else np.zeros(1)
     with np.errstate(divide='ignore'):
         share = 1.0 - series.feed / series.programmed_feed
@@ -48,6 +49,8 @@ def time_lost(series: Series) -> TimeLost:
         f'{series.axis_names[j]} torque': np.abs(use) > AT_LIMIT
         for j, use in series.torque_use.items()
     }
+    if tool_error is not None:
+        holds['error at the tool'] = tool_error > NEAR_LIMIT
     holds['programmed feed'] = series.feed > AT_LIMIT * series.programmed_feed
     together = np.sum(list(holds.values()), axis=0)
     holds[NO_LIMIT] = together == 0
@@ -71,9 +74,9 @@ def time_lost(series: Series) -> TimeLost:
     )
 
 
-def time_section(series: Series) -> str:
+def time_section(series: Series, tool_error: FloatArray | None = None) -> str:
     """Write the section: a row for each limit that is reached, and the lines that lose most."""
-    found = time_lost(series)
+    found = time_lost(series, tool_error)
     limits = sorted(found.by_limit.items(), key=lambda item: -item[1][1])
     rows = [(name, f'{held:.3f}', f'{lost:.3f}') for name, (held, lost) in limits if held > 0.0]
     slow = sorted(found.by_line.items(), key=lambda item: -item[1][1])[:LISTED]

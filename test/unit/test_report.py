@@ -123,6 +123,10 @@ def test_lost_time_is_that_beyond_the_programmed_feed(tmp_path):
     }  # fmt: skip
     rapid = replace(series, programmed_feed=np.full_like(series.feed, np.inf))
     assert time_lost(rapid).total == 0.0
+    # Where the error of the drives is at its limit, nothing else needs to be.
+    limited = time_lost(series, np.full(len(series.time), 0.95))
+    assert limited.by_limit['error at the tool'][0] == pytest.approx(series.time[-1], abs=2e-3)
+    assert limited.by_limit[NO_LIMIT] == (0.0, 0.0)
 
 
 @given(st.binary(max_size=60))

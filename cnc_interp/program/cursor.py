@@ -20,13 +20,27 @@ _DEEPEST_CALL = 20
 _PERCENT = re.compile(rb'(?m)^[ \t]*%')
 
 
+@dataclass(frozen=True)
+class Structure:
+    """How a dialect writes the words of a structure, with patterns of what stands around them."""
+
+    label: str = ''  #: Tells it from others, as the number of an O word; empty: they nest.
+    before: str = ''
+    behind: str = r'(?![A-Z_])'
+    #: Patterns of its first and last word where they are not those of ``structures.py``.
+    head: str = ''
+    end: str = ''
+
+
 @dataclass
 class Loop:
-    """A running loop: its label, its first line, and the rounds that remain."""
+    """A running loop."""
 
     label: str
-    begin: LineStart
-    rounds: int = 0
+    begin: LineStart  #: The line of its head.
+    rounds: int = 0  #: Those that remain, the present one included.
+    word: str = ''  #: Its first word; and how its words are written.
+    what: Structure | None = None
 
 
 @dataclass

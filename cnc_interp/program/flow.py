@@ -1,19 +1,20 @@
-"""Statements that change the order of lines: jumps, loops, subprograms.
+"""Statements that change the order of lines, as each dialect writes them; and subprograms.
 
 O words of LinuxCNC are ``o100 sub``, ``call``, ``while``, ``if``, ``do`` and ``repeat``. Fanuc
-has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. ``siemens_flow.py`` has the
-words of Siemens.
+has M98, M99 and G65 with O numbers, WHILE/DO/END, IF/GOTO and IF/THEN. Siemens has IF ELSE, loops,
+CASE, jumps, DEF with arrays, and calls by name. ``structures.py`` executes them.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from math import floor, inf
 
-from cnc_interp.program.cursor import Loop
+from cnc_interp.program.cursor import Structure
 from cnc_interp.program.expressions import ExpressionError, evaluate, parse
-from cnc_interp.program.siemens_flow import SiemensFlow
-from cnc_interp.program.source import LineStart
+from cnc_interp.program.files import subprogram_file
+from cnc_interp.program.structures import BETWEEN, ENDS, HEADS, Structures
 from cnc_interp.program.words import BlockWords
 
 # One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
@@ -32,9 +33,23 @@ _INNER_SUB = re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?O\s*(?:\d+|<[^<>]+>)\s*SU
 G65_ARGUMENTS = dict(
     zip('ABCIJKDEFHMQRSTUVWXYZ', (*range(1, 10), 11, 13, *range(17, 27)), strict=True)
 )
+#: How Siemens writes the words of structures, and IF, which may be one line.
+_NESTED = Structure(before=r'(?:[A-Z_][A-Z_]\w*\s*:(?!=)\s*)?', behind=r'(?!\w|[ \t]*[=:\[])')
+_NESTED_IF = replace(_NESTED, head=r'IF(?![^;\n]*(?<!\w)(?:GOTO|THEN))')
+_KEYWORD = re.compile(
+    r'(IF|ELSE|ENDIF|WHILE|ENDWHILE|FOR|ENDFOR|LOOP|ENDLOOP|REPEAT|UNTIL|CASE|DEF|PROC|EXTERN|RET|'
+    r'GOTOS)(?!\w|\s*[=:\[])\s*(.*)'
+)
+_CASE = re.compile(r'(.*?)(?<!\w)OF(?!\w)(.*)')
+_BRANCH = re.compile(r'\s*(.*?)\s*(GOTO[FBC]?)\s+(\w+)')
+_TYPE = re.compile(r'(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.*)')
+_NAME = re.compile(r'\s*([A-Z_]\w*)\s*(?:\[([^\]]*)\])?\s*(?:=(.*))?')
+_COMMAS = re.compile(r',(?![^(\[]*[)\]])(?![^"]*"(?:[^"]*"[^"]*")*[^"]*$)')
+_CALL = re.compile(r'(?:CALL\s*"([^"]+)"|([A-Z_][A-Z_]\w*|L\d+))\s*(?:P\s*=?\s*(\d+))?')
+_MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by one.
 
 
-class Flow(SiemensFlow):
+class Flow(Structures):
     """A cursor that executes the statements which move it."""
 
     # --- statements ----------------------------------------------------------------------------
@@ -55,16 +70,16 @@ class Flow(SiemensFlow):
             if match[3]:
                 raise self.fault(f'nothing may follow DO{match[2]}; write it into the next line',
                                  match[3])  # fmt: skip
-            self._while(f'DO{match[2]}', match[1], rb'END\s*' + match[2].encode() + rb'(?!\d)')
+            self.run_word(_numbered(match[2]), 'WHILE', match[1])
             return None
         if head == 'E' and (match := _END.fullmatch(line)):
-            self.back_or_on(self.loop_of(f'DO{match[1]}', line).begin)
+            self.run_word(_numbered(match[1]), 'ENDWHILE', '')
             return None
         if head == 'G' and (match := _GOTO.fullmatch(line)):
             self.jump(match[1], match[2])
             return None
         named = line[1:2].isalpha() or line[1:2] == '_' or head == 'L'
-        return None if named and self.siemens(line) else line
+        return None if named and self._siemens(line) else line
 
     def _values(self, text: str) -> list[float]:
         """Return the values of ``[...] [...]``."""
@@ -82,134 +97,129 @@ class Flow(SiemensFlow):
         self.jump(match[2][4:], match[3])
         return None
 
-    def _skip(self, pattern: bytes, what: str) -> LineStart:
-        """Return the place of the next line that matches; raise if there is none."""
-        place = self.source.find(
-            re.compile(rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + pattern), self.window.place(self.row + 1)
-        )
-        if place is None:
-            raise self.fault(f'{what} is missing; add it', what)
-        return place
-
-    # --- loops ---------------------------------------------------------------------------------
-
-    def _while(self, label: str, condition: str, end: bytes) -> None:
-        """Enter a loop, or leave it if its condition is false."""
-        place = self.window.place(self.row)
-        if self.loops and self.loops[-1].label == label and self.loops[-1].begin != place:
-            # This is the closing WHILE of O- DO.
-            if self.condition(condition):
-                self.back_or_on(self.loops[-1].begin)
-            else:
-                self.loops.pop()
-                self.on()
-            return
-        running = bool(self.loops) and self.loops[-1].begin == place
-        if self.condition(condition):
-            if not running:
-                self.loops.append(Loop(label, place))
-            self.on()
-            return
-        if running:
-            self.loops.pop()
-        self.after(self._skip(end, f'the end of {label}'))
-
     def _o_word(self, label: str, word: str, rest: str) -> None:
         """Execute an O word of LinuxCNC."""
         self.has_o_words = True
         if label[0] in '[#':
             label = f'{self.condition(label):.0f}'
         number = label.lstrip('0') if label.isdigit() else ''
-        name = rb'O\s*' + (b'0*' + number.encode() if number else re.escape(label.encode()))
-        name += rb'\s*'
-        shown = f'O{label} {word}'
+        before = r'O\s*' + ('0*' + number if number else re.escape(label)) + r'\s*'
+        what = Structure(f'O{label}', before)
         if word == 'SUB':
-            self._pass_sub(name, label)
+            self._pass_sub(what)
         elif word == 'CALL':
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
             if not self.depth:
-                raise self.fault(
-                    'this subprogram was not called; move it after M2, or call it', shown
-                )
+                raise self.fault('this subprogram was not called; move it after M2, or call it',
+                                 f'O{label} {word}')  # fmt: skip
             value = self._values(rest)
             self.leave()
             self.returned = (value[0], 1.0) if value else (0.0, 0.0)
-        elif word == 'WHILE':
-            self._while(label, rest, name + b'ENDWHILE')
-        elif word == 'ENDWHILE':
-            if rest:
-                raise self.fault('write O- ENDWHILE alone', rest)
-            self.back_or_on(self.loop_of(label, shown).begin)
-        elif word == 'DO':
-            self.on()
-            self.loops.append(Loop(label, self.window.place(self.row)))
-        elif word == 'REPEAT':
-            self._repeat(label, rest, name)
-        elif word == 'ENDREPEAT':
-            self._end_repeat(label)
-        elif word in ('BREAK', 'CONTINUE'):
-            self._break_or_continue(label, word, name)
+        elif word == 'ENDWHILE' and rest:
+            raise self.fault('write O- ENDWHILE alone', rest)
         else:
-            self._o_if(label, word, rest, name)
+            self.run_word(what, word, rest)
 
-    def _pass_sub(self, name: bytes, label: str) -> None:
+    def _pass_sub(self, what: Structure) -> None:
         """Go on after a subprogram, which may not contain another."""
-        end = self._skip(name + rb'END\s*SUB', f'O{label} ENDSUB')
+        end = self.end_of('SUB', replace(what, end=r'END\s*SUB'))
         inner = self.source.find(_INNER_SUB, self.window.place(self.row + 1))
         if self.depth or (inner is not None and inner.offset < end.offset):
             raise self.fault('a subprogram within a subprogram; write one after the other',
-                             f'O{label} SUB')  # fmt: skip
+                             f'{what.label} SUB')  # fmt: skip
         self.after(end)
 
-    def _break_or_continue(self, label: str, word: str, name: bytes) -> None:
-        """Process BREAK, and CONTINUE: the next round begins, if there is one."""
-        self.loop_of(label, f'O{label} {word}')
-        ends = rb'(?:ENDWHILE|ENDREPEAT|WHILE)(?![A-Z_])'
-        end = self._skip(name + ends, f'the end of O{label}')
-        if word == 'CONTINUE':
-            self.go(end)
-        else:
-            self.loops.pop()
-            self.after(end)
+    # --- words of Siemens ----------------------------------------------------------------------
 
-    def _repeat(self, label: str, rest: str, name: bytes) -> None:
-        """Enter a REPEAT loop with its number of rounds, or skip it."""
-        (count, *_) = self._values(rest) or [0.0]
-        if count >= 1.0:
-            self.loops.append(Loop(label, self.window.place(self.row + 1), round(count) - 1))
-            self.on()
-        else:
-            self.after(self._skip(name + b'ENDREPEAT', f'O{label} ENDREPEAT'))
+    def _siemens(self, line: str) -> bool:
+        """Execute a line if it is a flow statement of Siemens."""
+        if self._calls_by_name(line):
+            return True
+        match = _KEYWORD.fullmatch(line)
+        if match is None or (match[1] in ('IF', 'CASE') and match[2] == ''):
+            return False
+        word, rest = match[1], match[2].strip()
+        if word == 'REPEAT' and rest:
+            raise self.fault('a section is repeated by a label; write REPEAT and UNTIL', word)
+        if word in ('IF', *BETWEEN):
+            self.run_word(_NESTED_IF, word, rest)
+        elif word in ENDS or word in HEADS:
+            self.run_word(_NESTED, word, rest)
+        elif word == 'CASE':
+            self._case(rest)
+        elif word == 'DEF':
+            self._define(rest)
+        elif word == 'RET' and self.depth:
+            self.leave()
+        elif word == 'RET':
+            self.ended = True
+        elif word == 'GOTOS':
+            self.loops.clear()
+            self.back_or_on(self.source.start)
+        return True
 
-    def _end_repeat(self, label: str) -> None:
-        """Process ENDREPEAT: begin the next round, or leave the loop."""
-        loop = self.loop_of(label, f'O{label} ENDREPEAT')
-        if loop.rounds > 0:
-            loop.rounds -= 1
-            self.back_or_on(loop.begin)
-        else:
-            self.loops.pop()
-            self.on()
-
-    def _o_if(self, label: str, word: str, rest: str, name: bytes) -> None:
-        """Enter the branch of an IF whose condition is true; at its end, leave the IF."""
-        if word == 'ENDIF':
-            self.on()
-            return
-        if word in ('ELSE', 'ELSEIF'):  # the end of the branch that was executed
-            self.after(self._skip(name + b'ENDIF', f'O{label} ENDIF'))
-            return
-        holds = bool(self.condition(rest))
-        place = self.window.place(self.row)
-        while not holds:
-            self.go(place)
-            place = self._skip(name + rb'(?:ELSEIF|ELSE|ENDIF)', f'O{label} ENDIF')
-            self.go(place)
-            line = self.window.line(self.row).upper()
-            match = re.search(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)', line)
-            holds = match is None or match[1] != 'ELSEIF' or bool(self.condition(match[2]))
+    def _case(self, rest: str) -> None:
+        """Process CASE (value) OF 1 GOTOF A 2 GOTOF B DEFAULT GOTOF C."""
+        match = _CASE.fullmatch(rest)
+        if match is None:
+            raise self.fault('write CASE (value) OF 1 GOTOF A DEFAULT GOTOF B', 'CASE')
+        value = self.condition(match[1])
+        for constant, way, target in _BRANCH.findall(match[2]):
+            if constant == 'DEFAULT' or self.condition(constant) == value:
+                self.jump(way[4:], target)
+                return
         self.on()
+
+    def _define(self, rest: str) -> None:
+        """Process DEF REAL A=1, B[3]=SET(1,2,3): define variables."""
+        match = _TYPE.fullmatch(rest)
+        if match is None or match[1] in ('AXIS', 'FRAME'):
+            raise self.fault('write DEF REAL NAME=VALUE; INT, BOOL, CHAR and STRING work, too',
+                             'DEF')  # fmt: skip
+        for part in _COMMAS.split(match[2]):
+            found = _NAME.fullmatch(part)
+            if found is None:
+                raise self.fault('write DEF REAL NAME=VALUE', part.strip() or 'DEF')
+            name, sizes, value = found.groups()
+            if match[1].startswith('STRING') or (value or '').strip().startswith('"'):
+                continue  # texts move nothing; a number that is read from one is not set
+            if sizes is None:
+                self.variables.set_name(name, self.condition(value) if value else 0.0)
+            else:
+                self._define_array(name, sizes, value)
+
+    def _define_array(self, name: str, sizes: str, value: str | None) -> None:
+        """Set all elements of an array, in their order, to values or to 0."""
+        counts = [int(self.condition(size)) for size in sizes.split(',')]
+        indices = ['']
+        for count in counts:
+            if not 0 < count * len(indices) <= _MOST_ELEMENTS:
+                raise self.fault(f'an array of more than {_MOST_ELEMENTS} elements', name)
+            indices = [f'{before},{i}' for before in indices for i in range(count)]
+        given = re.fullmatch(r'\s*(?:SET)?\s*\((.*)\)\s*', value or '()')
+        parts = _COMMAS.split(given[1] if given else value or '')
+        values = [self.condition(text) for text in parts if text.strip()]
+        if len(values) > len(indices):
+            raise self.fault('more values than elements; correct the size', name)
+        for index, number in zip(indices, values + [0.0] * len(indices), strict=False):
+            self.variables.set_name(f'{name}[{index[1:]}]', number)
+
+    def _calls_by_name(self, line: str) -> bool:
+        """Execute a subprogram call by its name, L and a number, or CALL "NAME"."""
+        match = _CALL.fullmatch(line)
+        if match is None or (match[2] or '') in (*ENDS, *HEADS, *BETWEEN, 'RET', 'GOTOS'):
+            return False
+        name = (match[1] or match[2]).removeprefix('_N_').removesuffix('_SPF')
+        folder = self.folder
+        stem = next((s for s in (name, name.lower()) if subprogram_file(folder, s)), None)
+        if stem is None:
+            if match[1] or (name[0] == 'L' and name[1:].isdigit()):
+                raise self.fault(f'the subprogram {name} is not in the folder of the program; '
+                                 'add it', line)  # fmt: skip
+            return False
+        self.call_file(stem, int(match[3] or 1))
+        return True
 
     # --- subprograms ---------------------------------------------------------------------------
 
@@ -252,3 +262,8 @@ class Flow(SiemensFlow):
                 if letter in G65_ARGUMENTS
             }
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
+
+
+def _numbered(number: str) -> Structure:
+    """Return how Fanuc writes WHILE [...] DO1 and END1."""
+    return Structure(f'DO{number}', '', r'(?!\d)', rf'WHILE.*DO\s*{number}', rf'END\s*{number}')

@@ -300,6 +300,8 @@ class GcodeReader:
         taking = [code for code in words.g if code in codes.TAKE_AXES]
         if len(taking) > 1:
             raise self.fault(f'{taking[0]} is in the same block; keep one of them', taking[1])
+        if mover.polar and (other := codes.NOT_POLAR & set(taking)):
+            raise self.fault('polar coordinates are on; write G15 before', min(other))
         calling = self.flow.call_of(words)
         if 'G4' in taking:
             self._dwell(words)
@@ -401,12 +403,21 @@ class GcodeReader:
                 self._cycle = None
             elif code == 'G69':
                 self._plane.cancel()
+            elif code == 'G16':
+                if mover.dialect not in (FANUC, PLAIN):
+                    raise self.fault(
+                        'polar coordinates are those of Fanuc; post with X and Y', code
+                    )
+                mover.polar = True
             elif code in codes.HARMLESS_G:
                 letters, why = codes.OTHER_MEANING.get(code, ('', ''))
                 if found := set(letters) & words.values.keys():
                     raise self.fault(why, f'{code} {words.texts[min(found)]}')
                 if code == 'G54.2' and words.values.get('P'):
                     raise self.fault('a dynamic offset is not supported; write G54.2 P0', code)
+                if code == 'G15' and mover.polar:
+                    mover.polar = False
+                    continue
                 for letter in codes.IDLE_LETTERS.get(code, ''):
                     words.values.pop(letter, None)
                 mover.by_surface_speed = code == 'G96' or (

@@ -44,8 +44,9 @@ NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write
 _SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_mode',
              'retract_to_start', 'stop_always')  # fmt: skip
 _VALUES = ('great_circle', 'tcp', 'oriented', 'feedrate', 'turn_rate', 'blocks_per_minute',
-           'feed_changed', 'spindle_speed', 'contour', 'orientation')  # fmt: skip
-_COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation')
+           'feed_changed', 'spindle_speed', 'contour', 'orientation', 'polar')  # fmt: skip
+_COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation',
+             'polar')  # fmt: skip
 
 
 def modal_words(state: ModalState) -> list[str]:
@@ -61,7 +62,7 @@ def modal_words(state: ModalState) -> list[str]:
     if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
         words['stop_always'] = f'G64 P{tolerance:.9g}'
     found = [*words.values(), state.setup.active, *frame_words(frames, state.unit)]
-    found += [state.tcp, state.radius_code]
+    found += [state.tcp, state.radius_code, 'G16' * state.polar]
     if state.rotary_letters:
         found.append('ORIVECT' if state.great_circle else 'ORIAXES')
     if frames.length:
@@ -125,7 +126,7 @@ class ModalState:
         #: I J K and R of the last arc [m], which some posts do not repeat.
         self.last_centre, self.last_radius = np.full((1, 3), nan), nan
         self.feed_mode, self.retract_to_start = 'G94', True
-        self.stop_always = self.stop_once = False
+        self.stop_always = self.stop_once = self.polar = False
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
         self.tcp = ''
         #: G41 or G42, and the plane in which that counts; empty without.
@@ -199,7 +200,7 @@ class ModalState:
         turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
         found = (
             cycle, self.radius_code, *self.codes_of_settings(), offset, *self.frames.shifts,
-            self.tcp or length, turning, *outputs.values(),
+            self.tcp or length, 'G16' * self.polar, turning, *outputs.values(),
         )  # fmt: skip
         codes = tuple(code for code in found if code)
         return modes_without_motion(

@@ -168,6 +168,8 @@ class Mover(ModalState):
                 self.point, self.beside = self.point - self.beside, None
         here = self.here()
         target = here.copy()
+        if self.polar:
+            self._from_polar(words, here)
         for i, letter in enumerate(('X', 'Y', 'Z', *self.rotary_letters)):
             value = words.values.pop(letter, None)
             if value is None:
@@ -182,6 +184,22 @@ class Mover(ModalState):
                 target[i] = self._turned(float(here[i]), float(target[i]), way)
             self.shifted[i] = 0.0
         return target
+
+    def _from_polar(self, words: BlockWords, here: FloatArray) -> None:
+        """Process G16: the words of the plane are a radius about its zero, and an angle."""
+        a, b, _ = PLANES[self.plane]
+        letters = 'XYZ'[a], 'XYZ'[b]
+        if words.values.keys().isdisjoint(letters):
+            return
+        if self.incremental and letters[0] in words.values:
+            raise self.fault('under G91 the radius of G16 counts from the tool; write it with G90',
+                             words.texts[letters[0]])  # fmt: skip
+        radius, angle = np.hypot(here[a], here[b]), np.arctan2(here[b], here[a])
+        radius = words.values.get(letters[0], radius / self.unit)
+        if letters[1] in words.values:
+            angle = angle * self.incremental + words.values[letters[1]] * DEG
+        for letter, value in zip(letters, (np.cos(angle), np.sin(angle)), strict=True):
+            words.values[letter], words.ways[letter] = float(radius * value), 'AC'
 
     def extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
         """Take the words of extra axes out and return their positions, shape (3,) [m]."""

@@ -37,6 +37,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         or mover.leaves_contour
         or mover.beside is not None
         or mover.shifted.any()
+        or mover.polar
         or mover.held is not None
         or mover.corner.modal
     ):

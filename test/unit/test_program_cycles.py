@@ -213,3 +213,17 @@ def test_words_of_one_control():
     assert 'as a control accepts it' in str(told.notices)
     with pytest.raises(ProgramError, match=r'absolute centres: write G90\.1'):
         read('G0 X70 Y50\nG3 X50 Y70 I50 J50', 'a.nc')
+
+
+def test_polar_coordinates_of_fanuc_are_radius_and_angle_about_the_zero():
+    text = (
+        'G0 X1 Y0 Z5\nG52 X10\nG99 G81 G16 X20 Y0 Z-2 R5 F100\nY90\nG91 Y90 Z-7 R0 K2\nG80\n'
+        'G90 G0 X4\nG15\nX5 Y6\nG18 G16 Z3 X90\n'
+    )
+    tips = read(text, dialect='fanuc').blocks.tip * 1e3
+    holes = [p[:2] for p in tips if p[2] == pytest.approx(-2)]
+    np.testing.assert_allclose(holes, [(30, 0), (10, 20), (-10, 0), (10, -20)], atol=1e-9)
+    np.testing.assert_allclose(tips[-3:], [[10, -4, 5], [15, 6, 5], [13, 6, 0]], atol=1e-9)
+    for wrong in ('G16\nG28 X0', 'G16 G91 X5'):
+        with pytest.raises(ProgramError, match=r'write G15 before|write it with G90'):
+            read(f'G0 X1 Y0\n{wrong}', dialect='fanuc')

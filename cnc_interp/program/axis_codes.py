@@ -90,9 +90,8 @@ class AxisCodes:
             self._write_tool(int(kind), index, words)
             return
         if kind not in (2.0, 20.0) or index not in range(10):
-            raise self.fault(
-                'only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported', 'G10'
-            )
+            raise self.fault('only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported',
+                             'G10')  # fmt: skip
         mover, angle, here = self._mover, words.values.pop('R', None), None
         if angle is not None:
             if kind == 20.0:

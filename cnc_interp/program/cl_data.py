@@ -399,9 +399,8 @@ class ClReader:
                             np.array(self._unit_vector(numbers[3:], 'CIRCLE')), 0.0)  # fmt: skip
             numbers.append(float(np.linalg.norm(whole.across(np.array(self._point)))) / self.unit)
         if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
-            raise self._fault(
-                'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
-            )
+            raise self._fault('a circle beyond 100,000 mm, or with a radius of zero; correct it',
+                              'CIRCLE')  # fmt: skip
         centre, radius = np.array(numbers[:3]) * self.unit, numbers[6] * self.unit
         circle = _Circle(centre, np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), radius)
         away = circle.across(np.array(self._point))

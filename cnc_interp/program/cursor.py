@@ -165,9 +165,8 @@ class Cursor:
             self.go(self.window.place(self.row + 1))
             return
         if len(self._calls) >= _DEEPEST_CALL:
-            raise self.fault(
-                f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels', stem
-            )
+            raise self.fault(f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels',
+                             stem)  # fmt: skip
         self._count_jump()
         back, line = self.window.place(self.row + 1), self.line_number
         search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
@@ -216,9 +215,8 @@ class Cursor:
         """Open the separate file of a subprogram."""
         path = subprogram_file(self.folder, stem)
         if path is None:
-            raise self.fault(
-                f'the subprogram {stem} is not in this file or its folder; add it', stem
-            )
+            raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it',
+                             stem)  # fmt: skip
         try:
             return self.main.beside(path)
         except InterpError as problem:

@@ -89,11 +89,9 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
     if on_circle.any():
         angle = angle_between(moves.axis_before[on_circle], rows[on_circle, col.AXIS])
         if (angle > np.pi - _ANTIPARALLEL).any():
-            raise fault(
-                rows[on_circle][np.argmax(angle)],
-                'the tool axis turns by 180 deg in one block, so its plane of rotation is '
-                'undefined; add a block between',
-            )
+            raise fault(rows[on_circle][np.argmax(angle)],
+                        'the tool axis turns by 180 deg in one block, so its plane of rotation is '
+                        'undefined; add a block between')  # fmt: skip
         counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
     curved = np.flatnonzero(moves.curved())
     if len(curved):

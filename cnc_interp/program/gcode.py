@@ -405,9 +405,8 @@ class GcodeReader:
                 self._plane.cancel()
             elif code == 'G16':
                 if mover.dialect not in (FANUC, PLAIN):
-                    raise self.fault(
-                        'polar coordinates are those of Fanuc; post with X and Y', code
-                    )
+                    raise self.fault('polar coordinates are those of Fanuc; post with X and Y',
+                                     code)  # fmt: skip
                 mover.polar = True
             elif code in codes.HARMLESS_G:
                 letters, why = codes.OTHER_MEANING.get(code, ('', ''))

@@ -212,9 +212,8 @@ class HeidenhainReader(GcodeReader):
         elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
             self._motion('L', line)  # a line along one axis, or without motion
         else:
-            raise self.fault(
-                'this word of Heidenhain is not supported; post it as L and C', line[:20]
-            )
+            raise self.fault('this word of Heidenhain is not supported; post it as L and C',
+                             line[:20])  # fmt: skip
 
     def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
         """Return the values of a line, its M codes, and R0 RL RR or FMAX among the codes."""

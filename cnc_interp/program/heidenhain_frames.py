@@ -32,9 +32,8 @@ class HeidenhainFrames:
     def shift(self, values: Mapping[str, float]) -> None:
         """Process cycle 7; I before a letter is incremental."""
         if self._turn is not None:
-            raise self._fault(
-                'a datum shift in a tilted plane; write PLANE RESET before', 'CYCL DEF 7'
-            )
+            raise self._fault('a datum shift in a tilted plane; write PLANE RESET before',
+                              'CYCL DEF 7')  # fmt: skip
         for name, value in values.items():
             before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
             self._shift[name.removeprefix('I')] = before + value
@@ -150,9 +149,8 @@ class HeidenhainFrames:
             return
         if not mover.rotary_letters:
             if mover.frames.turn[2, 2] < 1.0 - 1e-9:
-                raise self._fault(
-                    'the tool cannot be turned; this machine has no rotary axes', 'PLANE'
-                )
+                raise self._fault('the tool cannot be turned; this machine has no rotary axes',
+                                  'PLANE')  # fmt: skip
             return
         axis = mover.geometry.tool_axis(mover.rotary[None])[0]
         if axis @ mover.frames.turn[:, 2] < 1.0 - 1e-9:

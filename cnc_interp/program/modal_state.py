@@ -51,11 +51,7 @@ _COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 
 
 def modal_words(state: ModalState) -> list[str]:
     """Return the modal settings as words that would set them: codes, tool length, offset, F."""
-    words: dict[str, str] = {}
-    for code, (attribute, value) in codes.SETTINGS.items():
-        held = getattr(state, attribute)
-        if held is not None and type(held) is type(value) and held == value:
-            words.setdefault(attribute, code)
+    words = state.codes_of_settings()
     words.pop('stop_once', None)
     frames, feed = state.frames, state.feedrate
     tolerance = state.contour / state.unit
@@ -198,9 +194,11 @@ class ModalState:
         """Return the modal state without motion code and feed; what is not kept here is given."""
         length = 'G43' if self.frames.length else 'G49'
         turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
+        settings = self.codes_of_settings()
         found = (
-            cycle, self.radius_code, *self.codes_of_settings(), offset, *self.frames.shifts,
-            self.tcp or length, 'G16' * self.polar, turning, *outputs.values(),
+            cycle, self.radius_code, *(settings[name] for name in _SETTINGS[1:]), offset,
+            *self.frames.shifts, self.tcp or length, 'G16' * self.polar, turning,
+            *outputs.values(),
         )  # fmt: skip
         codes = tuple(code for code in found if code)
         return modes_without_motion(
@@ -213,16 +211,13 @@ class ModalState:
         value = self.blocks_per_minute if self.feed_mode == 'G93' else self.feedrate
         return NONE if value is None else value
 
-    def codes_of_settings(self) -> list[str]:
-        """Return the code of each setting of ``codes.SETTINGS`` but the motion."""
-        return [
-            next(
-                code
-                for code, (attribute, value) in codes.SETTINGS.items()
-                if attribute == name and value == getattr(self, name)
-            )
-            for name in _SETTINGS[1:]
-        ]
+    def codes_of_settings(self) -> dict[str, str]:
+        """Return the first code of each setting of ``codes.SETTINGS``, by its attribute."""
+        found: dict[str, str] = {}
+        for code, (attribute, value) in codes.SETTINGS.items():
+            if getattr(self, attribute) == value:
+                found.setdefault(attribute, code)
+        return found
 
     def fault(self, message: str, word: str = '') -> ProgramError:
         """Return an error for the present line."""
@@ -307,9 +302,8 @@ class ModalState:
             return
         solutions = self.geometry.rotary_solutions(self.vector)
         if not solutions:
-            raise self.fault(
-                'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
-            )
+            raise self.fault('the machine cannot reach the tool axis; correct the tool direction',
+                             'TRAFOOF')  # fmt: skip
         near = [
             pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
         ]
@@ -321,10 +315,8 @@ class ModalState:
         """Raise ProgramError for a point that no machine can reach."""
         farthest = int(np.argmax(np.abs(point)))
         if not abs(point[farthest]) <= FARTHEST:
-            raise self.fault(
-                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
-                f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}',
-            )
+            raise self.fault('a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
+                             f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}')  # fmt: skip
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
         """Give a notice if rotary words turn an axis by more than 180 deg while cutting."""

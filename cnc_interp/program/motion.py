@@ -282,10 +282,8 @@ class Mover(ModalState):
         """
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
-            raise self.fault(
-                'a rotary axis beyond 1000 turns; correct the angle',
-                f'{self.rotary_letters[which]}{rotary[which] / DEG:g}',
-            )
+            raise self.fault('a rotary axis beyond 1000 turns; correct the angle',
+                             f'{self.rotary_letters[which]}{rotary[which] / DEG:g}')  # fmt: skip
         rapid = self.motion == 0 if rapid is None else rapid
         self.leaves_contour = False
         feed = (inf, nan, inf) if rapid else self.feed(feed_given)
@@ -381,9 +379,8 @@ class Mover(ModalState):
         self.last_centre, self.last_radius = offset, radius
         turns = words.values.get('P', 1.0)
         if not (turns >= 1.0 and turns == round(turns) and turns <= 500.0):
-            raise self.fault(
-                'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
-            )
+            raise self.fault('the number of turns of an arc must be a whole number, 1 to 500',
+                             f'P{turns:g}')  # fmt: skip
         plane = self._plane_told(target, offset, bool(absolute.any()))
         arcs = arcs_of(
             plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],

@@ -160,16 +160,18 @@ class Structures(Cursor):
         if place is None and way == 'C':
             return  # no alarm: the program goes on
         if place is None or (way == 'B' and place.offset >= after.offset):
-            raise self.fault(
-                'no line with this number or label; correct the jump target', target or 'GOTO'
-            )
+            raise self.fault('no line with this number or label; correct the jump target',
+                             target or 'GOTO')  # fmt: skip
         self._keep_loops(place)
         self.back_or_on(place)
 
     def _keep_loops(self, target: LineStart) -> None:
         """Leave the loops in which the target of a jump does not lie."""
         for count, loop in enumerate(self.loops):
-            inside = loop.what is not None and loop.begin.offset < target.offset
-            if not inside or self.end_of(loop.word, loop.what, loop.begin).offset < target.offset:
+            if (
+                loop.what is None
+                or loop.begin.offset >= target.offset
+                or (self.end_of(loop.word, loop.what, loop.begin).offset < target.offset)
+            ):
                 del self.loops[count:]
                 return

@@ -129,9 +129,8 @@ class TiltedPlane:
             (origin, along, angle), (_, normal, _) = (self._parts[k] for k in sorted(self._parts))
             lengths = float(np.linalg.norm(along) * np.linalg.norm(normal))
             if abs(along @ normal) > SMALL * lengths:
-                raise self.fault(
-                    'X and Z of the plane are not at right angles; correct I J K', code
-                )
+                raise self.fault('X and Z of the plane are not at right angles; correct I J K',
+                                 code)  # fmt: skip
             self._set(code, origin, self._plane(along, normal), angle)
 
     def _plane(self, along: FloatArray, normal: FloatArray) -> FloatArray:
@@ -235,9 +234,8 @@ class TiltedPlane:
         mover, normal = self._mover, self._mover.frames.turn[:, 2]
         if not mover.rotary_letters:
             if normal[2] < 1.0 - SMALL:
-                raise self.fault(
-                    'the tool cannot be turned; this machine has no rotary axes', code
-                )
+                raise self.fault('the tool cannot be turned; this machine has no rotary axes',
+                                 code)  # fmt: skip
             return mover.rotary
         geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer

@@ -21,6 +21,8 @@ from cnc_interp_msgs.msg import (
     StreamStatus,
 )
 from diagnostic_msgs.msg import DiagnosticArray
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import (
@@ -38,7 +40,7 @@ from sensor_msgs.msg import JointState
 
 from cnc_interp.core.errors import InterpError, StreamError
 from cnc_interp.core.ros_share import share_directory
-from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_yaml
+from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json, read_yaml
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import opened
 
@@ -61,6 +63,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 #: Before the parameters of the nodes, in the custom data of a bag.
 PARAMETER = 'parameter.'
+NOTED = 'noted.json'  #: The custom data of a bag that is not closed yet.
 ENDLESS = QosTime(2147483647, 4294967295)
 
 
@@ -104,7 +107,7 @@ class BagWriter:
     def __init__(self, path: Path):
         refuse_existing(path)
         self.count = 0
-        self._path = path
+        self._path, self._noted = path, dict[str, str]()
         self._fault: OSError | None = None
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -120,8 +123,17 @@ class BagWriter:
 
     def note(self, node: str, parameters: dict[str, Any]) -> None:
         """Write the parameters of a node into the bag."""
-        for name, value in parameters.items():
-            self._writer.set_custom_data(f'{PARAMETER}{node}.{name}', json.dumps(value))
+        self.keep({f'{PARAMETER}{node}.{k}': json.dumps(v) for k, v in parameters.items()})
+
+    def keep(self, noted: dict[str, str]) -> None:
+        """Write custom data: into the bag when it is closed, and beside it until then."""
+        self._noted |= noted
+        for name, value in noted.items():
+            self._writer.set_custom_data(name, value)
+        try:
+            (self._path / NOTED).write_text(json.dumps(self._noted))
+        except OSError as fault:
+            self._fault = fault
 
     def write(self, topic: str, data: bytes, stamp: int) -> None:
         """Write a serialised message with the time [ns] at which it came; see ``close``."""
@@ -141,6 +153,7 @@ class BagWriter:
             if self._fault is not None:
                 raise self._fault
             self._writer.close()
+            (self._path / NOTED).unlink(missing_ok=True)
         except OSError as fault:
             reason = f'{fault.strerror}; the record of the run is not complete'
             raise OSError(fault.errno, reason, str(self._path)) from None
@@ -213,7 +226,10 @@ class Bag:
             self.duration = self._reader.duration * 1e-9
         except Exception as fault:  # an unsound file makes rosbags raise anything
             self._release()
-            raise InterpError(f'{path}: not a bag that can be read ({why(fault)})') from None
+            reason = why(fault)
+            if (path / NOTED).exists() or 'magic' in reason:
+                reason += f'; if its recorder was killed: cnc-interp repair {path} --out NEW'
+            raise InterpError(f'{path}: not a bag that can be read ({reason})') from None
 
     def raw(self, *topics: str) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time [ns] and bytes of the messages of some topics in order of time."""
@@ -285,3 +301,47 @@ class Bag:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def repair(path: Path, out: Path) -> tuple[int, float]:
+    """Write what a bag holds whose recorder was killed as a sound one.
+
+    Returns
+    -------
+        Number of messages, and the time from the first to the last one [s].
+
+    Raises
+    ------
+    InterpError
+        If there is no message, or ``out`` exists.
+    """
+    files = sorted(path.glob('*.mcap'))
+    if not files:
+        raise InterpError(f'{path}: no bag; it has no .mcap file')
+    writer, stamps = BagWriter(out), [0]
+    if (path / NOTED).exists():
+        writer.keep(read_json(path / NOTED))
+    names = {f'/{topic.removeprefix("/")}': topic for topic in TOPICS}
+    for file in files:
+        topics: dict[int, str] = {}
+        for record in _whole_records(file):
+            if isinstance(record, Channel):
+                topics[record.id] = names[record.topic]
+            elif isinstance(record, Message):
+                writer.write(topics[record.channel_id], record.data, record.log_time)
+                stamps = [stamps[0] or record.log_time, record.log_time]
+    writer.close()
+    if not writer.count:
+        raise InterpError(f'{path}: no whole message is left in it')
+    return writer.count, (stamps[-1] - stamps[0]) * 1e-9
+
+
+def _whole_records(file: Path) -> Iterator[Any]:
+    """Yield the records of a file up to its end, or to the first that is not whole."""
+    with file.open('rb') as stream:
+        records = iter(StreamReader(stream, validate_crcs=True).records)
+        while True:
+            try:
+                yield next(records)
+            except Exception:  # what is cut off may be anything
+                return

@@ -62,6 +62,14 @@ class RecordedRun:
         return float(self.chunks[0].period)
 
     @property
+    def cut(self) -> str:
+        """Where the record ends in motion, in words; empty if the machine rests at its end."""
+        last = max(self.chunks, key=lambda chunk: chunk.first_sample + len(chunk.sequences))
+        if not any(last.velocities[-last.axis_count :]):
+            return ''
+        return f'the record ends in motion, in line {last.line_numbers[-1]}'
+
+    @property
     def settings(self) -> Settings:
         """Settings of the run, as its block 0 carries them."""
         settings = settings_of_block(self.blocks[0], Settings())

@@ -1,4 +1,4 @@
-"""`cnc-interp record` and `replay`: runs written into bags, and computed or shown again."""
+"""`cnc-interp record`, `replay` and `repair`: runs written into bags, and read again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cnc_interp.commands.parser import FAILED, FINE, command, flag, option, posi
 
 
 def add_bag_commands(commands: Any) -> None:
-    """Add `record` and `replay`."""
+    """Add `record`, `replay` and `repair`."""
     record = command(
         commands, 'record', record_command,
         'record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C',
@@ -33,6 +33,14 @@ def add_bag_commands(commands: Any) -> None:
     option(replay, '--rate', 'times as fast as it was (1)', positive, 'X', default=1.0)
     flag(replay, '--clock', 'publish the time of the bag too')
     namespace_option(replay, 'to publish in')
+
+    repair = command(
+        commands, 'repair', repair_command,
+        'write what the bag of a killed recorder holds as a sound bag',
+        'cnc-interp repair out/shift1 --out out/shift1-repaired',
+    )  # fmt: skip
+    option(repair, 'bag', 'folder of the bag', Path, 'BAG')
+    option(repair, '--out', 'folder to create', Path, 'NEW', required=True)
 
 
 def namespace_option(added: Any, purpose: str) -> None:
@@ -64,3 +72,12 @@ def replay_command(options: Namespace) -> int:
             print(comparison.text())
             same = same and comparison.ok
     return FINE if same else FAILED
+
+
+def repair_command(options: Namespace) -> int:
+    """Copy whole messages into a new bag."""
+    from cnc_interp.client.bag import repair
+
+    count, duration = repair(options.bag, options.out)
+    print(f'{options.out}: {count} messages of {duration:.1f} s')
+    return FINE

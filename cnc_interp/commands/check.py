@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator
@@ -85,7 +86,7 @@ def report_command(options: Namespace) -> int:
 
 def is_bag(path: Path) -> bool:
     """Tell whether a folder is a bag."""
-    return (path / 'metadata.yaml').is_file() or path.suffix == '.mcap'
+    return path.suffix == '.mcap' or any(path.glob('*.mcap'))
 
 
 @contextmanager
@@ -109,6 +110,8 @@ def plan_files(
     name = machine or run.machine
     if not name:
         raise InterpError(f'{path}: does not name the machine; name it with --machine')
+    if run.cut:
+        print(f'note: {run.cut}; what is missing counts as a fault', file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
         write_run(run, Machine.load(name), Path(folder))
         yield Path(folder), name, run.beside(Machine.load(name))

@@ -71,7 +71,7 @@ def test_recorded_run_is_proven_and_reported(path, tmp_path, capsys):
     assert page.stat().st_size > 100_000
 
 
-def copied(source, target, change):
+def copied(source, target, change, closed=True):
     """Copy a bag with a change to each message; None leaves it out."""
     with Bag(source) as bag:
         writer = BagWriter(target)
@@ -82,7 +82,37 @@ def copied(source, target, change):
             changed = change(topic, data)
             if changed is not None:
                 writer.write(topic, changed, stamp)
-        writer.close()
+        if closed:
+            writer.close()
+
+
+def test_the_bag_of_a_killed_recorder_is_repaired(tmp_path, capsys):
+    killed, sound = tmp_path / 'killed', tmp_path / 'sound'
+    copied(HELD, killed, lambda topic, data: data, closed=False)
+    (file,) = killed.glob('*.mcap')
+    file.write_bytes(file.read_bytes()[:-1000])
+    assert main(['check', str(killed)]) == 2
+    assert f'cnc-interp repair {killed}' in capsys.readouterr().err
+    assert main(['repair', str(killed), '--out', str(sound)]) == 0
+    with Bag(HELD) as bag, Bag(sound) as repaired:
+        assert repaired.parameters == bag.parameters
+        left, whole = list(repaired.raw(*TOPICS)), list(bag.raw(*TOPICS))
+    assert 100 < len(left) < len(whole) and left == whole[: len(left)]
+    file.write_bytes(file.read_bytes()[:1000])
+    assert main(['repair', str(killed), '--out', str(tmp_path / 'none')]) == 2
+    assert 'no whole message is left' in capsys.readouterr().err
+
+
+def test_a_record_that_ends_in_motion_says_so(tmp_path, capsys):
+    left = [16]  # of the executed setpoints
+
+    def cut(topic, data):
+        left[0] -= topic == 'executed_setpoints'
+        return data if left[0] > 0 else None
+
+    copied(HELD, tmp_path / 'cut', cut)
+    assert main(['check', str(tmp_path / 'cut')]) == 1
+    assert 'the record ends in motion, in line' in capsys.readouterr().err
 
 
 def test_a_full_disk_ends_the_record_and_not_the_run(tmp_path):

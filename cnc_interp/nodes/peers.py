@@ -18,8 +18,18 @@ from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
 
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
 #: Each stream with the node that receives it.
 RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
+
+#: Each topic on which a node follows others, and who publishes there.
+OWNERS = {
+    'block_batches': {'program_node'},
+    'segments': {'lookahead_node'},
+    'setpoints': {'feedrate_node'},
+    'stream_status': {*RECEIVERS.values()},
+    'machine_state': {'machine_node'},
+}
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)
@@ -41,6 +51,17 @@ def watch_machine(
         take(state)
 
     node.create_subscription(MachineState, 'machine_state', see, STATE)
+
+
+def second_publisher(node: Any) -> str:
+    """Name a node that publishes where another one does; no message says who sent it."""
+    for topic, owners in OWNERS.items():
+        names = {info.node_name for info in node.get_publishers_info_by_topic(topic)}
+        strangers = names - owners - {UNKNOWN}
+        if strangers and names & owners:
+            stranger = min(strangers)
+            return f'{topic} is published by {stranger} too: end {stranger}, then run the program'
+    return ''
 
 
 class Peers:

@@ -24,7 +24,7 @@ from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
 from cnc_interp.nodes.node_main import Pace, run_node
-from cnc_interp.nodes.peers import Peers
+from cnc_interp.nodes.peers import Peers, second_publisher
 from cnc_interp.nodes.program_check import Prepared, prepare
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
 from cnc_interp.nodes.program_run import BlockFeed, ProgramRun
@@ -86,6 +86,9 @@ class ProgramNode(Node):
         """Begin to read the program of a goal and queue it. The timer does the rest."""
         self._pace.wake()
         run = ProgramRun(handle.request)
+        if stranger := second_publisher(self):
+            answer(handle, run.result(Outcome(Code.BUSY, f'{stranger}; nothing moved')))
+            return
         if handle.request.mdi:
             missing = self._peers.missing(time.monotonic(), self._values['peer_timeout'])
             busy = self._run is not None or bool(self._queue.names)

@@ -115,9 +115,9 @@ def shows(tab, state):
 
 
 def seconds(tab, mark):
-    """A time of the read-outs [s]."""
-    minutes, rest = tab.text(mark).split(':')
-    return 60 * int(minutes) + float(rest)
+    """A time of the read-outs [s]; NaN while a page is being built."""
+    minutes, rest = (tab.text(mark) or 'nan:nan').split(':')
+    return 60 * float(minutes) + float(rest)
 
 
 def set_override(panel, tab, percent):

@@ -48,13 +48,12 @@ def test_a_wrong_choice_is_refused_by_name_before_anything_moves(nodes):
 @pytest.mark.thorough
 def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     """An inconsistent machine_state ended feedrate_node in 2 of 3 trials."""
-    node, nan = nodes.node, float('nan')
-    forger = node.create_publisher(MachineState, 'machine_state', STATE)
-    told = []
+    node, nan, told = nodes.node, float('nan'), []
     heard = node.create_subscription(
         DiagnosticArray, '/diagnostics', lambda m: told.extend(m.status), DIAGNOSTICS
     )
     goal = nodes.start(text=PROGRAM)
+    forger = node.create_publisher(MachineState, 'machine_state', STATE)
     forged = [
         MachineState(),
         MachineState(interpolation_period=0.001, commanded_positions=[nan] * 5),
@@ -67,8 +66,13 @@ def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     result = nodes.result_of(goal)
     assert result.code == Result.SUCCEEDED, result.message
     nodes.spin_until(lambda: any('machine_state' in status.name for status in told))
+    # Who publishes what another node tells is named, and no program begins beside it.
+    result = nodes.result_of(nodes.start(text=PROGRAM))
+    assert result.code == Result.BUSY and result.samples == 0
+    assert f'machine_state is published by {node.get_name()} too' in result.message
     node.destroy_subscription(heard)
     node.destroy_publisher(forger)
+    nodes.spin_until(lambda: nodes.result_of(nodes.start(text=PROGRAM)).code == Result.SUCCEEDED)
 
 
 def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_path):

@@ -27,7 +27,8 @@ ROTARY_KEYS = {
     'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
 }
-CONTROL = ('dialect', 'arc_centres', 'units')  #: Choices of the reader a machine file may make.
+#: Choices of the reader that a machine file may make.
+CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])

@@ -8,11 +8,13 @@ words of two controls, has the profile ``PLAIN``: what is read in two ways is re
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.files import CL_SUFFIXES
 from cnc_interp.program.source import Source
+from cnc_interp.settings.options import Settings
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,14 @@ def form_of(source: Source) -> str:
         if _GCODE_LINE.match(line):
             return 'gcode'
     return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'
+
+
+def as_on(geometry: Transform, settings: Settings) -> Settings:
+    """Return settings in which the control of the machine says what the user does not."""
+    control = geometry.machine.control
+    return replace(
+        settings, **{k: v for k, v in control.items() if getattr(settings, k) == 'auto'}
+    )
 
 
 def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MINUTE
+from cnc_interp.core.units import INCH, MINUTE
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, scan, siemens_cycles
 from cnc_interp.program.active_modes import NONE, ActiveModes
@@ -43,6 +43,9 @@ from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.options import Settings
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
+#: A length or an angle without a decimal point; codes of units and of canned cycles.
+_NO_POINT = re.compile(r'(?<![A-Z_#<\d])([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
+_UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\d)')
 
 
 class GcodeReader:
@@ -217,6 +220,7 @@ class GcodeReader:
             and not self.mover.radius_code
             and not self.splines.open
             and not self._plane.is_incomplete
+            and self.settings.numbers != 'increments'
         )
         if len(rows) >= SHORTEST and in_main and free:
             lines = window.start.line + rows
@@ -256,8 +260,24 @@ class GcodeReader:
         if rest and rest[-1] == '*':
             raise self.fault('* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
                              'blank; post for Fanuc or as plain text', '*')  # fmt: skip
+        if rest and self.settings.numbers == 'increments':
+            rest = self._with_points(rest)
         if rest and not (rest[0] in 'O<' and self.mover.targets.empty and is_name(rest)):
             self._execute(split_words(rest, self.variables, self.fault))
+
+    def _with_points(self, line: str) -> str:
+        """Write lengths and angles of a line that count increments with a decimal point."""
+        unit = _UNIT.search(line)
+        inch = unit[0].endswith('0') if unit else self.mover.unit == INCH
+        counts = self._cycle is not None or _CYCLE.search(line)  # K of a cycle
+
+        def written(match: re.Match[str]) -> str:
+            letter, number = match[1], int(match[2])
+            if letter == 'K' and counts:
+                return match[0]
+            return f'{letter}{number * (1e-4 if inch and letter not in "ABC" else 1e-3):.4f}'
+
+        return _NO_POINT.sub(written, line)
 
     # --- one block -----------------------------------------------------------------------------
 

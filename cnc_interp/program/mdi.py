@@ -11,6 +11,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ActiveModes
+from cnc_interp.program.dialects import PLAIN, PROFILES, as_on
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
@@ -38,7 +39,7 @@ class MdiReader:
     """
 
     def __init__(self, geometry: Transform, settings: Settings):
-        self._geometry, self._settings = geometry, settings
+        self._geometry, self._settings = geometry, as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
@@ -63,7 +64,8 @@ class MdiReader:
 
     def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
         source = Source.of_text(text, MDI)
-        reader = GcodeReader(self._geometry, self._settings, setup, source, notices)
+        dialect = PROFILES.get(self._settings.dialect, PLAIN)
+        reader = GcodeReader(self._geometry, self._settings, setup, source, notices, dialect)
         reader.whole = False
         return reader
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.dialects import HEIDENHAIN, dialect_of, form_of
+from cnc_interp.program.dialects import HEIDENHAIN, as_on, dialect_of, form_of
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
 from cnc_interp.program.job import JobSetup
@@ -55,10 +55,7 @@ class ProgramStream:
         self.dialect = form_of(source)
         self._notices = Notices()
         self._reader: ClReader | GcodeReader
-        control = {
-            k: v for k, v in geometry.machine.control.items() if getattr(settings, k) == 'auto'
-        }
-        settings = replace(settings, **control)
+        settings = as_on(geometry, settings)
         self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)

@@ -58,7 +58,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             f'{program}: planned with --rotary-sense shortest, which no second reader knows; this '
             'program cannot be compared'
         )
-    for name, usual in (('arc_centres', 'start'), ('units', 'mm')):
+    for name, usual in (('arc_centres', 'start'), ('units', 'mm'), ('numbers', 'units')):
         choice = settings.get(name, 'auto')
         choice = machine.control.get(name, usual) if choice == 'auto' else choice
         if choice != usual:

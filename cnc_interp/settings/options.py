@@ -79,6 +79,11 @@ class Settings:
         ('auto', 'mm', 'inch'), READING,
         'unit of a program without G20 or G21; auto: that of the machine, else mm',
     )  # fmt: skip
+    numbers: str = one_of(
+        ('auto', 'units', 'increments'), READING,
+        'what lengths and angles without a decimal point count: units, or increments (X10 is '
+        '0.010 mm or 0.0010 inch); auto: that of the machine, else units',
+    )  # fmt: skip
     skip_blocks: bool = switch(False, READING, 'leave out lines that begin with a slash')
     most_jumps: int = whole_number(
         1_000_000, (1, 10**12), READING,

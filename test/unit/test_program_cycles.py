@@ -9,6 +9,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
+from cnc_interp.program.mdi import MdiReader
 from cnc_interp.program.source import Source
 from cnc_interp.settings.options import Settings
 
@@ -144,6 +145,24 @@ def test_the_machine_tells_whose_control_it_has():
     for wrong in ({'dialect': 'basic'}, {'unit': 'mm'}, 'fanuc'):
         with pytest.raises(MachineError):
             from_mapping(content | {'control': wrong})
+
+
+def test_numbers_without_a_point_count_increments_where_the_control_does():
+    text = (
+        'G21\nG0 X10 Y-0002500 Z5.\nX[1+1]\nG99 G81 X1000 Z-2000 R1000 K2 F100\nG80\n'
+        'G20 X19685\n#1=3\nX#1 Y1.\n'
+    )
+    content = yaml.safe_load(find_machine_file('xyz').read_text())
+    machine = Transform.of(from_mapping(content | {'control': {'numbers': 'increments'}}))
+    tips = read(text, geometry=machine).blocks.tip / MM
+    np.testing.assert_allclose(tips[0], [0.01, -2.5, 5], atol=1e-9)
+    assert tips[:, 2].min() == pytest.approx(-2)
+    np.testing.assert_allclose(tips[-2:, 0], [1.9685 * 25.4, 3 * 25.4], atol=1e-9)
+    told = {'dialect': 'fanuc', 'numbers': 'increments', 'units': 'inch'}
+    line = MdiReader(Transform.of(from_mapping(content | {'control': told})), Settings()).line(
+        'X10000', np.zeros(3), JobSetup()
+    )
+    assert line.read().blocks.tip[-1, 0] == pytest.approx(25.4 * MM - line.reader.mover.zero[0])
 
 
 def test_taps_come_back_as_the_control_has_it():

@@ -92,6 +92,7 @@ OTHERS = Settings(
     dialect='fanuc',
     arc_centres='reversed',
     units='inch',
+    numbers='increments',
     skip_blocks=True,
     most_jumps=77,
     corner_ratio=5.0 / 3.0,

@@ -128,13 +128,11 @@ class ClReader:
         yield from self.targets.finish()
 
     def _repeat(self, line_number: int, statement: str) -> None:
-        """Execute a statement that COPY repeats."""
         self.line_number = line_number
         if not statement.startswith(('COPY', 'INDEX')):
             self._statement(statement)
 
     def _statement(self, statement: str) -> None:
-        """Execute a statement."""
         match = _GOTO.fullmatch(statement)
         if match:
             self._goto(match.groups())
@@ -148,7 +146,6 @@ class ClReader:
         return (f'UNITS/{unit}', *feed, *self._outputs.values())
 
     def _lines(self) -> Iterator[str]:
-        """Yield the lines of the text."""
         while text := self.source.lines(self.place):
             yield from text.decode('utf-8', 'replace').splitlines()
             offset = self.place.offset + len(text)
@@ -187,7 +184,6 @@ class ClReader:
         return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
-        """Record a notice once."""
         self.notices.once(key, self.line_number, f'{key}: {text}')
 
     def _goto(self, words: tuple[str | None, ...]) -> None:

@@ -184,7 +184,6 @@ class CutterRadius:
         self._first: list[complex] = []  # where the first elements begin
 
     def _flat(self, point: FloatArray) -> complex:
-        """Return a point in the plane."""
         return complex(point @ self._frame[:, 0], point @ self._frame[:, 1])
 
     def _moved(self, row: FloatArray, place: complex) -> FloatArray:
@@ -195,7 +194,6 @@ class CutterRadius:
         return moved
 
     def _fault(self, message: str, row: FloatArray) -> ProgramError:
-        """Return an error at the line of a row."""
         return ProgramError(message, self._source, int(row[col.LINE]))
 
     @property

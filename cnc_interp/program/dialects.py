@@ -72,7 +72,6 @@ _HEIDENHAIN_LINE = re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.IGNORECASE)
 
 
 def _head(source: Source) -> str:
-    """Return the beginning of a text."""
     return source.lines(source.start).decode('utf-8', 'replace')
 
 

@@ -130,7 +130,6 @@ class _Nodes(Transformer):  # type: ignore[type-arg]
 
 @cache
 def _parser() -> Lark:
-    """Return the parser, which is built once."""
     return Lark(
         _GRAMMAR,
         parser='lalr',
@@ -179,7 +178,6 @@ def evaluate(node: Node, variables: Variables) -> float:
 
 
 def _value(node: Node, variables: Variables) -> float:
-    """Return the value of a node, without checks."""
     kind = node[0]
     if kind == 'number':
         return float(node[1])
@@ -229,7 +227,6 @@ def parameter_index(index: Node, variables: Variables) -> int:
 
 
 def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float:
-    """Return the value of a function call."""
     if name == 'EXISTS' and len(arguments) == 1 and arguments[0][0] == 'parameter':
         index = arguments[0][1]
         if index[0] == 'own_name':

@@ -98,7 +98,6 @@ class Flow(Structures):
         return None
 
     def _o_word(self, label: str, word: str, rest: str) -> None:
-        """Execute an O word of LinuxCNC."""
         self.has_o_words = True
         if label[0] in '[#':
             label = f'{self.condition(label):.0f}'

@@ -282,7 +282,6 @@ class GcodeReader:
     # --- one block -----------------------------------------------------------------------------
 
     def _execute(self, words: BlockWords) -> None:
-        """Execute the words of one block."""
         values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
@@ -486,7 +485,6 @@ class GcodeReader:
         flow.save(None if code == 'M71' else state, restores=code == 'M73')
 
     def _restore(self, state: tuple[dict[str, object], dict[str, str]]) -> None:
-        """Restore a modal state."""
         values, outputs = state
         self._outputs = dict(outputs)
         if str(values['offset']) != self.mover.setup.offset:

@@ -73,7 +73,6 @@ class HeidenhainReader(GcodeReader):
         self._frames = HeidenhainFrames(self.mover, self._plane)
 
     def _run(self, first: int, end: int) -> None:
-        """Execute lines one by one."""
         for row in range(first, end):
             self.flow.row, self.flow.jumped = row, False
             self._line(self.flow.window.line(row))
@@ -82,7 +81,6 @@ class HeidenhainReader(GcodeReader):
         self.flow.row = end
 
     def _line(self, raw: str) -> None:
-        """Execute one line."""
         text = raw.upper().split(';')[0] if '"' not in raw else raw.upper()
         if raw.lstrip().startswith('/') and self.settings.skip_blocks:
             return
@@ -142,7 +140,6 @@ class HeidenhainReader(GcodeReader):
         return rb'(?:\d+\s+)?LBL\s*' + number
 
     def _label(self, label: str) -> LineStart:
-        """Return the line of a label."""
         source = self.flow.source
         pattern = re.compile(rb'(?mi)^[ \t/]*' + self._pattern(label))
         place = source.find(pattern, source.start)
@@ -486,24 +483,20 @@ class HeidenhainReader(GcodeReader):
                 f'CYCL DEF {self.cycle}', 'feed in, feed out; the spindle is not synchronised'
             )
         breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
-        kept, here = mover.feedrate, mover.here()
+        here = mover.here()
         go_along(mover, here, axis, retract, feed_given=True)
         feed = of('Q206') * unit / MINUTE
         if self.cycle == 207:
             feed = abs(of('Q239')) * unit * mover.spindle_speed / MINUTE
-        mover.feedrate = feed or kept
-        gap = of('Q256') * unit or _BREAK if breaks else _NEAR
-        out = of('Q208') * unit / MINUTE if self.cycle == 201 else 0.0
-        make_hole(
-            mover,
-            Hole(retract, bottom, clear, pecks, breaks, gap, rests=of('Q211') > 0.0 or taps,
-                 out=retract if taps or self.cycle == 201 else None, feed_out=out or None),
-            here, axis,
+        hole = Hole(
+            retract, bottom, clear, pecks, breaks,
+            of('Q256') * unit or _BREAK if breaks else _NEAR, rests=of('Q211') > 0.0 or taps,
+            out=retract if taps or self.cycle == 201 else None, feed=feed,
+            feed_out=of('Q208') * unit / MINUTE if self.cycle == 201 else None,
         )  # fmt: skip
-        mover.feedrate = kept
+        make_hole(mover, hole, here, axis)
 
     def _tilt(self, kind: str, rest: str) -> None:
-        """Process PLANE."""
         how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}
         values, _, _ = self._words(_TURNING.sub(' ', rest))
         if 'TABLE' in how:

@@ -109,12 +109,7 @@ class HeidenhainFrames:
                     @ rotation(2, angle('EULROT')))  # fmt: skip
         if kind == 'VECTOR':
             along, normal = (np.array([values.get(c + x, 0.0) for x in 'XYZ']) for c in 'BN')
-            if np.linalg.norm(np.cross(along, normal)) < 1e-9:
-                raise self._fault('give two directions, BX BY BZ and NX NY NZ', 'PLANE VECTOR')
-            z = normal / np.linalg.norm(normal)
-            x = along - (along @ z) * z
-            x = x / np.linalg.norm(x)
-            return np.stack([x, np.cross(z, x), z], axis=1)
+            return self._tilted.plane_of(along, normal)
         if kind == 'AXIAL':
             return self._turn_of_axes(values)
         raise self._fault('of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',

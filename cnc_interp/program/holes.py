@@ -35,7 +35,9 @@ class Hole:
     waits: bool = False  #: Whether an operator retracts the tool.
     out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
     shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
-    feed_out: float | None = None  #: Feed out of the hole [m/s]; None: that into it.
+    #: Feeds into the hole and out of it [m/s]; None: that of the program, and that into it.
+    feed: float | None = None
+    feed_out: float | None = None
 
     def strokes(self) -> Iterator[tuple[float, int, bool, float]]:
         """Yield the level, kind, whether it is moved aside, and the stop at the end of strokes."""
@@ -87,7 +89,8 @@ def make_hole(
     mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given: bool = True
 ) -> None:
     """Drill at a place in program coordinates, shape (5,) [m, rad]."""
-    feed = mover.feedrate
+    kept = mover.feedrate
+    feed = hole.feed or kept
     beside = place.copy()
     beside[:3] += np.zeros(3) if hole.shift is None else hole.shift
     for level, kind, aside, stop in hole.strokes():
@@ -95,4 +98,4 @@ def make_hole(
         go_along(mover, beside if aside else place, axis, level, feed_given, kind == RAPID)
         if stop:
             mover.targets.stop_here(stop)
-    mover.feedrate = feed
+    mover.feedrate = kept

@@ -12,7 +12,7 @@ from cnc_interp.program.expressions import ExpressionError, ProgramVariables
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
-from cnc_interp.program.siemens import CURVE_WORDS
+from cnc_interp.program.splines import CURVE_WORDS
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords
 

@@ -99,7 +99,6 @@ def tool_changes(
 
 
 def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Tool:
-    """Return a tool with the fields that were given."""
     unknown = set(given) - set(TOOL_FIELDS)
     if unknown:
         raise InterpError(f'tool {number}: no {unknown.pop()}; there are {", ".join(TOOL_FIELDS)}')

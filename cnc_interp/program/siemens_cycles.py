@@ -38,7 +38,6 @@ class SiemensCycle:
             raise mover.fault('give the planes RTP and RFP and the depth DP or DPR', name)
 
     def _at(self, index: int) -> float | None:
-        """Return an argument; None if it is not given."""
         return self._given[index] if index < len(self._given) else None
 
     def _value(self, index: int) -> float:
@@ -72,29 +71,24 @@ class SiemensCycle:
         near = self._value(16) * unit or min(
             max(_NEAR, _NEAR_SHARE * (reference - bottom)), _NEAR_MOST
         )
-        kept = mover.feedrate
         here = mover.here()
         for along in (clear, retract) if here[axis] < retract else (retract,):
             go_along(mover, here, axis, along, feed_given=True)
-        mover.feedrate = self._feed(kept)
         hole = Hole(
             retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
             waits=waits, out=retract if self.name in _FEED_OUT else None, shift=shift,
-            feed_out=self._feed_out(),
+            feed=self._feed(), feed_out=self._feed_out(),
         )  # fmt: skip
         make_hole(mover, hole, here, axis)
-        mover.feedrate = kept
 
-    def _feed(self, modal: float | None) -> float | None:
-        """Return the feed into the hole [m/s]: FFR, pitch by speed, else the modal one."""
+    def _feed(self) -> float | None:
+        """Return the feed into the hole [m/s]: FFR, or pitch by speed; None: the modal one."""
         unit, speed = self._mover.unit, self._mover.spindle_speed
-        if self.name == 'CYCLE85' and self._value(6):
+        if self.name == 'CYCLE85':
             return self._value(6) * unit / MINUTE
-        if self.name == 'CYCLE84' and self._value(8):
-            return abs(self._value(8)) * MM * (self._value(10) or speed) / MINUTE or modal
-        if self.name == 'CYCLE840' and self._value(10) and speed:
-            return abs(self._value(10)) * MM * speed / MINUTE
-        return modal
+        if self.name == 'CYCLE84':
+            return abs(self._value(8)) * MM * (self._value(10) or speed) / MINUTE
+        return abs(self._value(10)) * MM * speed / MINUTE if self.name == 'CYCLE840' else None
 
     def _feed_out(self) -> float | None:
         """Return the feed out of the hole [m/s]; None: that into it."""

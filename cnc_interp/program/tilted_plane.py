@@ -65,7 +65,6 @@ class TiltedPlane:
     # --- the plane -----------------------------------------------------------------------------
 
     def _define(self, code: str, words: BlockWords) -> None:
-        """Process G68, G68.2, G68.3 and G68.4."""
         if code == 'G68':
             self._turn_in_plane(words)
             return
@@ -107,7 +106,7 @@ class TiltedPlane:
         """Return the plane through X turned about Y by I and Y turned about X by J; K turns it."""
         along, beside = rotation(1, angles[0])[:, 0], rotation(0, angles[1])[:, 1]
         normal = np.cross(along, beside)
-        return self._plane(along, normal) @ rotation(2, angles[2])
+        return self.plane_of(along, normal) @ rotation(2, angles[2])
 
     def _collect(self, form: int, code: str, origin: FloatArray, words: BlockWords) -> None:
         """Keep one block of a plane by three points (P2) or two directions (P3); define it."""
@@ -123,7 +122,7 @@ class TiltedPlane:
             # Q0 gives the origin, if it comes before; else that is the first point.
             origin, _, angle = self._parts.get(0, self._parts[1])
             along = second - first
-            turn = self._plane(along, np.cross(along, third - first))
+            turn = self.plane_of(along, np.cross(along, third - first))
             self._set(code, origin, turn, angle)
         elif form == 3 and len(self._parts) == 2:
             (origin, along, angle), (_, normal, _) = (self._parts[k] for k in sorted(self._parts))
@@ -131,9 +130,9 @@ class TiltedPlane:
             if abs(along @ normal) > SMALL * lengths:
                 raise self.fault('X and Z of the plane are not at right angles; correct I J K',
                                  code)  # fmt: skip
-            self._set(code, origin, self._plane(along, normal), angle)
+            self._set(code, origin, self.plane_of(along, normal), angle)
 
-    def _plane(self, along: FloatArray, normal: FloatArray) -> FloatArray:
+    def plane_of(self, along: FloatArray, normal: FloatArray) -> FloatArray:
         """Return the rotation to a plane by its X, roughly, and its Z, shape (3, 3)."""
         z = self._unit(normal)
         y = self._unit(np.cross(z, self._unit(along)))
@@ -161,7 +160,7 @@ class TiltedPlane:
         if not named:
             mover.set_oriented(True)
             origin = mover.here()[:3]
-        self._set('G68.3', origin, self._plane(along, normal), angle)
+        self._set('G68.3', origin, self.plane_of(along, normal), angle)
         mover.set_oriented(True)
 
     def _set(self, code: str, origin: FloatArray, turn: FloatArray, angle: float) -> None:

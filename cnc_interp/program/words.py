@@ -147,7 +147,6 @@ def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
 
 
 def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:
-    """Add a word of one letter."""
     if letter in 'GM':
         code = f'{letter}{round(value, 3):g}'.replace('G153', 'G53')
         (words.g if letter == 'G' else words.m).append(code)

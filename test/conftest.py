@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,11 @@ from hypothesis import HealthCheck, settings
 
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
-#: Tests that start nodes or a browser, in two lanes: one of each lane at a time, no more.
-LANES = (
-    ('test/page/', 'test/replay/test_bags.py', 'test/ros/test_command_lines.py'),
-    ('test/ros/',),
-)
+ROOT = Path(__file__).parents[1]
+#: Tests that start nodes or a browser, in two lanes: two files at a time, no more.
+LANES = ('test/ros/',), ('test/page/', 'test/replay/test_bags.py')
 LIVE = tuple(folder for lane in LANES for folder in lane)
+SHARED = 'test/ros/ shared nodes'  #: Scope of the files that use one set of nodes.
 
 
 def pytest_addoption(parser):
@@ -94,16 +94,32 @@ def pytest_xdist_auto_num_workers(config):
     return len(os.sched_getaffinity(0)) + 1
 
 
+@cache
+def scope_of(file):
+    """Return what runs in one process: a file, or those that use one set of nodes."""
+    return SHARED if 'shared_nodes' in (ROOT / file).read_text() else file
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Let each file run in one process, and the live tests of a lane in the same one."""
+    """Let each of two processes run the files of a lane, then of the other; then the pure ones."""
     from xdist.scheduler import LoadScopeScheduling
 
     config.option.loadscopereorder = False
 
     class Files(LoadScopeScheduling):
         def _split_scope(self, nodeid):
-            lane = next((lane for lane in LANES if nodeid.startswith(lane)), None)
-            return str(lane) if lane else nodeid.split('::')[0]
+            return scope_of(nodeid.split('::')[0])
+
+        def _assign_work_unit(self, node):
+            queue = self.workqueue
+            lanes = dict(zip(self.nodes, (LANES, LANES[::-1]))).get(node, ())
+            fitting = [scope for lane in lanes for scope in queue if scope.startswith(lane)]
+            fitting += [scope for scope in queue if not scope.startswith(LIVE)]
+            if fitting:
+                queue.move_to_end(fitting[0], last=False)
+                super()._assign_work_unit(node)
+            else:
+                node.shutdown()  # it must not wait for what it does not get
 
     return Files(config, log)

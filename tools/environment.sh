@@ -239,7 +239,7 @@ build_messages() (
     && cmake -S "$root/msg_defs" -B "$build" -G Ninja -DBUILD_TESTING=OFF -DONLY_PYTHON=ON \
     -DCMAKE_INSTALL_PREFIX="$venv" -DCMAKE_PREFIX_PATH="$venv" \
     -DPython3_EXECUTABLE="$venv/bin/python" -DPython3_FIND_VIRTUALENV=ONLY \
-    && ninja -C "$build" install
+    && PYTHONPATH=$root/tools/message_build ninja -C "$build" install
 )
 
 check_environment() { "$venv/bin/python" "$root/tools/check_environment.py"; }

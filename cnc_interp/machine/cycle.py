@@ -176,6 +176,11 @@ class Cycle:
         source, serial, row, events = records.T
         return Records(source, serial, row, events, *measured.transpose(1, 0, 2))
 
+    def has_news(self, count: int) -> bool:
+        """Tell whether it has done more than to go on along its chunks by less than ``count``."""
+        control = self._control
+        return bool(control[SOURCE] != CHUNK or control[RECORDED] - control[READ] >= count)
+
     def lateness(self) -> Lateness:
         return Lateness(self._memory.late.copy())
 

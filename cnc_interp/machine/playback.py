@@ -47,6 +47,7 @@ RESTS = {
     Wait.END: (Event.FINISH, Reason.NONE),
 }
 ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
+TOGETHER = 0.01  #: Motion that is read at once, where nothing else happens and much waits [s].
 SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
 
 
@@ -74,6 +75,7 @@ class Playback:
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
         self._drives, self._full = drives, full
+        self._together = min(round(TOGETHER / period), full // 4)
         self._delayed = drives if isinstance(drives, DelayedDrives) else None
         step, memory = int(follow_ideally.address), np.zeros(1)
         if isinstance(drives, CycleDrives):
@@ -247,7 +249,7 @@ class Playback:
 
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
-        self.read()
+        self.look()
         if not self.left:
             last = self.buffer.chunks[-1] if self.buffer.chunks else self._current
             pushed = self._written(chunk, lines, tail_lines, self.buffer.next_number)
@@ -358,6 +360,11 @@ class Playback:
         self.read()
         self.cycle.step()
         self.read()
+
+    def look(self) -> None:
+        """Read, but motion along a program only some periods at a time, which costs far less."""
+        if self._delayed is not None or self.state.by_hand or self.cycle.has_news(self._together):
+            self.read()
 
     def read(self) -> None:
         """Take over what the cycle has done; start it when enough setpoints are there."""

@@ -111,7 +111,7 @@ class MachineNode(LifecycleNode):
 
     def _check(self, chunk: SetpointChunk) -> None:
         playback, run_id, begins = self._playback, run_id_of(chunk), chunk.first_sample == 0
-        playback.read()
+        playback.look()
         state = playback.state
         first = np.array(chunk.positions[: chunk.axis_count])
         if playback.is_void(run_id, first if begins else None):
@@ -157,7 +157,7 @@ class MachineNode(LifecycleNode):
     def _work(self) -> bool:
         """Open the window by the setpoints played; publish a change of the state at once."""
         playback, receiver = self._playback, self._inlet.receiver
-        playback.read()
+        playback.look()
         state, run_id = playback.state, playback.run_id
         mine = run_id == receiver.run_id
         receiver.consumed = playback.played_of_plan if mine else 0

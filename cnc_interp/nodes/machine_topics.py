@@ -66,7 +66,7 @@ class MachineTopics:
         return self._node.get_clock().now().to_msg()
 
     def publish_state(self) -> None:
-        self._playback.read()
+        self._playback.look()
         message = machine_state(self._playback, self._period)
         message.header.stamp = self._now()
         message.feed_override = self._overrides.feed

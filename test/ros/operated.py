@@ -2,11 +2,13 @@
 
 import os
 import signal
+import time
 
 import numpy as np
 import whole_plans
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, SetpointChunk
+from cnc_interp_msgs.srv import MoveAxes
 from limit_use import limit_use
 from nodes_under_test import PATIENCE, NodesUnderTest
 from std_msgs.msg import Float64
@@ -60,7 +62,32 @@ class Bench(NodesUnderTest):
             for name in ('single_block', 'optional_stop')
         }
         self.override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
-        self.spin_until(lambda: all(s.service_is_ready() for s in self.switches.values()))
+        self.rapid = self.node.create_publisher(Float64, 'rapid_override', qos.OVERRIDE)
+        self.mover = self.node.create_client(MoveAxes, 'move_axes')
+        self.spin_until(
+            lambda: (
+                all(s.service_is_ready() for s in (*self.switches.values(), self.mover))
+                and self.rapid.get_subscription_count() > 0
+            )
+        )
+
+    def tidy(self):
+        """Bring all nodes to rest at full overrides, without a program."""
+        self.children.revive()
+        self.watching = True
+        self.spin_until(lambda: not self.peers.missing(time.monotonic(), 1.0))
+        self.optional_stop(False)
+        self.single_block(False)
+        self.override.publish(Float64(data=1.0))
+        self.rapid.publish(Float64(data=1.0))
+        self.spin_until(lambda: self.state.feed_override == self.state.rapid_override == 1.0)
+        if self.next_state().state != MachineState.IDLE:
+            assert self.press('emergency_stop').success
+            self.until_state(MachineState.FAULT)
+            assert self.press('reset').success
+            self.until_state(MachineState.IDLE)
+        self.diagnostics.clear()
+        self.executed.clear()
 
     def single_block(self, on):
         self.turn('single_block', on)

@@ -27,8 +27,6 @@ Result = RunProgram.Result
 @pytest.fixture(scope='module')
 def bench():
     running = Bench({'feedrate_node': {'plunge_feed': 0.004}})  # a way back of some seconds
-    running.mover = running.node.create_client(MoveAxes, 'move_axes')
-    running.spin_until(running.mover.service_is_ready)
     yield running
     running.close()
 

@@ -9,7 +9,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from diagnostic_msgs.msg import KeyValue
 from limit_use import limit_use
-from operated import LIMITS, PROGRAM, Bench, path_of
+from operated import LIMITS, PROGRAM, path_of
 
 from cnc_interp.kinematics.axis_path import evaluate
 
@@ -18,13 +18,6 @@ LINES = PROGRAM.splitlines()
 #: A program stop in the middle: the motion from there on depends on nothing before it.
 TEXT = '\n'.join([*LINES[:15], 'M0', *LINES[15:], ''])
 STOP = 16
-
-
-@pytest.fixture(scope='module')
-def bench():
-    running = Bench()
-    yield running
-    running.close()
 
 
 def executed(bench, reasons, **choices):
@@ -58,7 +51,8 @@ def executed(bench, reasons, **choices):
 
 
 @pytest.mark.thorough
-def test_the_executed_setpoints_are_those_of_the_full_run(bench):
+def test_the_executed_setpoints_are_those_of_the_full_run(shared_nodes):
+    bench = shared_nodes
     approach, stop = MachineState.REASON_APPROACH, MachineState.REASON_PROGRAM_STOP
     q, s, line = executed(bench, [stop])
     after = line > STOP

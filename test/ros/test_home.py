@@ -29,9 +29,7 @@ def bench(tmp_path_factory):
     takes = [n for n, declared in NODES.items() if any(p.name == 'machine' for p in declared)]
     running = Bench({node: dict(given) for node in takes})
     running.home = running.node.create_client(Home, 'home')
-    running.mover = running.node.create_client(MoveAxes, 'move_axes')
     running.spin_until(running.home.service_is_ready)
-    running.spin_until(running.mover.service_is_ready)
     yield running
     running.close()
 

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.msg import Jog, MachineState
 from cnc_interp_msgs.srv import MoveAxes
 from limit_use import limit_use
-from operated import LIMITS, TRANSFORM, Bench
+from operated import LIMITS, TRANSFORM
 from sensor_msgs.msg import Joy
 
 from cnc_interp.commands.cli import main
@@ -21,17 +21,13 @@ from cnc_interp.nodes import qos
 
 
 @pytest.fixture(scope='module')
-def bench():
-    running = Bench()
+def bench(shared_nodes):
+    running = shared_nodes
     running.beats = running.node.create_publisher(Jog, 'jog', qos.BEATS)
     running.before = 0
     running.joy = running.node.create_publisher(Joy, 'joy', 10)
-    running.mover = running.node.create_client(MoveAxes, 'move_axes')
-    running.spin_until(
-        lambda: running.beats.get_subscription_count() and running.mover.service_is_ready()
-    )
-    yield running
-    running.close()
+    running.spin_until(running.beats.get_subscription_count)
+    return running
 
 
 def move(bench, **request):

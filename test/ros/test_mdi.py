@@ -14,7 +14,7 @@ from cnc_interp_msgs.msg import MachineState, ModalState
 from cnc_interp_msgs.srv import MoveAxes
 from limit_use import limit_use
 from nodes_under_test import hear_ctrl_c
-from operated import LIMITS, TRANSFORM, Bench, Result
+from operated import LIMITS, TRANSFORM, Result
 
 from cnc_interp.nodes import qos
 
@@ -22,14 +22,12 @@ ZERO = np.array([0.04, -0.07, 0.06]) + [0.0, 0.15e-3, 0.08]  # m + d of the refe
 
 
 @pytest.fixture(scope='module')
-def bench():
-    running = Bench()
+def bench(shared_nodes):
+    running = shared_nodes
     running.modes = running.listen('modal_state', ModalState, qos.LOADED)
     running.active = running.listen('active_modes', ModalState, qos.LOADED)
-    running.mover = running.node.create_client(MoveAxes, 'move_axes')
-    running.spin_until(lambda: running.modes and running.mover.service_is_ready())
-    yield running
-    running.close()
+    running.spin_until(lambda: running.modes)
+    return running
 
 
 def stands(bench):

@@ -18,7 +18,6 @@ from std_msgs.msg import Float64
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
-from cnc_interp.nodes import qos
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_messages import run_id_of
@@ -26,33 +25,10 @@ from cnc_interp.wire.run_messages import run_id_of
 Result = RunProgram.Result
 
 
-@pytest.fixture(scope='module')
-def running():
-    bench = Bench()
-    bench.rapid = bench.node.create_publisher(Float64, 'rapid_override', qos.OVERRIDE)
-    bench.spin_until(lambda: bench.rapid.get_subscription_count() > 0)
-    yield bench
-    bench.close()
-
-
 @pytest.fixture
-def bench(running):
-    """All nodes, at rest at full overrides, without a program."""
-    yield running
-    running.children.revive()
-    running.watching = True
-    running.spin_until(lambda: not running.peers.missing(time.monotonic(), 1.0))
-    running.optional_stop(False)
-    running.single_block(False)
-    running.override.publish(Float64(data=1.0))
-    running.rapid.publish(Float64(data=1.0))
-    running.spin_until(lambda: running.state.feed_override == running.state.rapid_override == 1.0)
-    if running.next_state().state != MachineState.IDLE:
-        assert running.press('emergency_stop').success
-        running.until_state(MachineState.FAULT)
-        assert running.press('reset').success
-        running.until_state(MachineState.IDLE)
-    running.diagnostics.clear()
+def bench(shared_nodes):
+    yield shared_nodes
+    shared_nodes.tidy()
 
 
 @pytest.mark.thorough

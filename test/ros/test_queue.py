@@ -10,7 +10,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 from limit_use import limit_use
-from operated import LIMITS, Bench, T, path_of, waves
+from operated import LIMITS, T, path_of, waves
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.kinematics.axis_path import evaluate
@@ -19,45 +19,32 @@ Result = RunProgram.Result
 FIRST, SECOND = waves(3), waves(2)
 
 
-class QueueBench(Bench):
-    """A bench that keeps what goals are told while they wait."""
-
-    def send(self, text=None, **goal):
-        told = []
-        accepted = self.action.send_goal_async(
-            RunProgram.Goal(text=text or '', **goal), lambda m: told.append(m.feedback)
-        )
-        self.spin_until(accepted.done)
-        return accepted.result(), told
-
-    def setpoints_of(self, result):
-        """What the drives were told in one run, on its path from end to end."""
-        count = result.samples + round(result.approach_time / T)
-
-        def told():
-            return [m for m in self.executed if m.program_id == result.program_id]
-
-        self.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
-        q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
-        return q, np.concatenate([m.path_positions for m in told()])
+def send(bench, text=None, **goal):
+    """Send a goal; returns its handle, and what it is told while it waits."""
+    told = []
+    accepted = bench.action.send_goal_async(
+        RunProgram.Goal(text=text or '', **goal), lambda m: told.append(m.feedback)
+    )
+    bench.spin_until(accepted.done)
+    return accepted.result(), told
 
 
-@pytest.fixture(scope='module')
-def running():
-    bench = QueueBench()
-    yield bench
-    bench.close()
+def setpoints_of(bench, result):
+    """What the drives were told in one run, on its path from end to end."""
+    count = result.samples + round(result.approach_time / T)
+
+    def told():
+        return [m for m in bench.executed if m.program_id == result.program_id]
+
+    bench.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
+    q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
+    return q, np.concatenate([m.path_positions for m in told()])
 
 
 @pytest.fixture
-def bench(running):
-    """Nodes at rest without a program."""
-    if running.next_state().state != MachineState.IDLE:
-        assert running.press('reset').success
-        running.until_state(MachineState.IDLE)
-    running.executed.clear()
-    running.diagnostics.clear()
-    return running
+def bench(shared_nodes):
+    shared_nodes.tidy()
+    return shared_nodes
 
 
 def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(bench, tmp_path):
@@ -65,7 +52,7 @@ def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(
     for name, text in (('a.ngc', FIRST), ('b.ngc', SECOND), ('c.ngc', FIRST)):
         files.append(tmp_path / name)
         files[-1].write_text(text)
-    sent = [bench.send(program=str(file)) for file in files]
+    sent = [send(bench, program=str(file)) for file in files]
     told = 'running a.ngc; then b.ngc, c.ngc'
     bench.spin_until(lambda: any(told in text for _, text in bench.diagnostics))
     results = [bench.result_of(handle) for handle, _ in sent]
@@ -75,7 +62,7 @@ def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(
     assert set(ahead[0]) == {0} and {1, 0} <= set(ahead[1]) and {2, 1, 0} <= set(ahead[2])
     assert all(list(seen) == sorted(seen, reverse=True) for seen in ahead)
 
-    parts = [bench.setpoints_of(result) for result in results]
+    parts = [setpoints_of(bench, result) for result in results]
     runs = list(dict.fromkeys(m.program_id for m in bench.executed))
     assert runs == [result.program_id for result in results], 'one after the other'
     for (q, s), text in zip(parts, (FIRST, SECOND, FIRST), strict=True):
@@ -88,7 +75,7 @@ def test_programs_that_wait_run_in_their_order_and_nothing_is_lost_between_them(
 
 @pytest.mark.thorough
 def test_a_program_cancelled_while_it_waits_leaves_the_queue_and_the_others_move_up(bench):
-    first, second, third = (bench.send(text)[0] for text in (FIRST, SECOND, SECOND))
+    first, second, third = (send(bench, text)[0] for text in (FIRST, SECOND, SECOND))
     bench.spin_until(lambda: bench.peers.state.state == MachineState.RUNNING)
     second.cancel_goal_async()
     result = bench.result_of(second)
@@ -99,8 +86,8 @@ def test_a_program_cancelled_while_it_waits_leaves_the_queue_and_the_others_move
 
 @pytest.mark.thorough
 def test_a_wrong_program_is_refused_while_it_waits_and_those_behind_it_are_not_started(bench):
-    ended = bench.send(waves(6))[0].get_result_async()
-    wrong, behind = bench.send('G21 G90 G94\nG1 X1 F0\n')[0], bench.send(SECOND)[0]
+    ended = send(bench, waves(6))[0].get_result_async()
+    wrong, behind = send(bench, 'G21 G90 G94\nG1 X1 F0\n')[0], send(bench, SECOND)[0]
     assert bench.result_of(wrong).code == Result.BAD_PROGRAM
     result = bench.result_of(behind)
     assert result.code == Result.NOT_STARTED and 'did not reach its end' in result.message
@@ -112,7 +99,7 @@ def test_a_wrong_program_is_refused_while_it_waits_and_those_behind_it_are_not_s
 @pytest.mark.thorough
 @pytest.mark.parametrize('how', ['cancel', 'emergency_stop'])
 def test_nothing_starts_behind_a_program_that_was_stopped(bench, how):
-    first, second = bench.send(FIRST)[0], bench.send(SECOND)[0]
+    first, second = send(bench, FIRST)[0], send(bench, SECOND)[0]
     bench.until_at(0.01)
     if how == 'cancel':
         first.cancel_goal_async()

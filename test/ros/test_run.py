@@ -13,7 +13,6 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
-from nodes_under_test import NodesUnderTest
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.convert.conversion import convert
@@ -63,11 +62,8 @@ def assert_at_the_last_pose(position):
 
 
 @pytest.fixture(scope='module')
-def nodes():
-    running = NodesUnderTest()
-    yield running
-    codes = running.close()
-    assert codes == dict.fromkeys(codes, 0), 'nodes end with exit code 0 on SIGTERM'
+def nodes(shared_nodes):
+    return shared_nodes
 
 
 def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path):

@@ -127,6 +127,26 @@ def test_nothing_moves_before_the_buffer_is_full_then_everything_is_played_in_or
     assert play.played == len(heard) - 1
 
 
+def test_looking_takes_over_some_periods_at_once_and_the_end_of_motion_at_once():
+    each, some = playback(40), playback(40)
+    chunks = chunks_to([0.02, 0.0, 0.0, 0.1, 0.0])
+    for play in (each, some):
+        play.begin(P)
+        feed(play, chunks)
+        play.read()
+    late = []
+    while not some.state.completed:
+        each.step()
+        some.cycle.step()
+        some.look()
+        late.append(each.played - some.played)
+    assert max(late) == 9 and late[-1] == 0 and each.state == some.state
+    assert len(some.executed) < len(each.executed) / 4
+    for name in ('played', 'largest_following_error', 'largest_contour_error'):
+        np.testing.assert_array_equal(getattr(some, name), getattr(each, name))
+    np.testing.assert_array_equal(some.axes.largest_use, each.axes.largest_use)
+
+
 def program_on_the_spot(count):
     """Setpoints of block 1 where the approach has ended."""
     still, ones = np.zeros((count, 5)), np.ones(count, dtype=int)

@@ -33,6 +33,7 @@ from cnc_interp.machine_model.machine_entries import (
     linear_geometry,
     rotary_geometry,
 )
+from cnc_interp.machine_model.signals import Signals, signals
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,8 @@ class Machine:
     homing: ReferenceSwitches = field(default_factory=ReferenceSwitches)
     #: What its control means by a program: choices of the reader, by name.
     control: dict[str, Any] = field(default_factory=dict)
+    #: Its outputs and inputs, and the functions of a program that switch them.
+    signals: Signals = field(default_factory=Signals)
     file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
 
     @cached_property
@@ -263,6 +266,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=homing(content, travel),
         control=control(content),
+        signals=signals(content),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
 

@@ -17,12 +17,14 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
+from cnc_interp.machine_model.signals import NO_WAIT
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_cycles import cycle_of, way_to
 from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
+from cnc_interp.program.functions import acting
 from cnc_interp.program.holes import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import LineStart, Source
@@ -88,6 +90,7 @@ class ClReader:
         self._frames = ClFrames()
         self._system = ''  # by name
         self._outputs: dict[str, str] = {}  # the last statement of each output
+        self._signals = geometry.machine.signals
 
     @property
     def share(self) -> float:
@@ -268,6 +271,8 @@ class ClReader:
         major, minor = match[1], (match[2] or match[3] or '').strip()
         if major in cl_words.OUTPUTS:
             self._outputs[major] = statement
+            if self._switch(major, minor):
+                return
         if major == 'GOTO':
             raise self._fault(
                 'expected three numbers, or six with the tool axis, between commas or spaces',
@@ -323,6 +328,8 @@ class ClReader:
             kind, text = cl_words.STOPS[major]
             stands = self.targets.stands
             waits = kind == AT_M0
+            if kind > 1.0:
+                self.targets.program_stop()
             not_yet = codes.WAITS_FIRST if waits else codes.NOT_YET
             self._notice(major, not_yet if stands else text)
             if stands:
@@ -359,6 +366,18 @@ class ClReader:
             self._notice(major, 'no effect, it does not move the tool')
         elif major not in cl_words.SILENT:
             raise self._fault(cl_words.UNKNOWN, major)
+
+    def _switch(self, major: str, minor: str) -> bool:
+        """Record the functions of a word; False where the machine has no outputs for it."""
+        words, given = cl_words.machine_words(major, minor)
+        if not words or not set(words) <= self._signals.words.keys() | {'T'}:
+            return False
+        for steps in acting(self._signals, words, given, self._fault):
+            for number, value in steps:
+                if self._signals.steps[number].wait != NO_WAIT and not self.targets.stands:
+                    self.targets.stop_here()
+                self.targets.change((number, value), self.line_number)
+        return True
 
     def _system_of(self, minor: str) -> tuple[FloatArray, FloatArray] | None:
         """Return axes and origin of a coordinate system, in the unit of the text."""

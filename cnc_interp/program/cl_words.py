@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program import codes
 from cnc_interp.program.target_row import AT_M0, AT_M1
@@ -54,3 +56,16 @@ OFF = {'', 'OFF', 'NOMORE'}
 UNKNOWN = 'unknown word; write $$ before it if it does not move the tool'
 LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
 FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}
+
+
+def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
+    """Return the words of G-code that switch what a word of CL data does, and their values."""
+    fields = [field.strip() for field in minor.split(',')]
+    numbers = [float(field) for field in fields if re.fullmatch(r'\d+\.?\d*', field)]
+    if major == 'SPINDL':
+        given = {'S': numbers[0]} if numbers else {}
+        turns = 'M4' if 'CCLW' in fields else 'M3'
+        return (['M5'], {}) if minor in OFF else ([*given, turns], given)
+    if major == 'COOLNT':
+        return (['M9'] if minor in OFF else ['M7' if 'MIST' in fields else 'M8']), {}
+    return (['T', 'M6'], {'T': numbers[0]}) if major == 'LOADTL' and numbers else ([], {})

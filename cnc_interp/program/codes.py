@@ -134,6 +134,8 @@ END_M = {'M2', 'M30'}
 #: Ends of a subprogram; M codes that stop, call, return or end.
 RETURN_M = {'M17', 'M99'}
 ACTING_M = END_M | STOP_M.keys() | RETURN_M | {'M61', 'M98'}
+#: M codes that act before the others of their block, in this order.
+FIRST_M = {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
 #: Outputs of the machine that M codes switch, each with the code that holds afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
     **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},

@@ -15,6 +15,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import INCH, MINUTE
+from cnc_interp.machine_model.signals import NO_WAIT
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, scan, siemens_cycles
 from cnc_interp.program.active_modes import NONE, ActiveModes
@@ -25,6 +26,7 @@ from cnc_interp.program.cycles import TAPPING, CannedCycle
 from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
+from cnc_interp.program.functions import Acting, acting
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.modes import Modes
@@ -70,6 +72,7 @@ class GcodeReader:
         self._tool = self._chosen_tool = setup.tool
         self._called: SiemensCycle | None = None  # by MCALL
         self._outputs: dict[str, str] = {}  # the last M code of each output
+        self._signals = geometry.machine.signals
         self._percent_seen = False
         self._leader = leader_lines(source)
         self.whole = True  # whether more lines can follow, so that it can look ahead
@@ -310,6 +313,8 @@ class GcodeReader:
         self._settings(words)
         for code in words.m:
             self._machine_function(code)
+        before, after = self._functions(words)
+        self._act(before)
         f = values.pop('F', None) if 'G4' not in words.g and 'G65' not in words.g else None
         if f is not None:
             mover.set_feed(f, words.texts['F'], unit if mover.dialect.feeds_first else mover.unit)
@@ -337,6 +342,7 @@ class GcodeReader:
         self._move(words, f is not None)
         for cycle in drilling or ([self._called] if moves and self._called else []):
             cycle.make()
+        self._act(after)
         mover.stop_once = False
         for code in words.m:
             if code in codes.STOP_M:
@@ -468,10 +474,33 @@ class GcodeReader:
             self.mover.switch_tcp('')
         elif code not in codes.ACTING_M:
             self._outputs |= codes.OUTPUTS.get(code, {})
+            if code in self._signals.words:
+                return
             if code in ('M3', 'M4'):
                 self.notice(code, codes.NO_SPINDLE)
             else:
                 self.notice(code, 'no effect, it does not move the tool')
+
+    def _functions(self, words: BlockWords) -> tuple[list[Acting], list[Acting]]:
+        """Return the steps of the functions of a block, before and after its motion."""
+        values = words.values
+        found = [letter for letter in 'ST' if letter in values]
+        found += sorted(words.m, key=lambda code: codes.FIRST_M.get(code, len(codes.FIRST_M)))
+        tool = self._tool if 'M6' in words.m else self._chosen_tool
+        given = {**values, 'S': self.mover.spindle_speed, 'T': float(tool)}
+        moments = acting(self._signals, found, given, self.fault)
+        for letter in self._signals.letters(found) & {'P', 'Q'}:
+            values.pop(letter, None)
+        return moments
+
+    def _act(self, steps: list[Acting]) -> None:
+        """Record functions after the last target, which rests where one waits."""
+        for number, value in steps:
+            if self._signals.steps[number].wait != NO_WAIT:
+                self.mover.end_corner()
+                if not self.targets.stands or self.splines.open:
+                    self.splines.stop_here()
+            self.targets.change((number, value), self.flow.main_line)
 
     def _save_or_restore(self, code: str) -> None:
         """Process M70 to M73: save the state, forget it, restore it; M73 does so at return."""
@@ -494,6 +523,7 @@ class GcodeReader:
     def _program_stop(self, code: str) -> None:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         self.mover.end_corner()
+        self.targets.program_stop()
         if self.mover.targets.stands and not self.splines.open:
             waits = code != 'M1'
             self.mover.targets.waits_first |= waits
@@ -521,6 +551,8 @@ class GcodeReader:
             if letter == 'H' and mover.frames.length:
                 raise self.fault('on Fanuc it changes the tool length; write G43 with it, or '
                                  'leave it out', words.texts['H'])  # fmt: skip
+            if self._signals.uses(letter):
+                continue
             if letter in 'STDHE':
                 self.notice(letter, 'no effect, it does not move the tool')
             elif letter in 'ABCUVW':

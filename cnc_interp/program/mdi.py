@@ -29,6 +29,7 @@ class MdiLine(ProgramStream):
         self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
         self._reader = self.reader = reader
         self._notices, self.read_as = notices, ()
+        self._signals = reader.mover.geometry.machine.signals
 
 
 class MdiReader:

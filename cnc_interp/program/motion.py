@@ -33,7 +33,7 @@ class Mover(ModalState):
 
     corner = NO_CORNER  #: At the end of the next line.
     #: A line that waits for the next one: its corner, place in the text, start [m] and row.
-    held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...]] | None = None
+    held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
 
     # --- one block -----------------------------------------------------------------------------
 
@@ -312,7 +312,8 @@ class Mover(ModalState):
             before = self._make_corner(place, rapid or arc is not NO_ARC)
         corner, self.corner = self.corner, self.corner if self.corner.modal else NO_CORNER
         if corner.size and not rapid and arc is NO_ARC and not self.targets.empty:
-            self.held = corner, self.flow.fault('', corner.kind), before, row
+            fault, changed = self.flow.fault('', corner.kind), self.targets.changed
+            self.held = corner, fault, before, row, changed
         elif corner.size and not corner.modal:
             raise self.fault('stands at the end of a line G1', corner.kind)
         else:
@@ -321,7 +322,7 @@ class Mover(ModalState):
     def _make_corner(self, after: FloatArray, is_other: bool) -> FloatArray:
         """Add the line that waits, and its corner; return where that ends."""
         assert self.held is not None
-        corner, fault, before, row = self.held
+        corner, fault, before, row, changed = self.held
         self.held = None
         frame = self.frames.turn[:, list(PLANES[self.plane])]
 
@@ -332,11 +333,11 @@ class Mover(ModalState):
         if not (is_other and corner.modal):
             joint = corner.joint(before, vertex, vertex if is_other else after, frame, at_line)
         if joint is None:
-            self.targets.add(row)
+            self.targets.add(row, changed)
             return np.array(row[:3])
         first, last, arc = joint
-        self.targets.add((*first, *row[3:]))
-        self.targets.add((*last, *row[3:-10], *arc, *row[-3:]))
+        self.targets.add((*first, *row[3:]), changed)
+        self.targets.add((*last, *row[3:-10], *arc, *row[-3:]), changed)
         return last
 
     def switch_tcp(self, word: str) -> None:

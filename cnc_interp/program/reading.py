@@ -11,6 +11,7 @@ from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
 from cnc_interp.program.dialects import HEIDENHAIN, as_on, dialect_of, form_of
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
 from cnc_interp.program.job import JobSetup
@@ -53,7 +54,7 @@ class ProgramStream:
         #: Text of the setup at the start; empty where nothing is set.
         self.setup = '' if setup == JobSetup() else setup.text()
         self.dialect = form_of(source)
-        self._notices = Notices()
+        self._notices, self._signals = Notices(), geometry.machine.signals
         self._reader: ClReader | GcodeReader
         settings = as_on(geometry, settings)
         self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
@@ -101,6 +102,14 @@ class ProgramStream:
     def waits_first(self) -> bool:
         """Whether the program waits for the operator before its first motion (M0)."""
         return self._reader.targets.waits_first
+
+    @property
+    def functions(self) -> Functions:
+        """Return what the program switches, for a run from its start; complete at its end."""
+        functions, row = self._reader.targets.functions, self.start.row
+        if row is None or not self.start.line:
+            return functions
+        return functions.from_row(row, self._signals)
 
     @property
     def changes(self) -> tuple[ProgramChange, ...]:

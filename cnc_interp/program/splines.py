@@ -168,6 +168,7 @@ class Splines:
         self._mover = mover
         self._curve: Curve | None = None
         self._passes = 0  # of the start line, at the last control point
+        self._changed: int | None = None  # changes before the first control point
         self._second: FloatArray | None = None  # last second point, in program coordinates [m]
 
     @property
@@ -191,6 +192,7 @@ class Splines:
                 'BSPLINE',
             )
         second = None if self._second is None else _point(mover.frames.point(self._second))
+        self._changed = None
         self._curve = Curve(
             _point(mover.point), _point(mover.tool_axis), second, mover.settings.flank_height,
             mover.flow.main.name,
@@ -221,6 +223,7 @@ class Splines:
             given.get('PL', 1.0), (rate, mover.contour, mover.orientation), mover.flow.main_line,
         )  # fmt: skip
         mover.point, self._passes = point, mover.targets.start.passes
+        self._changed = mover.targets.changed if self._changed is None else self._changed
         if mover.stop_always:
             mover.notice('exact stop', 'holds at the end of a spline, not at its control points')
         if mover.stop_once:
@@ -243,7 +246,7 @@ class Splines:
                 float(stop or mover.stop_always), mover.contour, mover.orientation,
                 mover.flow.main_line, float(mover.by_axes), nan, *NO_ARC, *mover.extra,
             ),
-            self._passes,
+            self._passes, self._changed or 0,
         )  # fmt: skip
 
     def stop_here(self, kind: float = 1.0) -> None:

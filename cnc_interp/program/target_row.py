@@ -17,7 +17,8 @@ AXES, TURN_RATE = 17, 18  #: Whether POINT is axis positions; feedrate of rotary
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 #: How often the line at which a run starts was reached before the target; the reader counts.
 PASSES = 29
-CHANGES = 30  #: How many changes of the setup come before it; ``TargetColumns`` counts.
+#: How many changes of the setup, and functions, come before it; ``TargetColumns`` counts.
+CHANGES = 30
 #: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
 MODES, MOTION, FEED, WIDTH = slice(31, 34), 32, 33, 34
 #: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.

@@ -22,6 +22,7 @@ from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cutter_radius import CutterRadius, Told
 from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, waits_at
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import BESIDE_ARC, Moves, merge_repeated
 from cnc_interp.program.start_line import StartLine
@@ -49,9 +50,13 @@ class TargetColumns:
         self._rows = array('d')
         self._radius: CutterRadius | None = None
         self._full = min(_FIRST_BATCH, _BATCH_ROWS) * col.WIDTH
-        self._changed = 0  # changes of the setup so far
-        self._coming: deque[tuple[int, SetupChange, int]] = deque()  # block not yet known
+        self.changed = 0  # changes of the setup, and functions, so far
+        # Changes, and functions (step, value); their block is not yet known.
+        self._coming: deque[tuple[int, SetupChange | tuple[int, float], int]] = deque()
+        self._at_last = 0  # changes before the last target
+        self._stops: deque[tuple[int, int]] = deque()  # changes between target and program stop
         self._changes: list[ProgramChange] = []
+        self._functions = array('d')
         self._emitted = 0  # rows of the blocks so far
         self.modes = ModesOfBlocks()
         self.state = (NONE, NONE, NONE)  # of the next target, as ``ModesOfBlocks.see`` takes it
@@ -66,11 +71,15 @@ class TargetColumns:
         names = geometry.machine.extra_names
         self._extra = [col.EXTRA.start + col.EXTRA_LETTERS.index(name) for name in names]
 
-    def add(self, row: tuple[float, ...]) -> None:
-        """Add one target: the columns of ``moves.py`` up to EXTRA, NaN for no arc."""
+    def add(self, row: tuple[float, ...], changed: int | None = None) -> None:
+        """Add one target: the columns of ``moves.py`` up to EXTRA, NaN for no arc.
+
+        ``changed``: the changes before a target that has waited for the next one.
+        """
         if len(self._rows) >= self._full:
             self._convert(last=False)
-        whole = (*row, self.start.passes, self._changed, *self.state)
+        changed = self._at_last = self.changed if changed is None else changed
+        whole = (*row, self.start.passes, changed, *self.state)
         if self._radius is None:
             self._rows.extend(whole)
             return
@@ -92,10 +101,15 @@ class TargetColumns:
                 self._rows.extend(ready)
         return np.array(self._rows[-col.WIDTH :])[col.POINT]
 
-    def change(self, change: SetupChange, line_number: int) -> None:
-        """Record a change of the setup after the last target."""
-        self._changed += 1
-        self._coming.append((self._changed, change, line_number))
+    def change(self, change: SetupChange | tuple[int, float], line_number: int) -> None:
+        """Record a change of the setup, or step and value of a function, after the last target."""
+        self.changed += 1
+        self._coming.append((self.changed, change, line_number))
+
+    @property
+    def functions(self) -> Functions:
+        """The functions whose place is known."""
+        return Functions.of_rows(self._functions)
 
     @property
     def changes(self) -> tuple[ProgramChange, ...]:
@@ -107,7 +121,7 @@ class TargetColumns:
         if len(self._rows) >= self._full:
             self._convert(last=False)
         rows[:, col.PASSES] = self.start.passes
-        rows[:, col.CHANGES] = self._changed
+        rows[:, col.CHANGES] = self._at_last = self.changed
         rows[:, col.MODES.start] = self.state[0]
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
@@ -119,18 +133,23 @@ class TargetColumns:
             at = col.EXACT_STOP - col.WIDTH
             self._rows[at] = max(self._rows[at], kind)
 
+    def program_stop(self) -> None:
+        """Let the functions since the last target act before the program stop (M0, M1) there."""
+        self._stops.append((self._at_last, self.changed))
+
     def stand_at(self, rotary: FloatArray) -> None:
         """Set the rotary positions of the last target, whose tool axis came from a direction."""
         if self._rows:
             last = len(self._rows) - col.WIDTH
             self._rows[last + col.ROTARY.start : last + col.ROTARY.stop] = array('d', rotary)
 
-    def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int) -> None:
-        """Add a native spline that begins at the last target."""
+    def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int, changed: int) -> None:
+        """Add a native spline that begins at the last target; what changes in it does so after."""
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None
-        self._rows.extend((*end, passes, self._changed, *self.state))
+        self._rows.extend((*end, passes, changed, *self.state))
+        self._at_last = changed
 
     @property
     def stands(self) -> bool:
@@ -159,7 +178,7 @@ class TargetColumns:
         self.end_radius()
         self.stop_here()
         self._convert(last=True)
-        self._place_changes(self._changed, self._emitted)
+        self._place_changes(self.changed, self._emitted)
         return self.take()
 
     def _convert(self, last: bool) -> None:
@@ -209,8 +228,14 @@ class TargetColumns:
     def _place_changes(self, count: int, block: int) -> None:
         """Store all changes up to a number, which happen before a block."""
         while self._coming and self._coming[0][0] <= count:
-            _, change, line = self._coming.popleft()
-            self._changes.append(ProgramChange(change, line, block))
+            number, change, line = self._coming.popleft()
+            if isinstance(change, SetupChange):
+                self._changes.append(ProgramChange(change, line, block))
+            else:
+                while self._stops and self._stops[0][1] < number:
+                    self._stops.popleft()
+                before_stop = bool(self._stops) and self._stops[0][0] < number
+                self._functions.extend((block, line, *change, before_stop))
         if len(self._changes) > MOST_CHANGES:
             half = MOST_CHANGES // 2
             last = {(c.change.field, c.change.key): c for c in self._changes[:half]}

@@ -8,7 +8,7 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
@@ -46,6 +46,10 @@ BLOCK_COLUMNS = {
     'extra_axes': Column(('k',), default=0.0),
     'interpolation': Column((), np.int64, default=0),
     'rotary_from': Column((2,), default=np.nan),
+}  # fmt: skip
+FUNCTION_COLUMNS = {
+    'block': WHOLE, 'line_number': WHOLE, 'step': WHOLE, 'value': REAL, 'before_stop': LOGICAL,
+    'sample': WHOLE,
 }  # fmt: skip
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
@@ -154,6 +158,11 @@ class PlanFiles:
     path: Columns  #: Grid of the planner, with the columns of ``path.npz``; empty for a bag.
     blocks: Columns  #: Program rows, the start pose first, with all optional columns present.
     summary: Mapping[str, Any]  #: Contents of ``summary.json``.
+    #: What the program switches: ``step`` of the machine's functions, its ``value``, ``block`` at
+    #: whose begin, and the number of the setpoint with which it came (``sample``).
+    functions: Columns = field(
+        default_factory=lambda: {name: of.filled(0) for name, of in FUNCTION_COLUMNS.items()}
+    )
 
     def in_memory(self) -> PlanFiles:
         setpoints, path = (
@@ -225,7 +234,8 @@ def read_plan(directory: Path) -> PlanFiles:
     fault = _nonsense(blocks)
     if fault:
         raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
-    return PlanFiles(setpoints, path, blocks, summary)
+    functions = _read_columns(directory / 'functions.npz', FUNCTION_COLUMNS)
+    return PlanFiles(setpoints, path, blocks, summary, functions)
 
 
 def _nonsense(blocks: Columns) -> str:
@@ -292,7 +302,8 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
                 raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
-            stored = {} if declared is BLOCK_COLUMNS else _stored(file)
+            whole = declared in (BLOCK_COLUMNS, FUNCTION_COLUMNS)
+            stored = {} if whole else _stored(file)
             columns = {
                 name: stored[name] if name in stored else archive[name] for name in archive.files
             }

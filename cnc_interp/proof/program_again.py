@@ -14,6 +14,7 @@ from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.proof.functions import compare_words
 from cnc_interp.proof.linuxcnc_reader import (
     LAST_DIGIT,
     LinuxCNCError,
@@ -108,6 +109,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         found.append(
             _Comparison(plan.blocks, machine, tolerances).follow(_tolerated(moves, forced))
         )
+        found.append(replace(found[-1], faults=tuple(compare_words(plan, machine, text))))
         readers.append('read by the second reader of plain words')
     except ProgramError as reason:
         readers.append(str(reason))

@@ -135,8 +135,10 @@ def plan_to_files(
                         progress(told)
             chain.finish()
             stream.note(chain.notice)
+            writer.functions = stream.functions
             if start is not None:
                 writer.figures.start = start.found()
+                writer.functions = start.functions(writer.functions)
         if not chain.moved:
             raise no_motion(stream.source)
         return writer.finish(stream.source, chain.seconds, setup=stream.setup)

@@ -17,6 +17,7 @@ from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.setpoints import BEFORE, Setpoints, limit_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.options import Settings, values_of
@@ -94,6 +95,7 @@ class PlanFigures:
         self._tool = wanted_tool(machine, settings)
         self._tool_motion: ToolMotion | None = None
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
+        self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
         self._samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
@@ -211,6 +213,7 @@ class PlanFigures:
             'setup': setup,
             'largest_override': largest_override,
             'start': None if self.start is None else self.start.to_json(),
+            'functions': self.functions.counts(machine.signals),
             'samples': self._samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,

@@ -14,7 +14,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 from cnc_interp.feedrate.feed_planner import PlannedPiece
@@ -23,6 +23,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
@@ -48,8 +49,11 @@ class PlanWriter:
         self._spool = tempfile.TemporaryDirectory(prefix='.plan-', dir=directory)
         self._archives = {
             name: _Archive(Path(self._spool.name), name)
-            for name in ('blocks', 'segments', 'path', 'setpoints')
+            for name in ('blocks', 'segments', 'path', 'setpoints', 'functions')
         }
+        self.functions = Functions.none()
+        #: Numbers of the setpoints with which they acted; of a plan, those of the program.
+        self.acted: IntArray | None = None
         self._tip: FloatArray | None = None  # of the last block
         self._path: tuple[AxisPath, FloatArray] | None = None  # the last cell, and its s_dot
         self._paths: list[tuple[AxisPath, FloatArray]] = []  # gathered, with their s_dot
@@ -158,12 +162,20 @@ class PlanWriter:
         self._write_setpoints()
         if self._path is not None:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
+        acted = self._places() if self.acted is None else self.acted
+        self._archives['functions'].append(self.functions.columns() | {'sample': acted})
+        self.figures.functions = self.functions
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
         summary = self.figures.summary(source, seconds, largest_override, setup)
         text = json.dumps(summary, indent=2)
         (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
         return summary
+
+    def _places(self) -> IntArray:
+        """Return the first setpoint of the block of each function, or the number of setpoints."""
+        blocks = self._archives['setpoints'].rows('block')
+        return np.searchsorted(blocks, self.functions.block)
 
 
 class _Archive:
@@ -178,6 +190,13 @@ class _Archive:
             if name not in self._columns:
                 self._columns[name] = _Column(self._folder / f'{self._name}.{name}', rows, name)
             self._columns[name].append(rows)
+
+    def rows(self, name: str) -> NDArray[Any]:
+        """Return a column of numbers, which stays in its file."""
+        column, lane = self._columns[name], self._columns[name].lanes[0]
+        lane.flush()
+        header = column.header()
+        return np.memmap(lane, header['descr'], 'r', shape=header['shape'])
 
     def save(self, file: Path) -> None:
         with ZipFile(file, 'w', allowZip64=True) as archive:

@@ -20,6 +20,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.transform import ToolLine, Transform, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.run.course import from_place
 from cnc_interp.run.setpoints import Setpoints
@@ -131,6 +132,11 @@ class StartFinder:
         rest = from_place(known, self._s)
         self._position = np.array(rest.cell_left[0, 0])
         return self._renumbered(rest)
+
+    def functions(self, functions: Functions) -> Functions:
+        """Return the functions of the run with its own row numbers."""
+        rows = functions.block
+        return replace(functions, block=np.where(rows > 0, self._own(rows), 0))
 
     def found(self) -> StartPlace:
         """Return the place, once all is smoothed; raises ProgramError without a clear one."""

@@ -85,7 +85,7 @@ def test_streamed_files_are_those_of_the_whole_plan(program, tmp_path):
         k: v for k, v in streamed.items() if k not in times
     }
     assert sorted(file.name for file in (tmp_path / 'a').iterdir()) == [
-        'blocks.npz', 'path.npz', 'segments.npz', 'setpoints.npz', 'summary.json'
+        'blocks.npz', 'functions.npz', 'path.npz', 'segments.npz', 'setpoints.npz', 'summary.json'
     ]  # fmt: skip
 
 

@@ -20,7 +20,7 @@ class ThreeAxes:
     """A machine without rotary axes."""
 
     axis_names = ('X', 'Y', 'Z')
-    extra_names, extra_direction, control = (), (), {}
+    extra_names, extra_direction, control, signals = (), (), {}, Signals()
 
     @property
     def machine(self):

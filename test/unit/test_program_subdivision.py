@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiers import examples
 
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import POSES, ROTARY_LINEAR
 from cnc_interp.settings.options import Settings
@@ -17,7 +18,7 @@ class TableAC:
     """A table-tilting AC machine, both rotary axes through the workpiece zero."""
 
     axis_names = ('X', 'Y', 'Z', 'A', 'C')
-    extra_names, extra_direction, control = (), (), {}
+    extra_names, extra_direction, control, signals = (), (), {}, Signals()
     singular_cone = np.radians(0.02)
 
     @property

@@ -1,0 +1,212 @@
+"""Outputs and inputs of a machine, and what each function of a program does with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.core.errors import MachineError
+from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import UnreadableError, read_yaml
+
+#: Letters of a program whose value a function may take: speed, tool, and words of its own block.
+LETTERS = ('S', 'T', 'P', 'Q')
+#: What else switches outputs: an emergency stop, a fault, setpoints that do not come any more.
+STOPS = ('emergency_stop', 'fault', 'lost_planner')
+OPERATOR = 'operator'  #: In place of an input that is waited for: the operator's cycle start.
+AFTER = ('M2', 'M5', 'M9', 'M30')  #: Words that act after the motion of their block.
+#: Words that stop, call or return, which are no functions.
+NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
+NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An output or an input."""
+
+    name: str
+    is_number: bool = False  #: Whether it is a number. Otherwise it is 0 or 1.
+    unit: str = ''  #: For people.
+    low: float = 0.0  #: Range of a number.
+    high: float = 1.0
+    #: Simulated inputs: on while the first of these outputs is not 0 and none of them has changed
+    #: for a time [s].
+    follows: tuple[int, ...] = ()
+    after: float = 0.0
+
+    def fault_of(self, value: float) -> str:
+        """Return why the signal cannot have a value; empty if it can."""
+        if not isfinite(value):
+            return f'{self.name} cannot be {value}'
+        if not self.is_number and value not in (0.0, 1.0):
+            return f'{self.name} is on or off, not {value:g}'
+        if not self.low <= value <= self.high:
+            unit = f' {self.unit}' if self.unit else ''
+            return f'{self.name} {value:g} is outside {self.low:g} ... {self.high:g}{unit}'
+        return ''
+
+
+@dataclass(frozen=True)
+class Step:
+    """One output that a function sets, and what the path rests for then."""
+
+    word: str  #: Of the program, or one of ``STOPS``.
+    output: int  #: Number of the output.
+    value: float | str  #: What it is set to; a letter for the value of that word.
+    #: ``NO_WAIT``; k for the input k - 1 that must come on, -k for one that must go off; ``ASK``.
+    wait: int = NO_WAIT
+    limit: float = inf  #: Longest wait [s].
+    delay: float = 0.0  #: The input is looked at after so long, and the next step comes then [s].
+
+
+@dataclass(frozen=True)
+class Signals:
+    """All outputs and inputs of a machine, and its functions."""
+
+    outputs: tuple[Signal, ...] = ()
+    inputs: tuple[Signal, ...] = ()
+    steps: tuple[Step, ...] = ()  #: Of all functions; those of one are together.
+    words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
+    after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
+
+    def waited(self, step: Step) -> str:
+        """Return what a step waits for, in words."""
+        if step.wait == ASK:
+            return OPERATOR
+        return ('not ' if step.wait < 0 else '') + self.inputs[abs(step.wait) - 1].name
+
+    def letters(self, words: Iterable[str]) -> set[str]:
+        """Return the letters whose values some words take."""
+        numbers = (number for word in words for number in self.words.get(word, ()))
+        values = (self.steps[number].value for number in numbers)
+        return {value for value in values if isinstance(value, str)}
+
+    def uses(self, letter: str) -> bool:
+        """Tell whether a word of the program has a meaning for a function."""
+        return letter in self.words or letter in self.letters(self.words)
+
+    def text(self, output: int, value: float) -> str:
+        """Return an output with its value in words."""
+        signal = self.outputs[output]
+        if not signal.is_number:
+            return f'{signal.name} {"on" if value else "off"}'
+        return f'{signal.name} {value:g} {signal.unit}'.rstrip()
+
+
+def signals(content: Mapping[str, Any]) -> Signals:
+    """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals."""
+    given = content.get('signals')
+    if given is None:
+        return Signals()
+    if isinstance(given, str):
+        file = Path(config_directory() / 'signals' / f'{given}.yaml')
+        try:
+            given = read_yaml(file)
+        except (OSError, UnreadableError):
+            names = ', '.join(sorted(path.stem for path in file.parent.glob('*.yaml')))
+            raise MachineError(f'no signals {given!r}; choose {names}', 'signals') from None
+    if not isinstance(given, dict) or set(given) - {'outputs', 'inputs', 'functions', 'after'}:
+        raise MachineError('may hold outputs, inputs, functions and after', 'signals')
+    outputs = tuple(_signals(given, 'outputs', ()))
+    inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
+    steps: list[Step] = []
+    words = {}
+    for word, listed in _mapping(given, 'functions').items():
+        where, first = f'signals.functions.{word}', len(steps)
+        code = word[1:].isdigit() and word[0] == 'M' and word == f'M{int(word[1:])}'
+        if word in NO_FUNCTIONS or not (code or word in ('S', 'T') or word in STOPS):
+            raise MachineError(f'write S, T, an M code as M8, or {", ".join(STOPS)}', where)
+        for values in listed if isinstance(listed, list) else [listed]:
+            steps.append(_step(word, values, where, outputs, inputs))
+        words[word] = range(first, len(steps))
+    after = given.get('after', [word for word in AFTER if word in words])
+    if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
+        raise MachineError('must list words of functions', 'signals.after')
+    return Signals(outputs, inputs, tuple(steps), words, frozenset(after))
+
+
+def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:
+    found = given.get(section) or {}
+    if not isinstance(found, dict) or not all(isinstance(k, str) and k for k in found):
+        raise MachineError('must be a mapping of names', f'signals.{section}')
+    return found
+
+
+def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[Signal]:
+    for name, values in _mapping(given, section).items():
+        where, values = f'signals.{section}.{name}', values or {}
+        known = {'unit', 'range'} if section == 'outputs' else {'follows', 'after_s'}
+        if not isinstance(values, dict) or set(values) - known or name == OPERATOR:
+            raise MachineError(f'may have {" and ".join(sorted(known))}', where)
+        follows = values.get('follows', [])
+        follows = follows if isinstance(follows, list) else [follows]
+        if not set(follows) <= set(outputs):
+            raise MachineError('must name outputs', f'{where}.follows')
+        low, high = _range(values['range'], where) if 'range' in values else (0.0, 1.0)
+        yield Signal(
+            name, 'range' in values, str(values.get('unit', '')), low, high,
+            tuple(outputs.index(each) for each in follows), _time(values, 'after_s', where, 0.0),
+        )  # fmt: skip
+
+
+def _range(given: Any, where: str) -> tuple[float, float]:
+    if isinstance(given, list) and len(given) == 2 and all(map(_is_number, given)):
+        low, high = map(float, given)
+        if low < high:
+            return low, high
+    raise MachineError('must be [lowest, highest]', f'{where}.range')
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _time(values: Mapping[str, Any], key: str, where: str, default: float) -> float:
+    value = values.get(key, default)
+    if value is not default and not (_is_number(value) and 0.0 < value <= 3600.0):
+        raise MachineError(f'must be a time in s, not {value!r}', f'{where}.{key}')
+    return float(value)
+
+
+def _step(
+    word: str, values: Any, where: str, outputs: tuple[Signal, ...], inputs: tuple[Signal, ...]
+) -> Step:
+    options = ('wait_for', 'limit_s', 'delay_s')
+    names = [key for key in values if key not in options] if isinstance(values, dict) else []
+    known = [signal.name for signal in outputs]
+    if len(names) != 1 or names[0] not in known:
+        raise MachineError(f'each step sets one output: {", ".join(known)}', where)
+    output, value = known.index(names[0]), values[names[0]]
+    if isinstance(value, bool):
+        value = int(value)
+    if value in LETTERS and word not in STOPS:
+        return Step(word, output, value, *_wait(word, values, where, inputs))
+    if not _is_number(value) or (fault := outputs[output].fault_of(float(value))):
+        told = fault if _is_number(value) else f'write a number, or {", ".join(LETTERS)}'
+        raise MachineError(told, f'{where}.{names[0]}')
+    return Step(word, output, float(value), *_wait(word, values, where, inputs))
+
+
+def _wait(
+    word: str, values: Mapping[str, Any], where: str, inputs: tuple[Signal, ...]
+) -> tuple[int, float, float]:
+    delay, limit = _time(values, 'delay_s', where, 0.0), _time(values, 'limit_s', where, inf)
+    wanted = values.get('wait_for')
+    if wanted is None:
+        if 'limit_s' in values:
+            raise MachineError('belongs to wait_for', f'{where}.limit_s')
+        return NO_WAIT, limit, delay
+    if word in STOPS:
+        raise MachineError('a stop waits for nothing; write delay_s', f'{where}.wait_for')
+    if wanted == OPERATOR:
+        return ASK, limit, delay
+    names = [signal.name for signal in inputs]
+    name = str(wanted).removeprefix('not ')
+    if name not in names:
+        told = f'must name an input: {", ".join(names)}; or {OPERATOR}'
+        raise MachineError(told, f'{where}.wait_for')
+    number = names.index(name) + 1
+    return (number if name == wanted else -number), limit, delay

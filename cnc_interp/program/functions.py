@@ -1,0 +1,81 @@
+"""What a program switches: outputs of the machine, each at the begin of a block."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.columns import Table, column
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.signals import NO_WAIT, Signals
+
+Acting = tuple[int, float]  #: A step of a function, and the value of its output.
+
+
+def acting(
+    signals: Signals, words: Iterable[str], given: Mapping[str, float],
+    fault: Callable[[str, str], ProgramError],
+) -> tuple[list[Acting], list[Acting]]:  # fmt: skip
+    """Return the steps of words before and after the motion of their block; values are given."""
+    moments: tuple[list[Acting], list[Acting]] = [], []
+    for word in words:
+        for number in signals.words.get(word, ()):
+            step = signals.steps[number]
+            value = given.get(step.value, nan) if isinstance(step.value, str) else step.value
+            if problem := signals.outputs[step.output].fault_of(value):
+                raise fault(problem, word)
+            moments[word in signals.after].append((number, value))
+    return moments
+
+
+class Functions(Table):
+    """The steps of the functions of a program, in their order."""
+
+    #: Row of the block at whose begin it acts; the number of rows: at the end of the program.
+    block: IntArray = column()
+    line_number: IntArray = column()  #: Line of the program text.
+    step: IntArray = column()  #: Number in ``Signals.steps`` of the machine.
+    value: FloatArray = column()  #: What the output is set to.
+    #: Whether it acts before the program stop (M0, M1) that is there, too. Otherwise after it.
+    before_stop: BoolArray = column(default=False)
+
+    @staticmethod
+    def of_rows(rows: Iterable[float]) -> Functions:
+        """Return the table of rows of five numbers, one after the other."""
+        columns = np.asarray(rows, dtype=float).reshape(-1, 5).T
+        kinds = (declared.kind for declared in Functions.declared.values())
+        return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
+
+    def counts(self, signals: Signals) -> dict[str, int]:
+        """Return how often each word of the program acts."""
+        first = {words.start: word for word, words in signals.words.items()}
+        return dict(Counter(first[k] for k in self.step.tolist() if k in first))
+
+    def waits(self, signals: Signals) -> IntArray:
+        """Return the blocks before which the path rests for an answer, each once."""
+        waiting = np.array([step.wait != NO_WAIT for step in signals.steps], dtype=np.bool_)
+        return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
+
+    def from_row(self, row: int, signals: Signals) -> Functions:
+        """Return the functions of a run that starts at a row: what still counts acts before it.
+
+        Of the words before, those are kept that were the last to set one of their outputs.
+        """
+        after = int(np.searchsorted(self.block, row, side='right'))
+        last, word = {}, 0
+        starts = {words.start for words in signals.words.values()}
+        kept: dict[int, list[int]] = {}
+        for k, step in enumerate(self.step[:after].tolist()):
+            word = k if step in starts else word
+            kept.setdefault(word, []).append(k)
+            last[signals.steps[step].output] = word
+        rows = [k for word in sorted(set(last.values())) for k in kept[word]]
+        before = self[np.array(rows, dtype=np.int64)]
+        return Functions.concatenate(
+            [replace(before, block=np.zeros_like(before.block)), self[after:]]
+        )

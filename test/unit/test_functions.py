@@ -1,0 +1,217 @@
+"""Functions of a program: where they act, in plan files, and what the check makes of them."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cnc_interp.core.errors import MachineError, ProgramError
+from cnc_interp.machine_model.machine import Machine, from_mapping
+from cnc_interp.machine_model.signals import Signals, signals
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import read_text
+from cnc_interp.program.functions import Functions
+from cnc_interp.program.reading import ProgramStream
+from cnc_interp.program.source import Source
+from cnc_interp.proof.functions import compare_words
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.verify import verify
+from cnc_interp.run.chain import plan_to_files
+from cnc_interp.settings.options import Settings
+
+MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))
+PROGRAM = """G21 G90 G17
+T5 M6
+S8000 M3
+G0 X0 Y0 Z50
+M8
+G1 Z0 F1000
+S9000
+X60 M9
+M5 X70
+M0
+M3
+X80 Y10
+X90
+M30
+"""
+
+
+def functions_of(
+    text: str, machine: Machine = MACHINE, settings: Settings | None = None
+) -> tuple[list[tuple[int, str]], ProgramStream]:
+    """Return block and output of each function, and the program."""
+    source = Source.of_text(text, 'part.ngc')
+    stream = ProgramStream(source, Transform.of(machine), settings or Settings())
+    lines = np.concatenate([part.line_number for part in stream])
+    found = stream.functions
+    assert (found.block <= len(lines)).all()
+    told = zip(found.block, found.step, found.value, strict=True)
+    return [(int(b), machine.signals.text(machine.signals.steps[k].output, v))
+            for b, k, v in told], stream  # fmt: skip
+
+
+def test_functions_act_before_or_after_the_motion_of_their_block() -> None:
+    found, stream = functions_of(PROGRAM)
+    outputs = [(block, text) for block, text in found if 'tool' not in text]
+    assert outputs[2:] == [
+        (0, 'spindle_speed 8000 rev/min'), (0, 'spindle_reverse off'), (0, 'spindle_forward on'),
+        (1, 'coolant_flood on'), (2, 'spindle_speed 9000 rev/min'), (3, 'coolant_mist off'),
+        (3, 'coolant_flood off'), (4, 'spindle_forward off'), (4, 'spindle_reverse off'),
+        (4, 'spindle_reverse off'), (4, 'spindle_forward on'), *[(6, f'{name} off') for name in (
+            'spindle_forward', 'spindle_reverse', 'coolant_mist', 'coolant_flood')],
+    ]  # fmt: skip
+    # M5 acts before M0 waits, M3 after it.
+    at_stop = stream.functions.before_stop[stream.functions.block == 4]
+    assert at_stop.tolist() == [True, True, False, False]
+    assert [notice[:11] for notice in stream.notices] == ['line 10: M0']
+
+
+def test_a_machine_without_outputs_keeps_its_notices() -> None:
+    found, stream = functions_of(PROGRAM, Machine.load('xyz'))
+    assert not found
+    assert any('the spindle is NOT started' in notice for notice in stream.notices)
+
+
+@pytest.mark.parametrize(
+    ('between', 'block'),
+    [
+        ('M8\nX10\nM9', 2),  # X10 again moves nothing: M8 waits for the next motion
+        ('G1 X10 Y5\nM8', 3),
+        ('G41.1 D2\nM8\nX10 Y20\nG40', 2),
+    ],
+)  # fmt: skip
+def test_a_function_stays_between_its_motions(between: str, block: int) -> None:
+    found, _ = functions_of(f'G0 X0 Y0 Z0\nG1 X10 F1000\n{between}\nX20 Y20\nM2')
+    assert (block, 'coolant_flood on') in found
+
+
+def test_a_function_at_a_rounded_corner_acts_after_it() -> None:
+    text = 'G0 X0 Y0 Z0\nG1 X10 F1000 RND=2\nM8\nY10\nM2'
+    found, _ = functions_of(text)
+    block = next(block for block, name in found if name == 'coolant_flood on')
+    tip = read_text(text, 'p.ngc', Transform.of(MACHINE), Settings()).blocks.tip
+    assert tip[block - 1] == pytest.approx([0.01, 0.002, 0.0])
+
+
+@pytest.mark.parametrize('word', ['M3', 'M6'])
+def test_the_path_rests_where_a_function_waits(word: str) -> None:
+    text = f'G0 X0 Y0 Z0\nG1 X10 F1000\n{word}\nX20\nM8\nX30\nM2'
+    blocks = read_text(text, 'p.ngc', Transform.of(MACHINE), Settings()).blocks
+    assert blocks.exact_stop.tolist() == [False, True, False, True]
+    without = read_text(text, 'p.ngc', Transform.of(Machine.load('xyz')), Settings()).blocks
+    assert not without.exact_stop[:-1].any()
+
+
+def test_a_start_inside_keeps_what_still_counts() -> None:
+    text = PROGRAM.replace('M0\n', 'T6 M6\nS500 M3\nM7\n')
+    found, _ = functions_of(text, settings=Settings(from_line=15))
+    before = [name for block, name in found if block == 0]
+    assert 'tool_number 6' in before and 'tool_number 5' not in before
+    assert before[-1] == 'spindle_forward on' and 'coolant_mist on' in before
+    assert before.count('spindle_forward on') == 1 and 'coolant_flood on' not in before
+    assert before.index('tool_change on') < before.index('spindle_forward on')
+    assert 'spindle_speed 500 rev/min' in before and 'spindle_speed 9000 rev/min' not in before
+
+
+def test_cl_data_switch_the_same() -> None:
+    text = ('LOADTL/3\nSPINDL/8000,CLW\nCOOLNT/MIST\nFEDRAT/100,MMPM\nGOTO/0,0,0\nGOTO/10,0,0\n'
+            'COOLNT/OFF\nSPINDL/OFF\nFINI')  # fmt: skip
+    found, stream = functions_of(text)
+    names = [name for _, name in found]
+    assert stream.dialect == 'cl' and not stream.notices
+    assert 'tool_number 3' in names and 'spindle_speed 8000 rev/min' in names
+    assert (0, 'coolant_mist on') in found and (2, 'spindle_forward off') in found
+
+
+@pytest.mark.parametrize(
+    ('line', 'told'),
+    [('S30000 M3', 'spindle_speed 30000 is outside 0 ... 24000 rev/min'),
+     ('M6 T100000', 'tool_number 100000 is outside')],
+)  # fmt: skip
+def test_a_value_beyond_its_range_is_refused(line: str, told: str) -> None:
+    with pytest.raises(ProgramError, match=told):
+        functions_of(f'G0 X0\n{line}\nG1 X1 F100\nM2')
+
+
+def test_an_own_word_takes_values_of_its_block() -> None:
+    own = signals({'signals': {
+        'outputs': {'clamp': {'range': [0, 10]}}, 'functions': {'M100': {'clamp': 'P'}},
+    }})  # fmt: skip
+    found, _ = functions_of('G0 X0\nM100 P7\nG1 X1 F100\nM2', replace(MACHINE, signals=own))
+    assert found == [(1, 'clamp 7')]
+    with pytest.raises(ProgramError, match='clamp cannot be nan'):
+        functions_of('G0 X0\nM100\nG1 X1 F100\nM2', replace(MACHINE, signals=own))
+
+
+@pytest.mark.parametrize(
+    ('changed', 'told'),
+    [
+        ({'functions': {'M8': {'flood': 1}}}, 'signals.functions.M8: each step sets one output'),
+        ({'functions': {'M08': {'a': 1}}}, 'write S, T, an M code'),
+        ({'functions': {'M0': {'a': 1}}}, 'write S, T, an M code'),
+        ({'functions': {'M8': {'a': 2}}}, 'a is on or off, not 2'),
+        ({'functions': {'M8': {'a': float('nan')}}}, 'write a number'),
+        ({'functions': {'M8': {'a': 1, 'wait_for': 'x'}}}, 'must name an input: i; or operator'),
+        ({'functions': {'M8': {'a': 1, 'limit_s': 3}}}, 'belongs to wait_for'),
+        ({'functions': {'M8': {'a': 1, 'wait_for': 'i', 'limit_s': -1}}}, 'must be a time in s'),
+        ({'functions': {'fault': {'a': 'S'}}}, 'write a number'),
+        ({'functions': {'fault': {'a': 0, 'wait_for': 'i'}}}, 'a stop waits for nothing'),
+        ({'after': ['M8']}, 'must list words'),
+        ({'inputs': {'i': {'follows': 'x'}}}, 'must name outputs'),
+        ({'outputs': {'a': {'range': [1, 0]}}}, 'must be .lowest, highest.'),
+        ('drilling', "no signals 'drilling'; choose milling"),
+    ],
+)  # fmt: skip
+def test_a_machine_file_that_cannot_be_meant_is_refused(changed: object, told: str) -> None:
+    given = changed
+    if isinstance(changed, dict):
+        given = {'outputs': {'a': None}, 'inputs': {'i': None}, **changed}
+    limits = {'velocity_m_per_min': 30.0, 'acceleration_m_per_s2': 3.0, 'jerk_m_per_s3': 30.0}
+    with pytest.raises(MachineError, match=told):
+        from_mapping({'limits': dict.fromkeys('XYZ', limits), 'signals': given})
+
+
+def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None:
+    text = PROGRAM
+    source = Source.of_text(text, 'part.ngc')
+    stream = ProgramStream(source, Transform.of(MACHINE), Settings())
+    plan_to_files(stream, MACHINE, tmp_path)
+    summary = json.loads((tmp_path / 'summary.json').read_text())
+    assert summary['functions'] == {'M6': 1, 'S': 2, 'M3': 2, 'M8': 1, 'M9': 1, 'M5': 1, 'M30': 1}
+    plan = read_plan(tmp_path)
+    assert verify(plan, MACHINE).ok and compare_words(plan, MACHINE, text) == []
+    assert len(compare_words(plan, MACHINE, text.replace('S9000', 'S9001'))) == 2
+    blocks, sample = plan.block, plan.functions['sample']
+    at = int(np.argmax(sample > 0))
+    assert blocks[sample[at]] == plan.functions['block'][at] > blocks[sample[at] - 1]
+    for changed, told in (
+        ({'sample': sample + (np.arange(len(sample)) == at)}, 'came out after the begin'),
+        ({'sample': sample - (np.arange(len(sample)) == at)}, 'came out before its block'),
+        ({'sample': np.where(np.arange(len(sample)) == at, -1, sample)}, 'did not come out'),
+        ({'block': plan.functions['block'][::-1]}, 'is out of order'),
+        ({'step': plan.functions['step'] + 100}, 'names steps that the machine does not have'),
+        ({'step': np.where(plan.functions['step'] == 13, 12, plan.functions['step'])},
+         'summary.json says functions'),
+    ):  # fmt: skip
+        proof = verify(replace(plan, functions={**plan.functions, **changed}), MACHINE)
+        assert any(told in failure for failure in proof.failures), told
+
+
+def test_functions_do_not_change_the_motion(tmp_path) -> None:
+    text = 'G0 X0 Y0 Z0\n' + ''.join(
+        f'S{1000 + k} G1 X{k} Y{k % 3} F2000 M8\n' for k in range(1, 40)
+    )
+    plain = text.replace(' M8', '')
+    plain = re.sub(r'S\d+ ', '', plain)
+    for name, program in (('with', text), ('without', plain)):
+        stream = ProgramStream(
+            Source.of_text(program + 'M2', 'p.ngc'), Transform.of(MACHINE), Settings()
+        )
+        plan_to_files(stream, MACHINE, tmp_path / name)
+    a, b = (np.load(tmp_path / name / 'setpoints.npz') for name in ('with', 'without'))
+    assert all(np.array_equal(a[name], b[name]) for name in a.files)
+    assert len(np.load(tmp_path / 'with' / 'functions.npz')['block']) == 39 * 2 + 4
+    assert Signals() == Machine.load('xyz').signals and len(Functions.none()) == 0

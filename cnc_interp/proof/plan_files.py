@@ -234,7 +234,10 @@ def read_plan(directory: Path) -> PlanFiles:
     fault = _nonsense(blocks)
     if fault:
         raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
-    functions = _read_columns(directory / 'functions.npz', FUNCTION_COLUMNS)
+    switches = directory / 'functions.npz'  # only where the program has some
+    if not switches.exists():
+        return PlanFiles(setpoints, path, blocks, summary)
+    functions = _read_columns(switches, FUNCTION_COLUMNS)
     return PlanFiles(setpoints, path, blocks, summary, functions)
 
 

@@ -162,9 +162,13 @@ class PlanWriter:
         self._write_setpoints()
         if self._path is not None:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
-        acted = self._places() if self.acted is None else self.acted
-        self._archives['functions'].append(self.functions.columns() | {'sample': acted})
         self.figures.functions = self.functions
+        if len(self.functions):
+            acted = self._places() if self.acted is None else self.acted
+            self._archives['functions'].append(self.functions.columns() | {'sample': acted})
+        else:  # those of another plan may be there
+            del self._archives['functions']
+            (self._directory / 'functions.npz').unlink(missing_ok=True)
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
         summary = self.figures.summary(source, seconds, largest_override, setup)

@@ -49,6 +49,7 @@ PROOF_MAY_IMPORT = (
     'cnc_interp.drives.compensation',
     'cnc_interp.drives.tool_error',
     'cnc_interp.machine_model.machine',
+    'cnc_interp.machine_model.signals',
     'cnc_interp.machine_model.transform',
     'cnc_interp.proof',
 )

@@ -90,9 +90,8 @@ class CannedCycle:
         if retract < bottom and self.code != 'G87':
             if mover.dialect not in (FANUC, PLAIN):
                 raise mover.fault('the retract plane R lies below the depth', self.code)
-            mover.notice(
-                f'WARNING: {self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
-            )
+            mover.notice(f'WARNING: {self.code} with R below Z',
+                         'the feed goes from R up to Z, as on Fanuc')  # fmt: skip
         clear = max(self.start, retract) if mover.retract_to_start else retract
         if self.code == 'G87':
             clear = max(self.start, retract)

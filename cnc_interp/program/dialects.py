@@ -65,9 +65,8 @@ _CL_LINE = re.compile(
     r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
     re.IGNORECASE,
 )
-_GCODE_LINE = re.compile(
-    r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)', re.IGNORECASE
-)
+_GCODE_LINE = re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)',
+                         re.IGNORECASE)  # fmt: skip
 _HEIDENHAIN_LINE = re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.IGNORECASE)
 
 

@@ -479,9 +479,8 @@ class HeidenhainReader(GcodeReader):
             )  # fmt: skip
         taps = self.cycle in (2, 206, 207)
         if taps:
-            mover.notice(
-                f'CYCL DEF {self.cycle}', 'feed in, feed out; the spindle is not synchronised'
-            )
+            mover.notice(f'CYCL DEF {self.cycle}',
+                         'feed in, feed out; the spindle is not synchronised')  # fmt: skip
         breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
         here = mover.here()
         go_along(mover, here, axis, retract, feed_given=True)

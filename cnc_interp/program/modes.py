@@ -185,11 +185,8 @@ class Modes:
             return
         wanted = settings.contour_tolerance, settings.orientation_tolerance
         if wanted != USUAL and (contour or orientation):
-            self.notice(
-                word,
-                "the program's tolerance counts, not the one that was asked for; "
-                'to change this: --force-tolerances',
-            )
+            self.notice(word, "the program's tolerance counts, not the one that was asked for; "
+                        'to change this: --force-tolerances')  # fmt: skip
         mover.contour = settings.contour_tolerance if contour is None else contour * mover.unit
         mover.orientation = (
             settings.orientation_tolerance if orientation is None else orientation * mover.unit

@@ -414,10 +414,8 @@ class Mover(ModalState):
             found = self.last_centre, radius
         else:
             return offset, radius
-        self.notice(
-            'WARNING: arcs without I J K and R',
-            'those of the arc before are taken; some controls go straight',
-        )
+        self.notice('WARNING: arcs without I J K and R',
+                    'those of the arc before are taken; some controls go straight')  # fmt: skip
         return found
 
     def _plane_told(self, target: FloatArray, offset: FloatArray, absolute: bool = False) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
@@ -18,6 +19,10 @@ from cnc_interp.program.words import BlockWords
 
 _SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}
 _MACHINE_KEYS = {'SUPA', 'G153'}
+_KNOWN = sorted(
+    _SIEMENS_FRAMES | _MACHINE_KEYS | codes.TCP_ON | codes.TCP_OFF | codes.HARMLESS_KEYS
+    | codes.INTERPOLATION_KEYS.keys() | codes.RADIUS_KEYS.keys() | {'BSPLINE'}
+)  # fmt: skip
 
 
 class NamedWords:
@@ -70,6 +75,8 @@ class NamedWords:
             self.notice(key, 'no effect, it does not move the tool')
         else:
             unknown = 'unknown word; remove it, or write a letter and a number as X10'
+            if near := get_close_matches(key, _KNOWN, 1, 0.8):
+                unknown = f'unknown word; is it {near[0]}? It may move the tool'
             if re.fullmatch(r'[A-Z]O+', key):
                 zero = key.replace('O', '0')
                 unknown = f'the letter O stands where a number must; write {zero} with the digit 0'

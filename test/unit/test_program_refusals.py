@@ -26,6 +26,7 @@ SYNTAX = [
     ('G0 X' + '9' * 400, 'X inf', '100,000 mm'),
     ('G0 Y-100001', 'Y -100001', '100,000 mm'),
     ('FROBNICATE', 'FROBNICATE', 'unknown word'),
+    ('TRAOOF', 'TRAOOF', 'is it TRAFOOF'),
     ('G0 X1 I2', 'I2', 'no meaning'),
     ('G2 X1 I0.5 Q2 F9', 'Q2', 'no meaning'),
     ('G2 X1 R' + '9' * 200 + ' F9', 'G2', '1000 km'),

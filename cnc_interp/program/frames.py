@@ -80,12 +80,12 @@ class Frames:
         if angle is not None:
             position[ROTATION] = angle
         if here is not None:
-            words = self._origin_of(name, words, here)
+            words = self.origin_of(name, words, here)
         for i, value in words.items():
             position[self._letters[i]] = value
         return SetupChange('work_offsets', position, name)
 
-    def _origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
+    def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
         """Return the machine coordinates of a zero where the words are what is read here."""
         turn, added, zero = self.base(name), self.local + self.g92, self.work(name)
         gone = here - np.array([0.0, 0.0, self.length, 0.0, 0.0])

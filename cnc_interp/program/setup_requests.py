@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
-from cnc_interp.program.frames import rotation
+from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import (
     LONGEST_REMARK,
     MOST_TOOL,
@@ -132,17 +135,11 @@ def touch_off_changes(
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
-    reads = {**work_coordinates(setup, name, machine, zero), **values}
-    angle, changed = setup.rotation(name or setup.offset), set(values)
-    if angle and changed & {'X', 'Y'}:
-        changed |= {'X', 'Y'}
-    added = {letter: reads[letter] + _g92(setup, letter) for letter in reads}
-    turned = _turned(added, angle)
-    origin = {
-        letter: machine[letter] - turned[letter] - _length(setup, letter)
-        for letter in machine
-        if letter in changed
-    }
+    frames, here = _frames(setup, name, machine, zero)
+    letters = list(machine)
+    words = {letters.index(letter): value for letter, value in values.items()}
+    found = frames.origin_of(name or setup.offset, words, here)
+    origin = {letters[i]: value for i, value in found.items()}
     return offset_changes(setup, name, origin, clear=False, activate=False)
 
 
@@ -155,27 +152,21 @@ def work_coordinates(
     stand, and the workpiece zero of the machine file [m, rad]. Returns coordinate by axis letter
     [m, rad].
     """
-    name = name or setup.offset
-    origin = {**zero, **setup.work_offsets.get(name, {})}
-    gone = {
-        letter: position - origin[letter] - _length(setup, letter)
-        for letter, position in machine.items()
-    }
-    turned = _turned(gone, -setup.rotation(name))
-    return {letter: value - _g92(setup, letter) for letter, value in turned.items()}
+    frames, here = _frames(setup, name, machine, zero)
+    reads = [*frames.program(here[:3]), *(here[3:] - frames.rotary_origin)]
+    return {letter: float(value) for letter, value in zip(machine, reads, strict=False)}
 
 
-def _turned(position: Position, angle: float) -> dict[str, float]:
-    """Return a position turned about Z [m, rad]."""
-    x, y = rotation(2, angle)[:2, :2] @ (position['X'], position['Y'])
-    return {**position, 'X': float(x), 'Y': float(y)}
-
-
-def _g92(setup: JobSetup, letter: str) -> float:
-    """Return what G92 adds to a coordinate [m, rad]."""
-    return setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
-
-
-def _length(setup: JobSetup, letter: str) -> float:
-    """Return the length of the tool in the spindle, on Z [m]."""
-    return setup.loaded_length if letter == 'Z' else 0.0
+def _frames(
+    setup: JobSetup, name: str, machine: Position, zero: Position
+) -> tuple[Frames, FloatArray]:
+    """Return frames with an offset and the tool in the spindle; where the axes stand, (5,)."""
+    letters = list(machine)
+    origin = np.array([zero[letter] for letter in letters[:3]])
+    used = setup.changed(SetupChange('active', name or setup.offset))
+    frames = Frames(used, origin, tuple(letters[3:5]))
+    frames.length = setup.loaded_length
+    frames.update()
+    here = np.zeros(5)
+    here[: len(letters)] = [machine[letter] - zero[letter] for letter in letters]
+    return frames, here

@@ -41,6 +41,7 @@ def test_expressions(expression, value):
         'O1 while [#1 LT 4]\nG0 X#1\n#1=[#1+1]\nO1 endwhile',
         'o<up> while [#1 lt 4]\nG0 X#1\n#1=[#1+1]\no<up> endwhile (done)',
         'WHILE [#1 LT 4] DO1\nG0 X#1\n#1=#1+1\nEND1',
+        'WHILE [#1 LT 4] DO1\nG0 X#1\nIF [#1 GT 0] GOTO 5\nX9\nN5 #1=#1+1\nEND1',
         'O1 do\nG0 X#1\n#1=[#1+1]\nO1 while [#1 LT 4]',
         'O1 repeat [3]\nG0 X#1\n#1=[#1+1]\nO1 endrepeat',
         'N10 G0 X#1\n#1=#1+1\nIF [#1 LT 4] GOTO 10',

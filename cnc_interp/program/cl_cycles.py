@@ -14,7 +14,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import MINUTE, MM
 from cnc_interp.program.holes import Hole, pecks_of
 
 #: Kinds of cycles: those that come back by feed, that turn back after pecks, and that rest.
@@ -31,11 +31,8 @@ _NEAR = 0.5 * MM
 
 def cycle_of(
     minor: str, units: dict[str, float], unit: float, fault: Callable[[str, str], ProgramError]
-) -> tuple[Hole, float | None, bool]:
-    """Return the hole of a CYCLE statement, the feed that it names [m/min], and if it dwells.
-
-    Its levels are those along the tool axis, above the points that follow.
-    """
+) -> Hole:
+    """Return the hole of a CYCLE statement; its levels are above the points that follow."""
     kind, *words = [word.strip() for word in minor.split(',')]
     if kind not in KINDS:
         raise fault('this cycle is not supported; output the tool path as GOTO points', kind)
@@ -61,12 +58,11 @@ def cycle_of(
             0.0, -depth, first or depth, lambda text: fault(text, kind),
             lambda *_: following or first,
         )  # fmt: skip
-    dwells, feeds_out = found.get('dwell', 0.0) > 0.0, kind in _FEED_OUT
-    hole = Hole(
+    return Hole(
         clear, -depth, max(abs(found.get('retract', 0.0)) * unit, clear), pecks, gap=_NEAR,
-        rests=dwells, out=clear if feeds_out else None,
+        rests=found.get('dwell', 0.0) > 0.0, out=clear if kind in _FEED_OUT else None,
+        feed=found.get('feed', 0.0) * feed_unit / MINUTE,
     )  # fmt: skip
-    return hole, found['feed'] * feed_unit if 'feed' in found else None, dwells
 
 
 def way_to(

@@ -85,7 +85,7 @@ class ClReader:
         self.axis = (0.0, 0.0, 1.0)
         self._point = (nan, nan, nan)
         self._circle: _Circle | None = None
-        self._cycle: tuple[Hole, float | None, bool] | None = None
+        self._cycle: Hole | None = None
         self._heading: FloatArray | None = None  # of the next arc, by INDIRV
         self._frames = ClFrames()
         self._system = ''  # by name
@@ -200,12 +200,12 @@ class ClReader:
         if self._cycle is None:
             self._go(x, y, z)
         else:
-            self._drill(*self._cycle[:2], np.array([x, y, z]))
+            self._drill(self._cycle, np.array([x, y, z]))
 
-    def _drill(self, hole: Hole, feed: float | None, place: FloatArray) -> None:
+    def _drill(self, hole: Hole, place: FloatArray) -> None:
         """Drill at a point along the tool axis."""
         axis, kept = np.array(self.axis), self.feedrate
-        self.feedrate = kept if feed is None else feed / MINUTE
+        self.feedrate = hole.feed or kept
         higher = way_to(np.array(self._point), place, axis, hole.clear)
         first = [] if higher is None or self.targets.empty else [higher]
         for point in (*first, place + hole.clear * axis, place + hole.retract * axis):
@@ -317,7 +317,7 @@ class ClReader:
         elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
             units = {k: v for k, v in cl_words.FEED_UNITS.items() if v}
             self._cycle = cycle_of(minor, units, self.unit, self._fault)
-            if self._cycle[2]:
+            if self._cycle.rests:
                 self._notice(major, codes.DWELL)
         elif major == 'CYCLE':
             self._cycle = None

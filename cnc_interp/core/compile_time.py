@@ -6,6 +6,7 @@ import mmap
 import multiprocessing
 import sys
 import time
+from functools import cache
 from typing import Any
 
 from numba.core.event import Listener, register
@@ -13,6 +14,27 @@ from numba.core.event import Listener, register
 #: Compiling that takes longer is told [s].
 PATIENCE = 1.0
 COMPILING = 'compiling numeric kernels, once; it takes seconds to minutes'
+
+
+@cache
+def compile_less() -> None:
+    """Let a kernel that assigns an array to a part of another one have a short error message.
+
+    That of numba names both shapes: its handling of text takes a seventh of the time of set-up.
+    """
+    from numba.core.extending import overload
+    from numba.np import arrayobj
+
+    def refuse(source: Any, target: Any) -> None: ...
+
+    @overload(refuse)
+    def compiled(source: Any, target: Any) -> Any:
+        def refused(source: Any, target: Any) -> None:
+            raise ValueError('the array does not fit into the part that it is assigned to')
+
+        return refused
+
+    arrayobj.raise_with_shape_context = refuse
 
 
 class CompileTime(Listener):  # type: ignore[misc]
@@ -30,6 +52,7 @@ class CompileTime(Listener):  # type: ignore[misc]
         return total + (time.monotonic() - since if count else 0.0)
 
     def on_start(self, event: Any) -> None:
+        compile_less()
         self._depth += 1
         with self._lock:
             if self._depth == 1:

@@ -11,11 +11,11 @@ from cnc_interp_msgs.msg import G1Block, LoadedProgram, MachineState
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from cnc_interp.client.goal_sender import SentProgram
+from cnc_interp.client.question import Question
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.peers import Peers
@@ -83,12 +83,14 @@ class NodesUnderTest:
         ]
 
     def listen(self, topic, kind, profile):
-        """Collect the messages of a topic; returns when the subscription is connected."""
+        """Collect the messages of a topic; returns when the nodes send to the subscription."""
         heard = []
-        subscription = self.node.create_subscription(kind, topic, heard.append, profile)
-        self.spin_until(lambda: subscription.get_publisher_count() > 0)
-        if profile.durability != DurabilityPolicy.TRANSIENT_LOCAL:
-            self.spin_for(1.0)  # the publisher finds the listener at about the same time
+        self.node.create_subscription(kind, topic, heard.append, profile)
+        for name in self.children.nodes:  # who answers a client that was made later knows of both
+            client = self.node.create_client(Trigger, f'{name}/flush')
+            question = Question(client, Trigger.Request(), 1.0)
+            self.spin_until(lambda asked=question: asked.answer() is not None)
+            self.node.destroy_client(client)
         return heard
 
     def spin_until(self, done, patience=PATIENCE):

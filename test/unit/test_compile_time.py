@@ -4,8 +4,9 @@ import os
 import time
 
 import numba
+import numpy as np
 import pytest
-from numba.core.event import install_listener, register, unregister
+from numba.core.event import install_listener, install_recorder, register, unregister
 
 from cnc_interp.core import compile_time
 from cnc_interp.core.compile_time import CompileTime, working_time
@@ -61,3 +62,17 @@ def test_what_a_forked_process_compiles_counts_here(heard):
         os._exit(0)
     os.waitpid(child, 0)
     assert heard.seconds > 0.0
+
+
+def test_an_array_that_does_not_fit_is_refused_and_no_text_is_compiled_for_it():
+    @numba.njit
+    def put(part, into):
+        into[1:4] = part
+        return into
+
+    with install_recorder('numba:compile') as recorded:
+        assert put(np.ones(3), np.zeros(5)).tolist() == [0.0, 1.0, 1.0, 1.0, 0.0]
+    with pytest.raises(ValueError, match='does not fit'):
+        put(np.ones(2), np.zeros(5))
+    compiled = {event.data['dispatcher'].py_func.__module__ for _, event in recorded.buffer}
+    assert compiled and 'numba.cpython.unicode' not in compiled

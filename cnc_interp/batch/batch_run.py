@@ -35,7 +35,6 @@ class Store:
         return None if found.row.verdict in UNCERTAIN else found
 
     def keep(self, key: str, outcome: TaskOutcome) -> None:
-        """Write a result."""
         write_whole(self._file(key), outcome.to_text())
 
     def _file(self, key: str) -> Path:
@@ -55,9 +54,7 @@ class Workers(Protocol):
 
     def run(
         self, function: Callable[[Task], TaskOutcome], arguments: Iterator[Callable[[], Task]]
-    ) -> Iterator[EndedCall[TaskOutcome]]:
-        """Call a function with each argument; see ``Processes.run``."""
-        ...
+    ) -> Iterator[EndedCall[TaskOutcome]]: ...
 
 
 @dataclass(frozen=True)

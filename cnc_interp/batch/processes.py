@@ -81,7 +81,6 @@ class _Running(Generic[A]):
 
 
 def total_memory() -> float:
-    """Return the memory of this computer [bytes]."""
     return float(os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES'))
 
 

@@ -66,7 +66,6 @@ def write_table(found: dict[Point, Found], file: Path) -> None:
 
 
 def write_page(found: dict[Point, Found], file: Path) -> None:
-    """Write the page of a sweep."""
     best, start = front(found), as_it_is(found)
     names = list(dict.fromkeys(name for point in found for name, _ in point.values))
     body = [

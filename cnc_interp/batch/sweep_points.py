@@ -93,7 +93,6 @@ class Call:
 
 
 def run_point(call: Call) -> Found:
-    """Run the command of a point."""
     said, printed = io.StringIO(), io.StringIO()
     first, *more = call.command
     alone = ['--workers=1'] if first == 'plan' else []  # the points keep the processors busy

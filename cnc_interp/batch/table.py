@@ -30,7 +30,6 @@ COSTS = ('program', 'machine', 'seconds', 'processor_s', 'memory_MB')
 
 
 def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
-    """Return the table."""
     return [_row(job, outcome, rate) for job, outcome in results]
 
 

@@ -105,12 +105,10 @@ class TaskOutcome:
     cost: Cost = Cost()
 
     def to_text(self) -> str:
-        """Return it as JSON."""
         return json.dumps({'row': asdict(self.row), 'cost': asdict(self.cost)}, indent=1) + '\n'
 
     @staticmethod
     def of_json(content: Any) -> TaskOutcome:
-        """Return what ``to_text`` has written."""
         row = dict(content['row'])
         row['verdict'] = Verdict(row['verdict'])
         row['notices'] = tuple(row['notices'])

@@ -115,5 +115,4 @@ def machine_of(model: Model) -> Machine:
 
 
 def tiny_task(model: Model) -> Task:
-    """Return a task of two short lines."""
     return Task('tiny.ngc', (('tiny.ngc', TINY),), model, ())

@@ -67,7 +67,6 @@ class Figures:
 
     @staticmethod
     def of(height: FloatArray, row: int = 0, column: int = 0) -> Figures:
-        """Return the figures of a part of a surface."""
         reached = is_cut(height)
         h = height[reached]
         total = int(np.count_nonzero(~np.isnan(height)))
@@ -271,7 +270,6 @@ class HeightStore:
         return count
 
     def level_shape(self, level: int) -> tuple[int, int]:
-        """Return rows and columns of a level."""
         rows, columns = self.shape
         return -(-rows // (1 << level)), -(-columns // (1 << level))
 
@@ -293,7 +291,6 @@ class HeightStore:
 
 
 def reduced(cells: FloatArray, kind: str) -> FloatArray:
-    """Reduce cells 2 x 2 to one."""
     rows, columns = (n + n % 2 for n in cells.shape)
     filled = np.full((rows, columns), np.nan)
     filled[: cells.shape[0], : cells.shape[1]] = cells

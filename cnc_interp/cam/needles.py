@@ -33,7 +33,6 @@ class Needles:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> Needles:
-        """Return all needles of ``NeedleGrid.on``."""
         grid = NeedleGrid.on(surface, spacing, margin)
         if len(grid.u) * len(grid.v) > MOST_AT_ONCE:
             raise InterpError(
@@ -51,7 +50,6 @@ class Needles:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
         return self.base.shape[0], self.base.shape[1]
 
     @property
@@ -62,7 +60,6 @@ class Needles:
         return 0.5 * (low + high), 0.5 * float(norm(high - low))
 
     def part(self, rows: slice, columns: slice) -> Needles:
-        """Return a part of the needles."""
         return Needles(self.base[rows, columns], self.normal[rows, columns])
 
     def group_size(self) -> tuple[int, int]:
@@ -120,11 +117,9 @@ class NeedleGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
         return len(self.u), len(self.v)
 
     def needles(self, rows: slice, columns: slice) -> Needles:
-        """Return the needles of some rows and columns."""
         assert rows.start % PATCH == columns.start % PATCH == 0
         high, wide = rows.stop - rows.start, columns.stop - columns.start
         base, normal = np.empty((high, wide, 3)), np.empty((high, wide, 3))

@@ -44,7 +44,6 @@ class Angles:
     yaw: FloatArray
 
     def postures(self, curve: GuidingCurve, cutter: Cutter, s: FloatArray) -> Postures:
-        """Return the postures at places of a curve."""
         inside = np.clip(s, self.s[0], self.s[-1])
         moving = (s >= self.s[0]) & (s <= self.s[-1])
         values = np.stack([self.tilt, self.yaw], axis=1)
@@ -73,7 +72,6 @@ class Pass:
     kept: BoolArray
 
     def tool(self, s: FloatArray) -> Postures:
-        """Return the postures at places of the pass."""
         return self.angles.postures(self.curve, self.postures.cutter, s)
 
     @property
@@ -107,7 +105,6 @@ def evenly(curve: GuidingCurve, count: int) -> FloatArray:
 
 
 def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> Angles:
-    """Return constant angles."""
     s = evenly(curve, count)
     return Angles(s, np.full(count, tilt), np.full(count, yaw))
 

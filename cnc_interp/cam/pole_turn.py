@@ -43,7 +43,6 @@ class PoleTurn:
 
     @property
     def text(self) -> str:
-        """Return a sentence for the user."""
         said = (
             f'passes that come near the pole: {self.passes}, to {self.distance / DEG:.2f} deg, '
             f'where {self.axis} would have to turn {self.rate:.3g} times as fast as it can'

@@ -32,7 +32,6 @@ class Graph(Surface):
         """Return h [m], h_x, h_y [-], h_xx, h_xy and h_yy [1/m], each (...)."""
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         x, y = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         zero, one = np.zeros_like(x), np.ones_like(x)
         h = [np.broadcast_to(value, x.shape) for value in self.height(x, y)]
@@ -44,7 +43,6 @@ class Plane(Graph):
     """The plane z = 0."""
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return zeros."""
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
@@ -118,7 +116,6 @@ class Cylinder(Surface):
         super().__init__(((-0.5 * angle, 0.5 * angle), (-0.5 * length, 0.5 * length)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, zero = self.radius * np.sin(u), self.radius * np.cos(u), np.zeros_like(u)
         k = self.up
@@ -142,7 +139,6 @@ class Torus(Surface):
         super().__init__(((-0.5 * u_angle, 0.5 * u_angle), (-0.5 * v_angle, 0.5 * v_angle)))
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         s, c, a = np.sin(u), np.cos(u), self.radius
         far, d_far, dd_far = self.ring + a * np.cos(v), -a * np.sin(v), -a * np.cos(v)
@@ -206,7 +202,6 @@ class BSplineSurface(Surface):
         return BSplineSurface((knots[0], knots[1]), np.ascontiguousarray(control), (3, 3), flip)
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         at = np.stack([np.asarray(u, float), np.asarray(v, float)], axis=-1)
         orders = (0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)
         return tuple(np.asarray(self.spline(at, nu=order)) for order in orders)
@@ -261,7 +256,6 @@ class Trimmed(Surface):
         self._tree = cKDTree(self.boundary)
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         return self.surface.derivatives(u, v)
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:

@@ -107,12 +107,10 @@ class SplinePass:
 
     @property
     def reversed(self) -> SplinePass:
-        """The same pass in the opposite direction."""
         knots, points = self.spline.t, self.spline.c
         return SplinePass(BSpline(knots[0] + knots[-1] - knots[::-1], points[::-1], 3))
 
     def poses(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return poses of the pass."""
         values = self.spline(s)
         return values[:, :3], unit(values[:, 3:] - values[:, :3])
 

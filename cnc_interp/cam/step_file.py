@@ -93,7 +93,6 @@ class StepFace:
             return f'{name}, cannot be used: {error}'
 
     def surface(self) -> Surface:
-        """Make the surface."""
         surface: Surface
         if self.kind == SPLINE:
             surface = _patch(self.geometry, self.flip)

@@ -224,12 +224,10 @@ class Placed(Surface):
         self.sign = -surface.sign if flip else surface.sign
 
     def derivatives(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the position and its first and second derivatives."""
         first, *others = (x @ self.rotation.T for x in self.surface.derivatives(u, v))
         return (first + self.shift, *others)
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Tell which points lie on the machined part, or no further than a margin outside."""
         if self.domain == self.surface.domain:
             return self.surface.contains(u, v, margin)
         return super().contains(u, v, margin)

@@ -137,7 +137,6 @@ class TilePage:
         (folder / f'{name}.js').write_text(text, encoding='ascii')
 
     def write(self, title: str, motion: str, found: dict[str, Any], figures: Figures) -> None:
-        """Write index.html."""
         assert figures.lowest and figures.highest
         places, lengths = self._places()
         numbers = sorted(figures.classes)
@@ -175,7 +174,6 @@ class TilePage:
 
 
 def encoded(values: list[FloatArray]) -> str:
-    """Encode heights for the page."""
     planes = []
     for heights in values:
         steps = np.rint(np.nan_to_num(heights) / STEP).astype(np.int64) + ZERO

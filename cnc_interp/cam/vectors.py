@@ -10,28 +10,23 @@ from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the scalar products of vectors."""
     return np.asarray(np.einsum('...i,...i->...', a, b))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the vector products of vectors."""
     a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
     b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
     return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
 
 
 def norm(a: FloatArray) -> FloatArray:
-    """Return the lengths of vectors."""
     return np.sqrt(dot(a, a))
 
 
 def unit(a: FloatArray) -> FloatArray:
-    """Scale vectors to length one."""
     with np.errstate(invalid='ignore', divide='ignore'):
         return np.asarray(a / norm(a)[..., None])
 
 
 def scaled(factor: Any, a: FloatArray) -> FloatArray:
-    """Multiply vectors by numbers."""
     return np.asarray(np.asarray(factor)[..., None] * a)

@@ -68,7 +68,6 @@ ENDLESS = QosTime(2147483647, 4294967295)
 
 
 def type_name(kind: Any) -> str:
-    """Return the ROS name of a message class."""
     package, folder, _ = kind.__module__.split('.', 2)
     return f'{package}/{folder}/{kind.__name__}'
 
@@ -285,14 +284,12 @@ class Bag:
             raise InterpError(f'{self.path}: {reason}') from None
 
     def close(self) -> None:
-        """Close the files."""
         reader, self._reader = self._reader, None
         if reader is not None:
             reader.close()
         self._release()
 
     def _release(self) -> None:
-        """Lift the bounds on memory."""
         if self._bounds is not None:
             self._bounds.lift()
 

@@ -68,7 +68,6 @@ class SentProgram:
 
     @property
     def accepted(self) -> bool:
-        """True once program_node has accepted the goal."""
         return self.handle is not None
 
     @property
@@ -82,6 +81,5 @@ class SentProgram:
         return self._ahead if self.feedback is None else int(self.feedback.programs_ahead)
 
     def cancel(self) -> None:
-        """Ask program_node to cancel the program."""
         if self.handle is not None:
             self.handle.cancel_goal_async()

@@ -143,7 +143,6 @@ def _homed(client: OperatorClient) -> Any:
 
 
 def _states(client: OperatorClient) -> Iterator[Any]:
-    """Yield every new state of the machine."""
     state, heard = client.state, time.monotonic()
     while True:
         client.serve()

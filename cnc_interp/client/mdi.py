@@ -58,11 +58,9 @@ class LineEnd:
     position: dict[str, float]
 
     def text(self) -> str:
-        """Return the end in words and shop units."""
         return f'{self.line}: {self.answer.message}: {self.place}' if self.line else self.place
 
     def to_json(self) -> dict[str, Any]:
-        """Return the end for machines to read, in SI."""
         return {
             'line': self.line,
             'ok': self.answer.ok,

@@ -141,7 +141,6 @@ class OperatorClient:
 
     @property
     def takes_programs(self) -> bool:
-        """Tell whether program_node is there."""
         return bool(self._action.server_is_ready())
 
     @property
@@ -188,16 +187,13 @@ class OperatorClient:
     # Commands -----------------------------------------------------------------------------------
 
     def trigger(self, name: str) -> Future[Answer]:
-        """Call one of ``TRIGGERS``."""
         return self.ask(self._triggers[name], Trigger.Request(), name)
 
     def set_switch(self, name: str, on: bool) -> Future[Answer]:
-        """Turn one of ``SWITCHES`` on or off."""
         return self.ask(self._switches[name], SetBool.Request(data=on), name)
 
     @property
     def can_move(self) -> bool:
-        """Tell whether the machine's service for moves by hand is there."""
         return bool(self._move_axes.service_is_ready())
 
     def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
@@ -209,7 +205,6 @@ class OperatorClient:
         return self.ask(self._home, Home.Request(axes=list(axes)), 'home')
 
     def beat(self, message: Jog) -> None:
-        """Send a beat of a motion by hand."""
         self._commands.append(lambda: self._beats.publish(message))
 
     def set_override(self, share: float, topic: str = 'feed_override') -> None:
@@ -343,7 +338,6 @@ class OperatorClient:
         return found
 
     def start(self) -> None:
-        """Start a thread that serves the node."""
         self._thread = threading.Thread(target=self._serve_on, name='ros', daemon=True)
         self._thread.start()
 

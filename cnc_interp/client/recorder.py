@@ -56,7 +56,6 @@ class StreamRecord:
         self._spans: dict[RunId, list[tuple[int, int]]] = {}
 
     def add(self, message: Any) -> None:
-        """Take a message that is recorded."""
         for one, first, count in self._numbers(message):
             spans = self._spans.setdefault(run_id_of(one), [])
             follows = spans and spans[-1][1] == first
@@ -132,7 +131,6 @@ class Recorder:
 
     @property
     def count(self) -> int:
-        """Messages recorded so far."""
         return self._bag.count
 
     def ready(self) -> bool:
@@ -181,7 +179,6 @@ class Recorder:
         self.close()
 
     def close(self) -> None:
-        """Close the bag."""
         self._bag.close()
 
 

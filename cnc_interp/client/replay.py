@@ -60,7 +60,6 @@ class Comparison:
         return self.same == self.recorded or self.overridden
 
     def text(self) -> str:
-        """Return the comparison in words."""
         run = self.run_id
         attempt = f', attempt {run.attempt}' if run.attempt else ''
         name = f'run {run.program_id}{attempt}, plan {run.plan}: {self.recorded} setpoints'
@@ -179,7 +178,6 @@ def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
 
 
 def _settings(state: MachineState) -> OperatorSettings:
-    """Return the overrides of a report."""
     return OperatorSettings(state.feed_override, rapid=state.rapid_override)
 
 

@@ -107,7 +107,6 @@ class RunConsole:
     def _as_told(
         self, program: str, outcome: RunProgram.Result, machine: Machine, started: float
     ) -> RunResult:
-        """Convert the result of a goal to the result of the run."""
         names, state = machine.axis_names, self._client.state
 
         def by_axis(values: Any) -> dict[str, float]:

@@ -61,11 +61,9 @@ class RunRequest:
 
     @property
     def programs(self) -> tuple[Path, ...]:
-        """All programs in their order."""
         return (self.program, *self.then)
 
     def node_parameters(self) -> dict[str, dict[str, object]]:
-        """Return the parameters with which the nodes are started."""
         from cnc_interp.nodes.parameters import NODES
 
         given: dict[str, object] = {'machine': f"'{self.machine}'"}
@@ -172,7 +170,6 @@ class RunResult:
 
 
 def underruns(count: int) -> str:
-    """Return the number of underruns in words."""
     return f'{count or "no"} underrun{"" if count == 1 else "s"}'
 
 
@@ -251,7 +248,6 @@ def check_place(namespace: str, domain: int) -> None:
 
 
 def nodes_file() -> Path:
-    """Return the parameter file of the nodes."""
     file = config_directory() / 'nodes.yaml'
     if not file.is_file():
         raise InterpError(f'{file} is missing; install cnc_interp again')

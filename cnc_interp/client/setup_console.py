@@ -116,7 +116,6 @@ class SetupConsole:
         return work_coordinates(table, self._setup.setup, state.positions)
 
     def _file_text(self) -> str:
-        """Say where the table is kept."""
         assert self._setup.table is not None
         return f'kept in {self._setup.table.file or "program_node only, until it ends"}'
 

@@ -10,7 +10,6 @@ from cnc_interp.commands.parser import FAILED, FINE, command, flag, option, posi
 
 
 def add_bag_commands(commands: Any) -> None:
-    """Add `record`, `replay` and `repair`."""
     record = command(
         commands, 'record', record_command,
         'record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C',
@@ -44,12 +43,10 @@ def add_bag_commands(commands: Any) -> None:
 
 
 def namespace_option(added: Any, purpose: str) -> None:
-    """Add the ROS namespace."""
     option(added, '--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
 
 
 def record_command(options: Namespace) -> int:
-    """Record until Ctrl-C."""
     from cnc_interp.client.recorder import record
 
     count = record(options.bag, options.namespace)
@@ -58,7 +55,6 @@ def record_command(options: Namespace) -> int:
 
 
 def replay_command(options: Namespace) -> int:
-    """Compute a recorded run again, or publish it again."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.replay import compute_again, show_again
 

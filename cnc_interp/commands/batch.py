@@ -18,7 +18,6 @@ GIGABYTE = 1e9
 
 
 def add_batch_command(commands: Any) -> None:
-    """Declare `batch`."""
     batch = command(
         commands, 'batch', batch_command,
         'plan and prove many programs on one or more machines; writes one table and one page',
@@ -53,7 +52,6 @@ def add_batch_command(commands: Any) -> None:
 
 
 def batch_command(options: argparse.Namespace) -> int:
-    """Plan and prove programs; write the tables and the page."""
     import json
 
     from cnc_interp.batch.batch_page import write_page
@@ -95,7 +93,6 @@ def batch_command(options: argparse.Namespace) -> int:
 
 
 def add_cluster_command(commands: Any) -> None:
-    """Declare `cluster`."""
     cluster = command(
         commands, 'cluster', cluster_command,
         'plan batches on several computers: a scheduler and workers, or further workers',
@@ -117,7 +114,6 @@ def add_cluster_command(commands: Any) -> None:
 
 
 def cluster_command(options: argparse.Namespace) -> int:
-    """Be a part of a cluster until the process is interrupted."""
     from cnc_interp.batch.batch_run import dask_workers
     from cnc_interp.core.errors import InterpError
 

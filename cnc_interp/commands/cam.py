@@ -11,7 +11,6 @@ from cnc_interp.core.units import HOUR
 
 
 def add_cam_commands(commands: Any) -> None:
-    """Declare `cam` and its commands."""
     cam = commands.add_parser(
         'cam',
         help='5-axis iso-scallop programs from surfaces, and the simulated surface',
@@ -101,7 +100,6 @@ def add_cam_commands(commands: Any) -> None:
 
 
 def _tiles(added: argparse.ArgumentParser) -> None:
-    """Add the options for many needles."""
     option(
         added, '--tiles',
         'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
@@ -120,7 +118,6 @@ def _tiles(added: argparse.ArgumentParser) -> None:
 
 
 def _mill(added: argparse.ArgumentParser) -> None:
-    """Add the options of the mill; the defaults are those of the paper."""
     number(added, '--tool-diameter', 13.0, 'diameter of the mill, 2 (R + r_c)')
     number(added, '--corner-radius', 1.5, 'corner radius r_c')
 

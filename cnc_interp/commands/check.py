@@ -18,7 +18,6 @@ from cnc_interp.core.errors import InterpError
 
 
 def add_check_command(commands: Any) -> None:
-    """Declare `check`."""
     check = command(
         commands, 'check', check_command,
         'prove every setpoint of a plan or a recorded run against limits and tolerances',
@@ -34,7 +33,6 @@ def add_check_command(commands: Any) -> None:
 
 
 def add_report_command(commands: Any) -> None:
-    """Declare `report`."""
     report = command(
         commands, 'report', report_command,
         'write one self-contained HTML page about a plan or a recorded run',
@@ -49,7 +47,6 @@ def add_report_command(commands: Any) -> None:
 
 
 def check_command(options: Namespace) -> int:
-    """Prove a plan or a recorded run."""
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.beside import with_beside
     from cnc_interp.proof.plan_files import read_plan
@@ -71,7 +68,6 @@ def check_command(options: Namespace) -> int:
 
 
 def report_command(options: Namespace) -> int:
-    """Write the HTML page of a plan or a recorded run."""
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.report import write_report
 
@@ -85,7 +81,6 @@ def report_command(options: Namespace) -> int:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a folder is a bag."""
     return path.suffix == '.mcap' or any(path.glob('*.mcap'))
 
 

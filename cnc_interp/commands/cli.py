@@ -31,7 +31,6 @@ from cnc_interp.core.errors import InterpError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line."""
     options = None
     try:
         options = parser().parse_args(arguments)

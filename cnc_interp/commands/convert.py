@@ -13,7 +13,6 @@ from cnc_interp.settings.command_line import settings_from
 
 
 def add_convert_command(commands: Any) -> None:
-    """Declare `convert`."""
     convert = command(
         commands, 'convert', convert_command,
         'write a program in another dialect',
@@ -34,7 +33,6 @@ def add_convert_command(commands: Any) -> None:
 
 
 def convert_command(options: argparse.Namespace) -> int:
-    """Write a program in another dialect."""
     from cnc_interp.convert.conversion import convert
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform import Transform
@@ -56,7 +54,6 @@ def convert_command(options: argparse.Namespace) -> int:
 
 
 def add_urdf_command(commands: Any) -> None:
-    """Declare `urdf`."""
     urdf = command(
         commands, 'urdf', urdf_command,
         'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
@@ -67,7 +64,6 @@ def add_urdf_command(commands: Any) -> None:
 
 
 def urdf_command(options: argparse.Namespace) -> int:
-    """Write a machine as URDF."""
     from cnc_interp.description.urdf import urdf_of
     from cnc_interp.machine_model.machine import Machine
 
@@ -76,7 +72,6 @@ def urdf_command(options: argparse.Namespace) -> int:
 
 
 def add_hal_command(commands: Any) -> None:
-    """Declare `hal`."""
     hal = command(
         commands, 'hal', hal_command,
         'write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC',
@@ -109,7 +104,6 @@ def hal_command(options: argparse.Namespace) -> int:
 
 
 def _write(text: str, file: Path | None) -> None:
-    """Write a text to a file, or print it."""
     if file is None:
         print(text, end='')
     else:

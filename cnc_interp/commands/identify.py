@@ -12,7 +12,6 @@ from cnc_interp.core.units import UM
 
 
 def add_identify_commands(commands: Any) -> None:
-    """Declare `excite` and `identify`."""
     excite = command(
         commands, 'excite', excite_command,
         'write the part program that shows how the drives of a machine follow',
@@ -33,7 +32,6 @@ def add_identify_commands(commands: Any) -> None:
 
 
 def excite_command(options: Namespace) -> int:
-    """Write the program that excites all axes."""
     from cnc_interp.drives.identification import excitation
     from cnc_interp.machine_model.machine import Machine
 
@@ -42,7 +40,6 @@ def excite_command(options: Namespace) -> int:
 
 
 def identify_command(options: Namespace) -> int:
-    """Fit the drives of a recorded run."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_feedback import recorded_feedback
     from cnc_interp.drives.identification import identify_axis, with_drives
@@ -87,7 +84,6 @@ def identify_command(options: Namespace) -> int:
 
 
 def add_learn_command(commands: Any) -> None:
-    """Declare `learn`."""
     learn = command(
         commands, 'learn', learn_command,
         'learn from a recorded, compensated run how to follow the same program better',
@@ -101,7 +97,6 @@ def add_learn_command(commands: Any) -> None:
 
 
 def learn_command(options: Namespace) -> int:
-    """Learn from a recorded run."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.recorded_lesson import recorded_lesson
 

@@ -21,7 +21,6 @@ from cnc_interp.core.units import MM
 
 
 def add_jog_command(commands: Any) -> None:
-    """Declare `jog`."""
     jog = command(
         commands, 'jog', jog_command,
         'move axes of a running machine by hand, by a distance or to a position',
@@ -66,7 +65,6 @@ def pairs(words: list[str]) -> dict[str, float]:
 
 
 def jog_command(options: argparse.Namespace) -> int:
-    """Move and wait for the end."""
     values = pairs(options.words)
     if bool(values) == bool(options.tool):
         raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
@@ -87,7 +85,6 @@ def jog_command(options: argparse.Namespace) -> int:
 
 
 def add_home_command(commands: Any) -> None:
-    """Declare `home`."""
     home = command(
         commands, 'home', home_command,
         'home axes of a running machine, all that have a reference switch or those named',
@@ -98,7 +95,6 @@ def add_home_command(commands: Any) -> None:
 
 
 def home_command(options: argparse.Namespace) -> int:
-    """Home and wait for the end."""
     from cnc_interp.client.hand_move import home_axes
 
     missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)
@@ -107,7 +103,6 @@ def home_command(options: argparse.Namespace) -> int:
 
 
 def add_mdi_command(commands: Any) -> None:
-    """Declare `mdi`."""
     mdi = command(
         commands, 'mdi', mdi_command,
         'have lines of G-code executed by a running machine, from where it stands',
@@ -135,7 +130,6 @@ def mdi_command(options: argparse.Namespace) -> int:
 
 
 def add_setup_commands(commands: Any) -> None:
-    """Declare `offsets`, `tools` and `touch-off`."""
     offsets = command(
         commands, 'offsets', offsets_command,
         'show or change the work offsets and G92 of a running machine',
@@ -179,14 +173,12 @@ def add_setup_commands(commands: Any) -> None:
 
 
 def offsets_command(options: argparse.Namespace) -> int:
-    """Show or change offsets."""
     words = pairs(options.words)
     wanted = {'offset': options.offset.upper(), 'clear': options.clear, 'activate': options.use}
     return _do(options, 'set_offset', wanted if any(wanted.values()) else None, words)
 
 
 def tools_command(options: argparse.Namespace) -> int:
-    """Show or change tools."""
     names = ('length', 'radius', 'corner_radius', 'remark')
     given = {name: getattr(options, name) for name in names}
     given = {

@@ -44,7 +44,6 @@ class CommandParser(argparse.ArgumentParser):
         return self
 
     def error(self, message: str) -> NoReturn:
-        """End with one line."""
         self.exit(BAD_INPUT, f'{self.prog}: {message}\n')
 
 
@@ -70,12 +69,10 @@ def option(
 
 
 def flag(added: Any, name: str, meaning: str) -> None:
-    """Add an option without a value."""
     added.add_argument(name, action='store_true', help=meaning)
 
 
 def machine_option(added: argparse.ArgumentParser) -> None:
-    """Add the option that names the machine."""
     default = DEFAULT_MACHINE
     added.add_argument(
         '--machine', default=default, metavar='M', help=f'bundled machine or YAML file ({default})'
@@ -91,7 +88,6 @@ def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
 
 
 def nodes_options(added: argparse.ArgumentParser) -> None:
-    """Add the options that find running nodes."""
     option(added, '--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/')
     option(added, '--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N')
 
@@ -132,7 +128,6 @@ def drives(text: str) -> dict[str, str]:
 
 
 def page_options(added: argparse.ArgumentParser) -> None:
-    """Add the options of the operator page."""
     option(added, '--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
     option(added, '--port', 'its port, 0 for any free one (8650)', int, default=8650)
     added.add_argument(
@@ -146,13 +141,11 @@ def page_options(added: argparse.ArgumentParser) -> None:
 def number(
     added: argparse.ArgumentParser, name: str, default: float, meaning: str, unit: str = 'MM'
 ) -> None:
-    """Add a positive number."""
     text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
     option(added, name, text, positive, unit, default=default)
 
 
 def positive(text: str) -> float:
-    """Read a positive number."""
     try:
         value = float(text)
     except ValueError:
@@ -163,7 +156,6 @@ def positive(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """Read a whole number from 1 on."""
     try:
         value = int(text)
     except ValueError:

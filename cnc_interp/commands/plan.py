@@ -23,7 +23,6 @@ WIDEST = 100  #: Largest width of a drawing in text [characters].
 
 
 def add_plan_command(commands: Any) -> None:
-    """Declare `plan`."""
     plan = command(
         commands, 'plan', plan_command,
         'plan a program without ROS and write the plan files',
@@ -48,7 +47,6 @@ def add_plan_command(commands: Any) -> None:
 
 
 def plan_command(options: argparse.Namespace) -> int:
-    """Plan a program and write the plan files."""
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.feedrate.plan_options import tool_warnings
     from cnc_interp.machine_model.transform import Transform
@@ -107,7 +105,6 @@ def excesses_of(summary: dict[str, Any]) -> list[str]:
 
 
 def describe(summary: dict[str, Any]) -> str:
-    """Return the summary in words and shop units."""
     from cnc_interp.run.plan_figures import bound_text, tool_error_text, windows_text
 
     notes = summary['start']['notes'] if summary['start'] else []

@@ -22,7 +22,6 @@ from cnc_interp.commands.parser import (
 
 
 def add_run_command(commands: Any) -> None:
-    """Declare `run`."""
     run = command(
         commands, 'run', run_command,
         'stream a program through the ROS 2 nodes to the machine',
@@ -46,7 +45,6 @@ def add_run_command(commands: Any) -> None:
 
 
 def add_panel_command(commands: Any) -> None:
-    """Declare `panel`."""
     panel = command(
         commands, 'panel', panel_command,
         'serve the operator page: see the machine and operate it from a browser',
@@ -62,7 +60,6 @@ def add_panel_command(commands: Any) -> None:
 
 
 def run_command(options: argparse.Namespace) -> int:
-    """Stream one or more programs through the nodes."""
     from cnc_interp.processes.node_processes import load_nodes, process_start
 
     load_nodes()  # in another process, while this one imports the rest
@@ -84,7 +81,6 @@ def run_command(options: argparse.Namespace) -> int:
 
 
 def panel_command(options: argparse.Namespace) -> int:
-    """Serve the operator page."""
     from cnc_interp.page.command import run_panel
 
     run_panel(options)

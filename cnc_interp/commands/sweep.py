@@ -45,7 +45,6 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
 def sweep_command(
     options: argparse.Namespace, main: Callable[[Sequence[str]], int], commands: Any
 ) -> int:
-    """Sweep a command."""
     from cnc_interp.batch.processes import Processes, total_memory
     from cnc_interp.batch.sweep_page import as_it_is, lengths_text, why, write_page, write_table
     from cnc_interp.batch.sweep_points import Sweep, front, without_effect
@@ -113,7 +112,6 @@ def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -
 
 
 def _range(words: Sequence[str], search: bool) -> Any:
-    """Return an option and its values."""
     from cnc_interp.batch.sweep_points import Range
 
     name, *values = words

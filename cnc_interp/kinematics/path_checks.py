@@ -62,7 +62,6 @@ def off_words(machine: Machine, line: int, words: FloatArray, reached: FloatArra
 
 
 def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
-    """Refuse a tilted tool on a machine without rotary axes."""
     turned = np.abs(segments.rotation).max(axis=1, initial=0.0) > 1e-12
     tilted = np.flatnonzero((segments.axis[:, 2] < 1.0 - 1e-12) | turned)
     if len(tilted):

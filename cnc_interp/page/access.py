@@ -22,7 +22,6 @@ class Gate:
         self._app, self._host, self._longest = app, host, longest + FORM
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
-        """Serve one connection."""
         if scope['type'] in ('http', 'websocket'):
             refusal = self._refusal(Headers(scope=scope))
             if refusal is not None:
@@ -31,7 +30,6 @@ class Gate:
         await self._app(scope, receive, send)
 
     def _refusal(self, headers: Headers) -> PlainTextResponse | None:
-        """Return what a refused request is told."""
         if not names_this_host(headers.get('host', ''), self._host):
             return PlainTextResponse('this page is not served under that name', 400)
         if 'transfer-encoding' in headers:
@@ -90,9 +88,7 @@ class Access:
                 self._holder = ''
 
     def take_over(self, tab: str) -> None:
-        """Put a page that knows the token in charge."""
         self._holder = tab
 
     def is_in_charge(self, tab: str) -> bool:
-        """Tell whether a page is in charge."""
         return tab == self._holder

@@ -36,12 +36,10 @@ class Charts:
         self._use = [chart(f'{kind} %', axes, 110) for kind in KINDS]
 
     def _entitle(self, unit: LengthUnit) -> None:
-        """Name the unit of the feed."""
         self._feed.options['title']['text'] = unit.named('feed, mm/min')
         self._feed.update()
 
     def show(self, desk: Desk) -> None:
-        """Draw the last half minute."""
         now = time.monotonic()
         moments = [m for m in list(desk.history) if m.time >= now - SPAN]
         asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
@@ -63,7 +61,6 @@ class Charts:
 
 
 def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> Any:
-    """Make an empty chart over time."""
     small = {'fontSize': 10, 'color': INK}
     axis = {'axisLabel': small, 'splitLine': {'lineStyle': {'color': GRID}}}
     options = {

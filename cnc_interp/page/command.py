@@ -122,7 +122,6 @@ def token_of(file: Path | None) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is seen by this computer only."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -138,7 +137,6 @@ def until_asked(served: Served, namespace: str, domain: int) -> None:
 
 
 def need_library() -> None:
-    """Refuse to start without the library that makes the page."""
     if importlib.util.find_spec('nicegui') is None:
         raise InterpError(
             'the operator page needs NiceGUI: start it with ./cnc, which installs it, or '
@@ -156,7 +154,6 @@ class PanelBeside:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, namespace: str, domain: int) -> None:
-        """Start the page."""
         options = self._options
         command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach']
         command += ['--namespace', namespace, '--domain', str(domain), '--host', options.host]

@@ -95,7 +95,6 @@ def asked(ask: Callable[..., Future[Answer]], *words: Any) -> Act:
 
 
 def key(text: str, mark: str = '', act: Any = None, colour: str = 'blue-grey-8') -> Any:
-    """Make a key of the page, with a mark for scripts and tests."""
     button = ui.button(text, on_click=act, color=colour)
     return button.props(f'dense unelevated no-caps data-mark="{mark or text}"')
 

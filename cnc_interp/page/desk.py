@@ -231,7 +231,6 @@ class Desk:
         return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
 
     def empty_queue(self) -> Answer:
-        """Remove the waiting programs from the queue."""
         count = self.nodes.cancel_waiting()
         return Answer(
             count > 0,
@@ -442,14 +441,12 @@ class Desk:
         return await asyncio.wrap_future(asked)
 
     async def trigger(self, name: str) -> Answer:
-        """Pass one of the plain commands on."""
         answer = await asyncio.wrap_future(self.nodes.trigger(name))
         if not answer.ok:
             self.nodes.alarms.add('warning', 'panel', answer.message)
         return answer
 
     async def set_switch(self, name: str, on: bool) -> Answer:
-        """Turn one of ``SWITCHES`` on or off."""
         answer = await asyncio.wrap_future(self.nodes.set_switch(name, on))
         if answer.ok:
             self.switched[name] = on

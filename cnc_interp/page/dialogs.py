@@ -43,7 +43,6 @@ MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
 
 
 def keyboard_list() -> Any:
-    """Make the dialog that lists the keys of the keyboard."""
     with ui.dialog() as dialog, ui.card().classes('settings'):
         ui.label('keyboard').classes('title')
         with ui.element('div').classes('map'):
@@ -276,7 +275,6 @@ class SetupDialog:
             await self._ask('set_offset', offset=name, clear=True, **of_axes(values))
 
     async def _set_tool(self, mark: str, number: int | None) -> None:
-        """Set a tool to what its fields say."""
         marks = {name: (f'{mark} {name}', self._unit.now.size) for name in LENGTHS}
         if number is None:
             marks['number'] = f'{mark} number', 1.0
@@ -289,5 +287,4 @@ class SetupDialog:
         await self._ask('set_tool', number=number, fields=fields, remark=remark, **values)
 
     async def _load(self, number: int) -> None:
-        """Tell which tool is in the spindle."""
         await self._ask('set_tool', number=number, load=True)

@@ -100,12 +100,10 @@ class JogPad:
         ui.on('jog', self._beat)
 
     def _offer(self, unit: LengthUnit) -> None:
-        """Offer the steps and the speeds of a unit."""
         self._steps.set_options([HOLD, *unit.steps], value=HOLD)
         self._speed.set_options(list(unit.speeds), value=unit.speeds[SPEED])
 
     def _key(self, name: str, sign: int, text: str = '') -> None:
-        """Make one key."""
         text = text or ('+' if sign > 0 else '−')
         made = key(text, f'jog {name}{"+" if sign > 0 else "-"}').classes('moves')
         made.classes(f'{name.lower()}{"plus" if sign > 0 else "minus"}')
@@ -116,7 +114,6 @@ class JogPad:
         made.on('click', lambda: self._move(name, sign))
 
     def _home_keys(self, switches: tuple[str, ...]) -> dict[str, Any]:
-        """Make a key that homes all axes with a switch, and one for each of them."""
         if not switches:
             return {}
         keys = {}
@@ -186,16 +183,13 @@ class JogPad:
         return '' if abs(left) > AT_END else f'{name} is at the end of its travel{at}'
 
     def toggle(self) -> None:
-        """Show the pad, or hide it."""
         self._pad.set_visibility(not self._pad.visible)
 
     def _choose(self, event: events.ValueChangeEventArguments) -> None:
-        """Take the step over."""
         self._step = str(event.value)
         self._pad.props(f'data-step={self._step}')
 
     async def _move(self, name: str, sign: int) -> None:
-        """Move by a step."""
         if self._step != HOLD:
             step = step_of(name, sign * self._size(name, self._step), self._share(name))
             await self._command(asked(self._nodes.move_axes, step))

@@ -56,7 +56,6 @@ class NumberFields:
 
 
 def numbers(texts: dict[str, str | None]) -> dict[str, float]:
-    """Return the numbers in fields that are not empty."""
     try:
         given = {name: (text or '').strip() for name, text in texts.items()}
         values = {name: float(text.replace(',', '.')) for name, text in given.items() if text}
@@ -85,7 +84,6 @@ class PoseField(NumberFields):
         self._reading_key('go there', self._go).classes('moves')
 
     def _take_here(self) -> None:
-        """Write where the tool is."""
         if (state := self._nodes.state) is not None:
             texts = [self._unit.now.length(value) for value in state.tip]
             texts += [f'{value:z.5f}' for value in state.axis]

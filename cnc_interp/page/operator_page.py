@@ -252,7 +252,6 @@ class Page:
         )
 
     def _switch(self, name: str) -> Switch:
-        """Make the key of one of ``SWITCHES``."""
         desk = self._desk
 
         async def turn(on: bool) -> None:
@@ -340,7 +339,6 @@ class Page:
         self._upload.reset()
 
     async def _use(self, settings: Settings) -> None:
-        """Take the settings of the dialog over."""
         await self._command(self._answer(lambda: self._desk.choose(settings)))
 
     def _take_over(self) -> None:
@@ -454,7 +452,6 @@ class Page:
         self._rapids.show()
 
     def _show_lists(self) -> None:
-        """Show program text, progress and alarms."""
         desk, state = self._desk, self._desk.nodes.state
         plan = desk.shown_plan(state) if state is not None else None
         line = state.line_number if state is not None and plan is not None else 0

@@ -44,7 +44,6 @@ class OverrideSlider:
         self.elements = (self._slider, *keys)
 
     def _move(self, percent: float) -> None:
-        """Move the slider."""
         self._slider.set_value(min(max(percent, 0), MOST))
         self._slider.update()
 
@@ -63,7 +62,6 @@ class OverrideSlider:
             self.show_again()
 
     def show(self) -> None:
-        """Show what others have set."""
         value = self._value()
         if self._shown != value:
             self._shown = value
@@ -92,7 +90,6 @@ class RapidKeys:
             self.keys = {percent: self._key(percent) for percent in RAPIDS}
 
     def _key(self, percent: int) -> Any:
-        """Make the key of one value."""
 
         def press() -> None:
             if self._may_set():
@@ -128,7 +125,6 @@ class Switch:
         await self._turn(not self._is_on())
 
     def show(self) -> None:
-        """Light the key while it is on."""
         if self._is_on() != self._shown:
             self._shown = not self._shown
             self.key.props(

@@ -203,13 +203,11 @@ class Planner:
         return out.decode(), lines
 
     def stop(self) -> None:
-        """End what is running."""
         if self._process is not None and self._process.returncode is None:
             with contextlib.suppress(ProcessLookupError):  # it has ended just now
                 self._process.kill()
         self._process = None
 
     def close(self) -> None:
-        """End everything."""
         self.stop()
         self._folder.cleanup()

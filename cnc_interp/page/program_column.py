@@ -65,7 +65,6 @@ class StartField:
         return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
 
     def clear(self) -> None:
-        """Forget the line: another program is loaded."""
         self._fill('', '')
 
     def _fill(self, line: str, which: str) -> None:
@@ -77,7 +76,6 @@ class StartField:
         self._fill(str(event.args['line']), '')
 
     async def _take(self) -> None:
-        """Choose what the fields say."""
         texts = [str(field.value or '').strip() for field in (self._line, self._pass)]
         if texts[0].isdecimal() and (texts[1].isdecimal() or not texts[1]):
             await self._give(int(texts[0]), int(texts[1] or 0))
@@ -120,12 +118,10 @@ class MdiField:
             self._modes.set_text(text)
 
     def _recall(self, step: int) -> None:
-        """Show an older or a newer line."""
         self._age, line = self._history.at(self._age + step)
         self.field.set_value(line)
 
     async def _enter(self) -> None:
-        """Give the line."""
         line = str(self.field.value or '').strip()
         if not line or self._busy:
             return

@@ -52,7 +52,6 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
 
 
 def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[str, str]:
-    """Return machine axes, tool tip and tool axis."""
     words = {
         f'axis {name}': unit.shown(name, value)
         for name, value in zip(machine.axis_names, state.positions, strict=False)
@@ -76,7 +75,6 @@ def work_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, s
 
 
 def feed_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, str]:
-    """Return actual and programmed feed and the override."""
     programmed, _ = desk.feeds(state)
     return {
         'feed': unit.feed(state.feedrate),
@@ -106,7 +104,6 @@ def progress_words(
 
 
 def words_before_start(plan: Preview | None, override: float) -> dict[str, str]:
-    """Return the words of a program that is not started."""
     words = dict.fromkeys(('line', 'progress', 'to go', 'elapsed', 'left'), NOTHING)
     if plan is not None:
         words['left'] = time_at(plan.cycle_time, override)
@@ -133,7 +130,6 @@ def clock(seconds: float) -> str:
 
 
 def alarms_html(alarms: list[Alarm]) -> str:
-    """Return alarms as paragraphs."""
     return ''.join(
         f'<p class="{alarm.level}">{alarm.time} {escape(alarm.message)}'
         + (f' <b>({alarm.count} times)</b></p>' if alarm.count > 1 else '</p>')
@@ -172,16 +168,13 @@ class Messages:
         self._list = ui.html('', sanitize=False).classes('alarms')
 
     def _open(self) -> None:
-        """Show everything that is kept."""
         self._history.set_content(alarms_html(self._alarms.history) or '<p>none</p>')
         self._dialog.open()
 
     def _save(self) -> None:
-        """Let the user keep the history as a file."""
         ui.download(history_text(self._alarms.history).encode(), 'cnc_interp_messages.txt')
 
     def show(self) -> None:
-        """Show what is new."""
         alarms = sorted(self._alarms.newest_first, key=lambda one: WEIGHTS.index(one.level))[
             :SHOWN
         ]

@@ -249,7 +249,6 @@ class MachineView:
                     self._build(joint.child)
 
     def _add(self, shape: Shape) -> Any:
-        """Add one shape at its place in the link."""
         if shape.is_box:
             found = self._scene.box(*shape.size)
             turn = np.eye(3)
@@ -385,7 +384,6 @@ class MachineView:
                     label.move(*(along * 1.15 * length))
 
     def look_from(self, name: str) -> None:
-        """Look from one of ``VIEWS``."""
         self._direction = np.array(VIEWS[name])
         self.look_at_part(self._of_part)
 
@@ -409,5 +407,4 @@ class MachineView:
 
 
 def css(colour: Colour) -> str:
-    """Return a colour as the browser writes it."""
     return '#' + ''.join(f'{round(255 * x):02x}' for x in colour[:3])

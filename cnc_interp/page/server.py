@@ -41,12 +41,10 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
 
 
 def scripts() -> str:
-    """Return all scripts, for the head of the page."""
     return ''.join(f'<script>{_text(name, values)}</script>' for name, values in SCRIPTS.items())
 
 
 def _text(name: str, values: Mapping[str, Any]) -> str:
-    """Return a script with its values."""
     text = Path(__file__).with_name(f'{name}.js').read_text(encoding='utf-8')
     for word, value in values.items():
         text = text.replace(word, json.dumps(value), 1)
@@ -80,7 +78,6 @@ class Served:
 
 
 def serve(served: Served, namespace: str, domain: int) -> None:
-    """Serve the page until the process is asked to end."""
     access = Access(served.token)
     with ExitStack() as closing:
         with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
@@ -90,7 +87,6 @@ def serve(served: Served, namespace: str, domain: int) -> None:
 
 
 def _serve(served: Served, access: Access, desk: Desk) -> None:
-    """Serve the page of a desk."""
     text = served.text
 
     async def watch() -> None:
@@ -202,7 +198,6 @@ def free_port(host: str, port: int) -> int:
 
 
 def read(program: Path) -> str:
-    """Return the text of a program."""
     try:
         with program.open('rb') as file:
             content = file.read(LONGEST_PROGRAM + 1)

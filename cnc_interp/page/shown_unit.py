@@ -18,7 +18,6 @@ class ShownUnit:
         self._followers: list[Callable[[LengthUnit], None]] = []
 
     def follow(self, act: Callable[[LengthUnit], None]) -> None:
-        """Call something with the unit after each change."""
         self._followers.append(act)
 
     def label(self, text: str) -> Any:
@@ -28,7 +27,6 @@ class ShownUnit:
         return label
 
     def use(self, unit: LengthUnit) -> None:
-        """Show another unit."""
         if unit is not self.now:
             self.now = unit
             for act in self._followers:

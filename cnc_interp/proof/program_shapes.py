@@ -37,7 +37,6 @@ class ProgramShapes:
 
     @staticmethod
     def of(plan: PlanFiles, machine: Machine) -> ProgramShapes:
-        """Return the program of a plan."""
         blocks = plan.blocks
         path = ProgrammedPath.of(
             blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,

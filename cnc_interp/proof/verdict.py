@@ -85,7 +85,6 @@ class Proof:
         return json.loads(text, parse_constant=lambda _: None)
 
     def text(self) -> str:
-        """Return the proof as text for a terminal."""
         lines = [row.text() for row in self.given]
         lines += [
             f'{self.samples} samples of {self.period * 1e3:g} ms, {self.cycle_time:.3f} s, '

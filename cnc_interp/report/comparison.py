@@ -124,7 +124,6 @@ def _mean_feed(run: ExaminedPlan) -> float:
 
 
 def comparison_section(first: ExaminedPlan, second: ExaminedPlan) -> str:
-    """Write the section that compares two runs."""
     text = (
         f'{escape(first.name)} and {escape(second.name)}; the rest of the page is about the '
         'first. The left number of each limit is that of the first run, the right one that of '

@@ -68,7 +68,6 @@ class CornerView:
 
     @property
     def title(self) -> str:
-        """Describe the corner in one line."""
         (contour, turn), (most, most_turn) = self.deviation, self.tolerance
         slowest = f'{self.slowest:,.0f}' if self.slowest >= 10.0 else f'{self.slowest:.2g}'
         return (

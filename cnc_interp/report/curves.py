@@ -45,7 +45,6 @@ class CurvesView:
 
     @property
     def text(self) -> str:
-        """Describe the conversion of blocks to curves."""
         return (
             f'{self.blocks:,} blocks became {self.runs:,} curves of {self.spans:,} spans: '
             f'{self.spans / max(self.blocks, 1):.2f} spans a block, {self.share:.1%} of the path. '
@@ -56,7 +55,6 @@ class CurvesView:
 
 
 def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
-    """Prepare the curves of a plan."""
     native = np.isfinite(plan.blocks['knot_interval'])
     spans = np.flatnonzero((segments.kind == SPLINE) & ~native[segments.block[:, 1]])
     if not len(spans):
@@ -99,7 +97,6 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
 
 
 def bounds_figure(view: CurvesView) -> Any:
-    """Draw the bounds along the path."""
     figure = go.Figure()
     for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
         figure.add_scatter(
@@ -134,7 +131,6 @@ def close_figure(view: CurvesView) -> Any:
 
 
 def curves_section(plan: PlanFiles, segments: PathSegments) -> str:
-    """Write the section about curves through dense blocks."""
     view = curves_of(plan, segments)
     if view is None:
         return ''
@@ -146,7 +142,6 @@ FILE = 'segments.npz'
 
 
 def read_segments(directory: Path) -> PathSegments | None:
-    """Read the smooth path of a plan directory."""
     file = directory / FILE
     if not file.is_file():
         return None

@@ -58,7 +58,6 @@ CONTROLS = json.dumps({
 
 
 def section(heading: str, text: str, content: str) -> str:
-    """Write a section with a heading."""
     return f'<section><h2>{heading}</h2><p>{text}</p>{content}</section>'
 
 
@@ -73,7 +72,6 @@ def table(heads: Iterable[str], rows: Iterable[Sequence[str]], span: int = 1) ->
 
 
 def tiles(rows: Iterable[tuple[str, str]]) -> str:
-    """Write figures with their labels, side by side."""
     cells = (
         f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in rows
     )
@@ -81,7 +79,6 @@ def tiles(rows: Iterable[tuple[str, str]]) -> str:
 
 
 def drawing(figure: Any) -> str:
-    """Write a plotly figure as HTML for ``document``."""
     return f'<div class="figure">{packed(figure.to_json())}</div>'
 
 

@@ -88,7 +88,6 @@ def _unit(machine: Machine, axis: int) -> tuple[float, str]:
 def write_identified(
     machine: Machine, found: Mapping[int, IdentifiedAxis], period: float, out: Path
 ) -> None:
-    """Write the page of plots."""
     sections = []
     for axis, each in found.items():
         rows = ''.join(

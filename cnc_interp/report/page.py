@@ -24,7 +24,6 @@ from cnc_interp.smoothing.segments import PathSegments
 def write_report(
     directory: Path, out: Path, machine: Machine | None = None, compare: Path | None = None
 ) -> None:
-    """Write the report of a plan directory."""
     plan = read_plan(directory).in_memory()
     segments = read_segments(directory)
     other = None
@@ -50,7 +49,6 @@ def render(
     segments: PathSegments | None = None,
     other: Other | None = None,
 ) -> str:
-    """Write the page."""
     try:
         from cnc_interp.report.comparison import ExaminedPlan, comparison_section
         from cnc_interp.report.corner_figures import corner_section

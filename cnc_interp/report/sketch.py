@@ -41,7 +41,6 @@ def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
 
 
 def bars(shares: FloatArray, steps: str) -> list[str]:
-    """Draw a bar chart with characters."""
     levels = np.round(shares * ROWS * (len(steps) - 1)).astype(int)
     full = len(steps) - 1
     return [

@@ -76,11 +76,9 @@ class Chain:
             raise
 
     def push(self, blocks: Blocks) -> None:
-        """Send further blocks through all stages."""
         self._plan(self._path.push(blocks))
 
     def finish(self) -> None:
-        """Plan the motion to its end."""
         self._plan(self._path.finish(), last=True)
         self._pass_on(self._watch.timed('feedrate', self._planner.finish))
         if self.moved:

@@ -78,7 +78,6 @@ class MotionPlan:
         self._block_before = -1
 
     def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:
-        """Add further items of the course."""
         self._todo.extend(items)
 
     def release(self, s: float) -> None:
@@ -93,17 +92,14 @@ class MotionPlan:
 
     @property
     def has_path(self) -> bool:
-        """Tell whether there is path that is not planned."""
         return bool(self._todo)
 
     @property
     def can_plan(self) -> bool:
-        """Tell whether there is path to plan."""
         return self.has_path and self.settings.override > 0.0
 
     @property
     def can_sample(self) -> bool:
-        """Tell whether there is motion to sample."""
         return bool(self._legs) and (bool(self._legs[0].slices) or self._legs[0].wait is not None)
 
     def plan(self) -> None:

@@ -231,7 +231,6 @@ class ParallelPlanner:
             self._moving.take()
 
     def close(self) -> None:
-        """End the processes."""
         for process in self._processes:
             process.kill()
 

@@ -50,7 +50,6 @@ class Stopwatch:
         self, stage: str, work: Callable[Arguments, Made], *arguments: Arguments.args,
         **named: Arguments.kwargs,
     ) -> Made:  # fmt: skip
-        """Call the function of a stage and add up its time."""
         start = self._clock()
         try:
             return work(*arguments, **named)
@@ -95,15 +94,12 @@ class PathChain:
         return self._builder.passages.notice
 
     def push(self, blocks: Blocks) -> PathPart:
-        """Add further blocks."""
         return self._in_axes(self._watch.timed('smoothing', self._smoother.push, blocks))
 
     def finish(self) -> PathPart:
-        """Bring the path to its end."""
         return self._in_axes(self._watch.timed('smoothing', self._smoother.finish))
 
     def _in_axes(self, segments: PathSegments) -> PathPart:
-        """Turn final segments into the path of the axes."""
         path = self._watch.timed('kinematics', self._builder.push, segments)
         done = self._builder.done
         return PathPart(segments if done is None else done, path)
@@ -138,18 +134,15 @@ def way_time(transform: Transform, settings: Settings, way: Way) -> float:
 
 
 def batches(blocks: Blocks) -> Iterator[Blocks]:
-    """Cut blocks into batches for the chain."""
     for first in range(0, len(blocks), BATCH):
         yield blocks[first : first + BATCH]
 
 
 def joined(parts: Sequence[PathPart]) -> AxisPath:
-    """Join parts of a path in machine axes."""
     return AxisPath.join([part.path for part in parts if part.path is not None])
 
 
 def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> PathSegments:
-    """Smooth a whole program."""
     smoother = smoother_of(transform, settings)
     parts = [smoother.push(batch) for batch in batches(blocks)]
     return PathSegments.concatenate([part for part in [*parts, smoother.finish()] if len(part)])

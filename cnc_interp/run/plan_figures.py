@@ -37,7 +37,6 @@ class ToleranceUse:
         self.largest = np.zeros(2)
 
     def blocks(self, blocks: Blocks) -> None:
-        """Add further rows of the program."""
         rows = self._rows + np.arange(len(blocks))
         told = np.column_stack(
             [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
@@ -103,7 +102,6 @@ class PlanFigures:
         self._planned = self._spanned = self._path_length = self._least = 0.0
 
     def blocks(self, blocks: Blocks) -> None:
-        """Count further rows of the program."""
         self._tolerances.blocks(blocks)
         self._blocks += len(blocks)
 
@@ -167,7 +165,6 @@ class PlanFigures:
 
     @property
     def samples(self) -> int:
-        """Number of setpoints so far."""
         return self._samples
 
     @property

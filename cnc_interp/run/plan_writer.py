@@ -71,13 +71,11 @@ class PlanWriter:
                 self._directory.rmdir()
 
     def blocks(self, blocks: Blocks) -> None:
-        """Write further rows of the program."""
         self.figures.blocks(blocks)
         self._archives['blocks'].append(block_columns(blocks, self._tip))
         self._tip = blocks.tip[-1] if len(blocks) else self._tip
 
     def segments(self, segments: PathSegments) -> None:
-        """Write further segments."""
         self.figures.segments(segments)
         if len(segments):  # an empty batch has no columns of extra axes
             self._archives['segments'].append(segments.columns())
@@ -139,7 +137,6 @@ class PlanWriter:
         self._archives['path'].append({name: column[rows] for name, column in columns.items()})
 
     def setpoints(self, samples: Setpoints) -> None:
-        """Write further samples."""
         self._samples.append(samples)
         if sum(map(len, self._samples)) >= SETPOINTS_AT_ONCE:
             self._write_setpoints()

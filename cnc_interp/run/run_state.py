@@ -190,7 +190,6 @@ class RunState:
 
     @property
     def by_hand(self) -> bool:
-        """Tell whether the axes move by hand."""
         return self.state in (State.JOGGING, State.AWAY)
 
     @property
@@ -211,7 +210,6 @@ class RunState:
 
     @property
     def waits_for(self) -> WaitsFor:
-        """Return what the machine at rest waits for."""
         if self.state is State.FAULT:
             return WaitsFor.RESET
         if self.state is State.PAUSED:

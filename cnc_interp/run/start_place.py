@@ -143,7 +143,6 @@ class StartFinder:
         return self.place(self._start.found())
 
     def place(self, block: StartBlock) -> StartPlace:
-        """Return the place of a start in the program."""
         if self._s is None or self._vertex is None:
             raise ProgramError(
                 'no motion follows this line; start before it', self._start.source, block.line

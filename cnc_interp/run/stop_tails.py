@@ -72,7 +72,6 @@ class ChunkCutter:
         self._waits: dict[int, Wait] = {}
 
     def take(self, samples: Setpoints) -> None:
-        """Add further setpoints."""
         if len(samples):
             self._kept.append(samples)
             self.next_number += len(samples)

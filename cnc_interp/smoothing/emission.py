@@ -239,7 +239,6 @@ class Emission:
         return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
 
     def _corners(self, rows: IntArray) -> PathSegments:
-        """Return the corners at these vertices."""
         n, lines, blocks = len(rows), self.rows, self.rows.blocks
         corners = corners_at(blocks, self.legs, rows, self.machine, self.style.height)
         inner, _, curves, deviation = corner.fit(

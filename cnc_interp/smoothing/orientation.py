@@ -24,12 +24,10 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def norm(a: FloatArray) -> FloatArray:
-    """Return the lengths of vectors (..., 3)."""
     return np.asarray(np.sqrt(dot(a, a)))
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return vector products."""
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],

@@ -56,7 +56,6 @@ class PathSmoother:
         return self._joined(self._taken(self._upright.push(blocks)))
 
     def _taken(self, blocks: Blocks) -> list[PathSegments | None]:
-        """Process lines and splines."""
         found: list[PathSegments | None] = []
         spline = blocks.on_spline
         ends = spline & blocks.exact_stop  # a spline ends in this row

@@ -25,7 +25,6 @@ class Curves:
 
     @staticmethod
     def empty(count: int, points: int, spans: int) -> Curves:
-        """Return arrays of zeros for a number of corners."""
         return Curves(
             np.zeros((count, 5, 3)),
             np.zeros((count, 5, 3)),

@@ -156,7 +156,6 @@ class Compressor:
         self._after_curve = False
 
     def _begin(self, start: int, last: int, ended: bool) -> None:
-        """Begin a run at a vertex."""
         skeleton, v = self._skeleton, self._skeleton.vertices
         longest = LONGEST * float(skeleton.tolerance[start + 1].min())
         seen = min(last, int(np.searchsorted(v.u, v.u[start] + AHEAD * longest)))

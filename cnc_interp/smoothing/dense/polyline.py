@@ -32,7 +32,6 @@ class Polyline(NamedTuple):
     origin: IntArray  #: (n - 1, 2): Row and line of the program.
 
     def part(self, first: int, last: int) -> Polyline:
-        """Return the polyline of the vertices first ... last."""
         at, between = slice(first, last + 1), slice(first, last)
         return Polyline(
             self.pose[at], self.u[at], self.vertex[at], self.used[between],

@@ -47,7 +47,6 @@ class Skeleton:
         return len(self.row)
 
     def join(self, other: Skeleton) -> Skeleton:
-        """Return the skeleton with more vertices at its end."""
         return Skeleton(
             Blocks.concatenate([self.blocks, other.blocks]),
             *(
@@ -57,7 +56,6 @@ class Skeleton:
         )
 
     def after(self, first: int) -> Skeleton:
-        """Return the skeleton without its first vertices."""
         return Skeleton(*(getattr(self, field.name)[first:] for field in fields(self)))
 
     @cached_property
@@ -168,7 +166,6 @@ class SkeletonBuilder:
         self, raw: Blocks, top: FloatArray, kept: IntArray, used: FloatArray, kind: IntArray,
         stop: BoolArray, closed: BoolArray,
     ) -> None:  # fmt: skip
-        """Add the selected vertices to the skeleton."""
         assert self.skeleton is not None
         skeleton = self.skeleton
         # The block after row 0 may have changed its marks.

@@ -31,7 +31,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.corner import Corners, Style, build, initial_lengths
+from cnc_interp.smoothing.corners.corner_curve import Corners, Style, build, initial_lengths
 from cnc_interp.smoothing.segments import CORNER
 
 MACHINE = Machine.load('xyzac')

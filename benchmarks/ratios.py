@@ -26,7 +26,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.path_chain import is_faster
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.corners.corner_curve import Corners
 from cnc_interp.smoothing.lookahead import LookAhead
 
 FIXED = (1.4, 1.5, 1.75, 2.0, 2.5)

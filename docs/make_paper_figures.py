@@ -35,7 +35,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.papers.parametrization import STEP as PAPER_STEP
 from cnc_interp.program import Program, read_program
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.corner_curves import top_parameters
+from cnc_interp.smoothing.corners.connection import top_parameters
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent

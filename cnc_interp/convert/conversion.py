@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.convert.native_joins import Joins, portions
-from cnc_interp.convert.native_splines import SplineMoves
+from cnc_interp.convert.native_splines import Portion, SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
@@ -30,7 +30,6 @@ from cnc_interp.program.writer import (
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import ROTATION
 

@@ -1,26 +1,162 @@
-"""Native curves joined by parametrization splines [B2013, section 2.6], for ``convert``.
+"""Native curves joined by parametrization splines [B2013, 2.6, Fig. 4], for ``convert``.
 
-Both curves of a program stay as they are. Only the tool axis slides along the top curve, so that
-it continues the line or curve beside it. ``smoothing/native/linking.py`` has the mathematics.
+A portion is a pair of cubic B-splines with one knot vector: the tip on the bottom curve, a second
+point of the tool axis on the top curve. Two portions may meet with G2 continuity on both curves,
+and the tool axis still jumps in its rate, because u_top = u_bottom says nothing about the join.
+Here both curves stay as they are. The axis slides along the top curve: u_top = f(u_bottom).
+
+The paper finds three values of f at each end by Newton's method on the third difference of the
+tool axis. The limit of small steps has a closed form (``connection.matching_slopes``): f', f'' and
+f''' for which o_s, o_ss and o_sss continue along the top curve. If both curves are G2 at the
+join, o, o_s and o_ss continue completely. If they are not, the jump that is left is the smallest
+one that any f can reach. ``joining.py`` removes such a rest, but changes the curves.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cnc_interp.core.arrays import IntArray
+from cnc_interp.convert.native_splines import PROBES, Portion, clamped
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.bezier import start_derivatives
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.native.cubic_curves import Portion
-from cnc_interp.smoothing.native.joining import Jets, joins_gently, line_between, same_jets
-from cnc_interp.smoothing.native.linking import Linked, linked
+from cnc_interp.smoothing.corners.connection import matching_slopes
+from cnc_interp.smoothing.native.joining import (
+    Jets,
+    by_parameter,
+    joins_gently,
+    line_between,
+    same_jets,
+)
 from cnc_interp.smoothing.orientation import norm
 
-PROBES = 501  #: Points at which the slide of the tool axis is measured.
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly, BSpline
+
+
+#: Ends of two portions that are closer than this meet [m], [-].
+SAME_POINT, SAME_AXIS = 1e-9, 1e-9
+MOST_PIECES = 256  #: Most pieces of one knot interval of the written top curve.
+
+
+@dataclass(frozen=True)
+class Linked:
+    """A portion with a parametrization spline."""
+
+    portion: Portion  #: The given curves.
+    parametrization: BPoly  #: u_top = f(u_bottom) on [0, last knot], in the unit of the knots.
+    #: The same path with u_top = u_bottom, for controls that have one parameter: the bottom curve
+    #: is the given one, the top curve follows top(f(u)) with more knots.
+    written: Portion
+    #: (m,): Row of ``portion`` in whose knot interval each row of ``written`` lies.
+    source: IntArray
+    deviation: float  #: Largest distance of ``written`` from top(f(u)), at flank height [m].
+
+    def poses(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return tool tips and tool axes at bottom parameters [B2013, Eq. 5]."""
+        curve = self.portion.curve
+        tip = curve(u)[:, :3]
+        tool = curve(self.parametrization(u))[:, 3:] - tip
+        return tip, tool / norm(tool)[:, None]
+
+
+def join(
+    first: Portion, second: Portion, height: float, tolerance: float = 1e-8, septic: bool = False
+) -> Linked:
+    """Join two 5-axis B-spline portions by a parametrization spline [B2013, section 2.6]."""
+    ends, begins = first.jets(at_end=True), second.jets(at_end=False)
+    if norm(ends.tip[0] - begins.tip[0])[0] > SAME_POINT:
+        raise InterpError('the second portion does not begin at the tip where the first one ends')
+    if norm(ends.axis[0] - begins.axis[0])[0] > SAME_AXIS:
+        raise InterpError('both portions must have the same tool axis where they meet')
+    return linked(second, ends, None, height, tolerance, septic)
+
+
+def linked(
+    portion: Portion, before: Jets | None, after: Jets | None, height: float,
+    tolerance: float = 1e-8, septic: bool = False,
+) -> Linked:  # fmt: skip
+    """Join a portion with the paths before and after it, if any, by a parametrization spline.
+
+    Raises InterpError if no increasing f has these derivatives.
+    """
+    from scipy.interpolate import BPoly
+
+    length = float(portion.knots[-1])
+    free = np.array([1.0, 0.0, 0.0])
+    first = free if before is None else _slopes(portion, before, at_end=False)
+    last = free if after is None else _slopes(portion, after.backwards(), at_end=True)
+    last = last * np.array([1.0, -1.0, 1.0])
+    orders = 3 if septic else 2
+    f = BPoly.from_derivatives([0.0, length], [[0.0, *first[:orders]], [length, *last[:orders]]])
+    if np.diff(f.c[:, 0]).min() <= 0.0:
+        raise InterpError(
+            'no increasing parametrization joins these portions: the tool axis turns too '
+            'differently on both sides; move the control points of the top curve'
+        )
+    return _written(portion, f, height, tolerance)
+
+
+def _slopes(portion: Portion, jets: Jets, at_end: bool) -> FloatArray:
+    """Return f', f'' and f''' at one end, seen inward, in the unit of the knots."""
+    bottom, top, span = portion.end_span(at_end)
+    p = start_derivatives(bottom)
+    rho = norm(top[:, 0] - bottom[:, 0])[:, None]
+    o = by_parameter(jets, p)
+    found = matching_slopes(p, start_derivatives(top), jets.axis[0], o, rho)
+    return np.asarray(np.array([float(x[0]) for x in found]) / span ** np.arange(3.0))
+
+
+def _written(portion: Portion, f: BPoly, height: float, tolerance: float) -> Linked:
+    """Interpolate top(f(u)) by cubic splines on finer knots until the tolerance holds."""
+    curve, breaks = portion.curve, np.unique(portion.knots)
+    ends = breaks[[0, -1]]
+    rate = curve(ends, 1)
+    rate[:, 3:] = curve(f(ends), 1)[:, 3:] * f(ends, 1)[:, None]
+    pieces = 2
+    while pieces <= MOST_PIECES:
+        share = np.arange(pieces) / pieces
+        sites = np.append((breaks[:-1, None] + share * np.diff(breaks)[:, None]).ravel(), ends[1])
+        spline = clamped(sites, _both(curve, f, sites), rate)
+        step = np.diff(sites)
+        probes = (sites[:-1, None] + step[:, None] * (np.arange(PROBES) + 0.5) / PROBES).ravel()
+        deviation = _distance(spline(probes), _both(curve, f, probes), height)
+        if deviation <= tolerance:
+            interval = np.concatenate([[0.0], step, [0.0, 0.0]])
+            made = Portion(spline.c[:, :3].copy(), spline.c[:, 3:].copy(), interval)
+            own = np.flatnonzero(portion.knot_interval > 0.0)
+            last = len(portion.bottom) - 1
+            source = np.concatenate([[0], np.repeat(own, pieces), [last - 1, last]])
+            return Linked(portion, f, made, source, deviation)
+        pieces *= 2
+    raise InterpError(
+        f'no cubic spline follows this parametrization within {tolerance * 1e6:g} um; '
+        'allow a larger deviation (--fit-tolerance)'
+    )
+
+
+def _both(curve: BSpline, f: BPoly, u: FloatArray) -> FloatArray:
+    """Return tip at u and second point at f(u), shape (k, 6) [m]."""
+    u_top = f(u).clip(0.0, curve.t[-1])
+    return np.hstack([curve(u)[:, :3], curve(u_top)[:, 3:]])
+
+
+def _distance(found: FloatArray, wanted: FloatArray, height: float) -> float:
+    """Return the largest distance of tips and of points at flank height [m]."""
+    ends = []
+    for both in (found, wanted):
+        tool = both[:, 3:] - both[:, :3]
+        ends.append(both[:, :3] + height * tool / norm(tool)[:, None])
+    return float(max(norm(found[:, :3] - wanted[:, :3]).max(), norm(ends[0] - ends[1]).max()))
+
+
+SLIDE_POINTS = 501  #: Points at which the slide of the tool axis is measured.
 
 
 def portions(blocks: Blocks) -> list[tuple[int, int]]:
@@ -104,7 +240,7 @@ class Joins:
             if jets is not None:
                 self.before = max(self.before, _rate_jump(jets, portion.jets(at_end)))
                 self.after = max(self.after, _rate_jump(jets, made.written.jets(at_end)))
-        u = np.linspace(0.0, float(portion.knots[-1]), PROBES)
+        u = np.linspace(0.0, float(portion.knots[-1]), SLIDE_POINTS)
         both = portion.curve(u)
         tool = both[:, 3:] - both[:, :3]
         slides = self.height * norm(made.poses(u)[1] - tool / norm(tool)[:, None])

@@ -1,21 +1,201 @@
-"""Smooth segments as lines and pairs of cubic B-splines; ``losses`` tells what controls change."""
+"""Smooth segments as lines and pairs of cubic B-splines; ``losses`` tells what controls change.
+
+On a corner the tool axis is the direction of top(f(u)) + E(u) - bottom(u). Two curves with one
+knot vector cannot express f and E. Instead a cubic spline with more knots interpolates
+the second point of the tool axis. It has the derivative of that point at both ends, so o_s agrees
+with the neighbours. Knots are added until the given tolerance holds.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.bezier import bezier_values
+from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.corner_spline import corner_end_derivatives
+from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import SiemensMove
-from cnc_interp.smoothing.native.cubic_curves import CubicCurve, cubic_curve
-from cnc_interp.smoothing.native.joining import Jets, line_jets
+from cnc_interp.smoothing.native.joining import Jets, line_jets, span_jets
 from cnc_interp.smoothing.orientation import dot, norm, turned_by
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    ROTATION,
+    SPLINE,
+    PathSegments,
+    corner_jets,
+    spline_jets,
+)
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
+
+#: Most knot intervals of one segment, and points per interval at which the distance is measured.
+MOST_INTERVALS, PROBES = 512, 8
+
+
+@dataclass(frozen=True)
+class Portion:
+    """A pair of cubic B-splines with one clamped knot vector, one row for each control point."""
+
+    #: (n, 3): Control points of tool tip and second point [m].
+    bottom: FloatArray
+    top: FloatArray
+    #: (n,): Knot interval of each control point: t_(i+3) - t_(i+2) of row i. It is 0 in the first
+    #: and in the last two rows.
+    knot_interval: FloatArray
+
+    @property
+    def knots(self) -> FloatArray:
+        """The knots from 0, shape (n + 4,)."""
+        inner = np.cumsum(self.knot_interval)
+        return np.concatenate([np.zeros(3), inner, inner[-1:]])
+
+    @property
+    def curve(self) -> BSpline:
+        """Tip and second point as one spline of u with six coordinates [m]."""
+        from scipy.interpolate import BSpline  # takes a tenth of a second
+
+        return BSpline(self.knots, np.hstack([self.bottom, self.top]), 3)
+
+    def end_span(self, at_end: bool) -> tuple[FloatArray, FloatArray, float]:
+        """Return Bezier points, shape (1, 4, 3), of the span at one end, inward; its length."""
+        step = self.knot_interval[1:4] if not at_end else self.knot_interval[-3:-6:-1]
+        ends = np.cumsum(np.concatenate([step, np.zeros(3)]))[:3]  # a lone span has two
+        knots = np.concatenate([np.zeros(3), ends])[None]
+        rows = slice(None, 4) if not at_end else slice(None, -5, -1)
+        bottom, top = (
+            cubic_bezier_points(points[rows][None], knots) for points in (self.bottom, self.top)
+        )
+        return bottom, top, float(step[0])
+
+    def jets(self, at_end: bool) -> Jets:
+        """Return the jets at the start or the end, in the direction of motion."""
+        bottom, top, _ = self.end_span(at_end)
+        jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
+        return jets.backwards() if at_end else jets
+
+
+@dataclass(frozen=True)
+class CubicCurve(Portion):
+    """One segment as a portion."""
+
+    late: int  #: First row whose knot interval lies in the second half of the segment.
+    deviation: float  #: Largest distance of tip and point at flank height from the segment [m].
+
+
+def cubic_curve(
+    segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
+) -> CubicCurve:
+    """Approximate a corner or spline within a distance by two cubic B-splines, one parameter.
+
+    The second point is at flank height, or on the top curve of the segment. Raises BlockError if
+    more than MOST_INTERVALS knot intervals are necessary.
+    """
+    if segments.kind[i] == CORNER and not len(segments.parametrization[i]):
+        if not segments.connection[i].any():
+            return _own_points(segments, i)
+    count = 2 if segments.kind[i] == CORNER else 1
+    rate = _points(segments, i, np.array([0.0, 1.0]), height, constant_height)[1]
+    while count <= MOST_INTERVALS:
+        sites = np.linspace(0.0, 1.0, count + 1)
+        values, _ = _points(segments, i, sites, height, constant_height)
+        spline = clamped(sites, values, rate)
+        probes = (np.arange(count * PROBES) + 0.5) / (count * PROBES)
+        deviation = _distance(spline, segments, i, probes, height)
+        if deviation <= tolerance:
+            size = float(norm(np.diff(values[:, :3], axis=0)).sum())
+            return CubicCurve(
+                bottom=spline.c[:, :3].copy(),
+                top=spline.c[:, 3:].copy(),
+                knot_interval=size * (spline.t[3:-1] - spline.t[2:-2]),
+                late=1 + (count + 1) // 2,
+                deviation=deviation,
+            )
+        count *= 2
+    raise BlockError(
+        f'no cubic spline with {MOST_INTERVALS} knot intervals follows this curve within '
+        f'{tolerance * 1e6:g} um; allow a larger deviation (--fit-tolerance)',
+        int(segments.line_number[i]),
+    )
+
+
+def _own_points(segments: PathSegments, i: int) -> CubicCurve:
+    """Return a corner with u_top = u_bottom by its own 5 + 5 control points [B2013, 4.1]."""
+    bottom, top = segments.bottom[i, :5], segments.top[i, :5]
+    half = 0.5 * float(norm(np.diff(bottom, axis=0)).sum())
+    return CubicCurve(bottom, top, half * np.array([0.0, 1.0, 1.0, 0.0, 0.0]), 2, 0.0)
+
+
+def clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
+    """Interpolate values by a cubic spline with given derivatives at both ends."""
+    # Importing it takes a tenth of a second; only native programs need it.
+    from scipy.interpolate import BSpline, make_interp_spline
+
+    if len(sites) == 2:  # one cubic: its Bezier points
+        points = np.stack(
+            [values[0], values[0] + rate[0] / 3.0, values[1] - rate[1] / 3.0, values[1]]
+        )
+        return BSpline(np.repeat([0.0, 1.0], 4), points, 3)
+    return make_interp_spline(sites, values, k=3, bc_type=([(1, rate[0])], [(1, rate[1])]))
+
+
+def _points(
+    segments: PathSegments, i: int, u: FloatArray, height: float, constant_height: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return tip and second point at u, and their derivatives by u, shape (n, 6) each [m]."""
+    values, rates = np.empty((len(u), 6)), np.empty((len(u), 6))
+    for k, x in enumerate(u):
+        tip, axis = segment_jets(segments, i, float(x))
+        for c in range(3):
+            values[k, c], rates[k, c] = tip[c][0], tip[c][1]
+            values[k, 3 + c] = tip[c][0] + height * axis[c][0]
+            rates[k, 3 + c] = tip[c][1] + height * axis[c][1]
+    if not constant_height:
+        connection = segments.connection[i]
+        values[:, 3:] = _on_curve(segments.top[i], u) + _on_curve(connection, u)
+        degrees = len(segments.top[i]) - 1, len(connection) - 1
+        rates[:, 3:] = degrees[0] * _on_curve(np.diff(segments.top[i], axis=0), u)
+        rates[:, 3:] += degrees[1] * _on_curve(np.diff(connection, axis=0), u)
+    return values, rates
+
+
+def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
+    """Return points of one Bezier curve at the parameters u, shape (n, 3) [m]."""
+    return bezier_values(points.T[None], u[:, None])
+
+
+def segment_jets(
+    segments: PathSegments, i: int, u: float
+) -> tuple[tuple[tuple[float, ...], ...], ...]:
+    """Return the jets in u of tip and tool axis on one corner or spline."""
+    bottom, top, connection = segments.bottom[i], segments.top[i], segments.connection[i]
+    if segments.kind[i] == CORNER:
+        found = corner_jets(bottom, top, connection, segments.parametrization[i], u, u)
+    else:
+        found = spline_jets(bottom, top, connection, u)
+    return found
+
+
+def _distance(
+    spline: BSpline, segments: PathSegments, i: int, u: FloatArray, height: float
+) -> float:
+    """Return the largest distance of tip and of point at flank height at the same u [m]."""
+    wanted, _ = _points(segments, i, u, height, True)
+    found = spline(u)
+    tool = found[:, 3:] - found[:, :3]
+    found[:, 3:] = found[:, :3] + height * tool / norm(tool)[:, None]
+    return float(max(norm((found - wanted)[:, :3]).max(), norm((found - wanted)[:, 3:]).max()))
+
 
 SAME_POINT = 1e-9  #: Second points closer than this are equal [m].
 

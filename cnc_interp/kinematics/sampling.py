@@ -26,8 +26,7 @@ from cnc_interp.kinematics.segment_axes import (
     sample,
     tip_rests,
 )
-from cnc_interp.smoothing.segment_curves import corner_breaks
-from cnc_interp.smoothing.segments import CORNER, SPLINE
+from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
 CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
 #: and their third derivatives to this share; ROUNDING / h^3 is noise of the axes. It grows with

@@ -20,13 +20,17 @@ from cnc_interp.machine_model.transform_kernels import (
     linear_jets,
     rotary_jets,
 )
-from cnc_interp.smoothing.segment_curves import (
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    POINTS,
+    SPLINE,
+    PathSegments,
     corner_jets,
     great_circle_jets,
     line_jets,
     spline_jets,
 )
-from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, SPLINE, PathSegments
 
 PLAIN_GRID = np.array([0.0, 0.5, 1.0])
 SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top rests: no measure [-].

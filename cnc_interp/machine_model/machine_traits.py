@@ -24,7 +24,7 @@ class MachineTraits:
     """The properties of a machine that the smoothing needs."""
 
     #: Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
-    #: (``ratio.py``).
+    #: (``corner_curve.py``).
     axis_rates: AxisRates | None = None
     #: Tool direction at which a rotary axis is undefined; a turning tool stops there. None if
     #: there is no such direction.

@@ -17,10 +17,9 @@ from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
 from cnc_interp.report.curves import FILE, lengths
-from cnc_interp.smoothing.corners.corner_curves import Curves, poses, top_parameters
+from cnc_interp.smoothing.corners.connection import Curves, poses, top_parameters
 from cnc_interp.smoothing.orientation import norm
-from cnc_interp.smoothing.segment_curves import corner_breaks, corner_jets
-from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments
+from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
 
 MOST = 8
 SAMPLES = 60  #: Samples of each half of a corner for its figures.

@@ -10,9 +10,9 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
-from cnc_interp.smoothing.corners import corner
+from cnc_interp.smoothing.corners import corner_curve
 from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
-from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, axis_corners, corners_at
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import norm, turned_by
@@ -241,7 +241,7 @@ class Emission:
     def _corners(self, rows: IntArray) -> PathSegments:
         n, lines, blocks = len(rows), self.rows, self.rows.blocks
         corners = corners_at(blocks, self.legs, rows, self.machine, self.style.height)
-        inner, _, curves, deviation = corner.fit(
+        inner, _, curves, deviation = corner_curve.fit(
             corners, self.inner[rows], self.outer[rows], self.style
         )
         beyond = np.flatnonzero((deviation > corners.tolerances * (1.0 + 1e-6)).any(axis=1))

@@ -16,9 +16,8 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners import corner
-from cnc_interp.smoothing.corners.corner import PAPER_RATIO, Corners, Style
-from cnc_interp.smoothing.corners.ratio import ratios_at
+from cnc_interp.smoothing.corners import corner_curve
+from cnc_interp.smoothing.corners.corner_curve import PAPER_RATIO, Corners, Style, ratios_at
 from cnc_interp.smoothing.corners.vertices import (
     ROUND,
     Legs,
@@ -106,8 +105,8 @@ class LookAhead:
             )
             half = self._available(lines, legs, rows)
             ratios = self._ratios(corners)
-            start = corner.initial_lengths(corners, half, ratios, self._style.literal)
-            inner[rows], outer[rows], _, _ = corner.fit(corners, *start, self._style, ratios)
+            start = corner_curve.initial_lengths(corners, half, ratios, self._style.literal)
+            inner[rows], outer[rows], _, _ = corner_curve.fit(corners, *start, self._style, ratios)
         return inner, outer
 
     @staticmethod

@@ -14,7 +14,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.dense.path_rows import settled
 from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead

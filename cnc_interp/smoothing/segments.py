@@ -1,11 +1,18 @@
-"""PathSegments: the smooth path in the workpiece frame, and its evaluation."""
+"""PathSegments: the smooth path in the workpiece frame, and jets of tip and axis on a segment."""
 
 from __future__ import annotations
 
-import numpy as np
+from math import sqrt
 
+import numpy as np
+from numba import njit
+
+from cnc_interp.core import jet
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.bezier import bezier_jet, quintic_jet
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.corner_spline import corner_spline_jet
+from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.program.blocks import POSES
 
 LINE, CORNER, ROTATION, SPLINE = 0, 1, 2, 3
@@ -76,3 +83,124 @@ def padded(points: FloatArray) -> FloatArray:
 def no_rotary(count: int) -> FloatArray:
     """Return the control values of rotary axes that are not programmed, (count, POINTS, 2)."""
     return np.full((count, POINTS, 2), np.nan)
+
+
+@njit(cache=True, nogil=True)
+def spline_jets(
+    bottom: FloatArray, top: FloatArray, connection: FloatArray, u: float
+) -> tuple[VectorJet, VectorJet]:
+    """Return the jets in u of tool tip [m] and unit tool axis on a SPLINE [B2013, Eq. 5]."""
+    tip, tool = np.empty((3, 4)), np.empty((3, 4))
+    for i in range(3):
+        p = quintic_jet(bottom, i, u)
+        d = jet.subtract(quintic_jet(top, i, u), p)
+        d = jet.add(d, bezier_jet(connection, i, u))
+        tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
+        tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
+    return _vector_jet(tip), jet.normalised(_vector_jet(tool))
+
+
+@njit(cache=True, nogil=True)
+def span_at(parametrization: FloatArray, u: float) -> tuple[int, float, float]:
+    """Find the span of f that contains u."""
+    k = parametrization.shape[0] - 1
+    while k > 0 and parametrization[k, 0] > u:
+        k -= 1
+    end = parametrization[k + 1, 0] if k + 1 < parametrization.shape[0] else 1.0
+    return k, parametrization[k, 0], end - parametrization[k, 0]
+
+
+@njit(cache=True, nogil=True)
+def _top_parameter(parametrization: FloatArray, u: float, inside: float) -> Jet:
+    """Return the jet of u_top = f(u), evaluated on the span that contains ``inside``."""
+    if parametrization.shape[0] == 0:
+        return (u, 1.0, 0.0, 0.0)
+    k, start, length = span_at(parametrization, inside)
+    f = bezier_jet(parametrization[k, 1:].copy().reshape(7, 1), 0, (u - start) / length)
+    return (f[0], f[1] / length, f[2] / length**2, f[3] / length**3)
+
+
+@njit(cache=True, nogil=True)
+def corner_breaks(parametrization: FloatArray) -> FloatArray:
+    """Return in order the u at which the third derivative of a corner may jump, with 0 and 1."""
+    spans = parametrization.shape[0]
+    if spans == 0:
+        return np.array([0.0, 0.5, 1.0])
+    low, high = 0.0, 1.0
+    for _ in range(60):  # bisection for f(u) = 0.5, the inner knot of the top curve; f rises
+        middle = 0.5 * (low + high)
+        if _top_parameter(parametrization, middle, middle)[0] < 0.5:
+            low = middle
+        else:
+            high = middle
+    if abs(low - 0.5) < 1e-9:
+        low = 0.5
+    found: FloatArray = np.unique(
+        np.concatenate((parametrization[:, 0], np.array([0.5, low, 1.0])))
+    )
+    return found
+
+
+@njit(cache=True, nogil=True)
+def corner_jets(
+    bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
+    u: float, inside: float,
+) -> tuple[VectorJet, VectorJet]:  # fmt: skip
+    """Return the jets in u of tool tip [m] and unit tool axis on a CORNER [B2013, Eq. 5].
+
+    ``parametrization`` (spans, 8) has the start of each span of f and seven Bezier values on it.
+    If u is a break, ``inside`` selects the side: a parameter inside the same smooth piece.
+    """
+    late = late_top = inside > 0.5
+    f = _top_parameter(parametrization, u, inside)
+    if parametrization.shape[0] > 0:
+        late_top = _top_parameter(parametrization, inside, inside)[0] > 0.5
+    tip, tool = np.empty((3, 4)), np.empty((3, 4))
+    for i in range(3):
+        p = corner_spline_jet(bottom, i, u, late)
+        t = jet.compose(corner_spline_jet(top, i, f[0], late_top), f)
+        d = jet.add(jet.subtract(t, p), bezier_jet(connection, i, u))
+        tip[i, 0], tip[i, 1], tip[i, 2], tip[i, 3] = p
+        tool[i, 0], tool[i, 1], tool[i, 2], tool[i, 3] = d
+    return _vector_jet(tip), jet.normalised(_vector_jet(tool))
+
+
+@njit(cache=True, nogil=True)
+def _vector_jet(rows: FloatArray) -> VectorJet:
+    """Return the rows of an array, shape (3, 4), as a vector jet."""
+    return (
+        (rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3]),
+        (rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]),
+        (rows[2, 0], rows[2, 1], rows[2, 2], rows[2, 3]),
+    )
+
+
+@njit(cache=True, nogil=True)
+def great_circle_jets(axis: FloatArray, rotation: FloatArray, u: float) -> VectorJet:
+    """Return the jet of a unit tool axis turned by u times a rotation vector [B2013, Eq. 4]."""
+    o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
+    angle = sqrt(rotation[0] ** 2 + rotation[1] ** 2 + rotation[2] ** 2)
+    if angle == 0.0:
+        return o
+    k = (rotation[0] / angle, rotation[1] / angle, rotation[2] / angle)
+    sine, cosine = jet.sine_cosine((angle * u, angle, 0.0, 0.0))
+    turned: VectorJet = jet.rotated(k, sine, cosine, o)
+    return turned
+
+
+@njit(cache=True, nogil=True)
+def line_jets(
+    bottom: FloatArray, axis: FloatArray, rotation: FloatArray, u: float
+) -> tuple[VectorJet, VectorJet]:
+    """Return the jets in u of tip [m] and unit tool axis on a LINE [B2013, Eq. 4]."""
+    dx, dy, dz = (
+        bottom[1, 0] - bottom[0, 0],
+        bottom[1, 1] - bottom[0, 1],
+        bottom[1, 2] - bottom[0, 2],
+    )
+    p = (
+        (bottom[0, 0] + u * dx, dx, 0.0, 0.0),
+        (bottom[0, 1] + u * dy, dy, 0.0, 0.0),
+        (bottom[0, 2] + u * dz, dz, 0.0, 0.0),
+    )
+    return p, great_circle_jets(axis, rotation, u)

@@ -7,15 +7,15 @@ from scipy.special import comb
 from tiers import examples
 
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.smoothing.corners.corner import (
+from cnc_interp.smoothing.corners.connection import poses
+from cnc_interp.smoothing.corners.corner_curve import (
     PAPER_RATIO,
     Corners,
     Style,
     fit,
     initial_lengths,
+    ratios_at,
 )
-from cnc_interp.smoothing.corners.corner_curves import poses
-from cnc_interp.smoothing.corners.ratio import ratios_at
 from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
 
 HEIGHT = 30 * MM

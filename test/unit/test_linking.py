@@ -11,7 +11,8 @@ from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
 from cnc_interp.convert.conversion import convert
-from cnc_interp.convert.native_joins import Joins
+from cnc_interp.convert.native_joins import Joins, join, linked
+from cnc_interp.convert.native_splines import Portion
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
@@ -20,9 +21,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.native.cubic_curves import Portion
 from cnc_interp.smoothing.native.joining import Jets
-from cnc_interp.smoothing.native.linking import join, linked
 
 H = 30 * MM
 MACHINE = Machine.load('xyzac')

@@ -26,8 +26,7 @@ from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.path_smoother import PathSmoother
-from cnc_interp.smoothing.segment_curves import spline_jets
-from cnc_interp.smoothing.segments import LINE, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import LINE, SPLINE, PathSegments, spline_jets
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)

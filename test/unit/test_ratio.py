@@ -16,8 +16,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.corner import Corners
-from cnc_interp.smoothing.corners.ratio import LARGEST, LEAST, MOST, ratios_at
+from cnc_interp.smoothing.corners.corner_curve import LARGEST, LEAST, MOST, Corners, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.orientation import cross, turned_by
 from cnc_interp.smoothing.segments import CORNER, PathSegments

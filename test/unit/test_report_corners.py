@@ -22,7 +22,7 @@ from cnc_interp.report import write_report
 from cnc_interp.report.corner_figures import shift
 from cnc_interp.report.corners import MOST, views_of
 from cnc_interp.report.curves import curves_of, lengths, read_segments
-from cnc_interp.smoothing.corners.corner_curves import Curves, poses
+from cnc_interp.smoothing.corners.connection import Curves, poses
 from cnc_interp.smoothing.segments import SPLINE
 
 MACHINE = Machine.load('xyzac')

@@ -17,12 +17,17 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners.connection import lacking, matching_slopes
-from cnc_interp.smoothing.corners.corner_curves import Curves, poses
+from cnc_interp.smoothing.corners.connection import Curves, lacking, matching_slopes, poses
 from cnc_interp.smoothing.corners.vertices import SWIVEL
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.segment_curves import corner_jets, line_jets
-from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, PathSegments
+from cnc_interp.smoothing.segments import (
+    CORNER,
+    LINE,
+    ROTATION,
+    PathSegments,
+    corner_jets,
+    line_jets,
+)
 
 AXIS_RATES = partial(jerk_rates, Transform.of(Machine.load('xyzac')))
 KNOTS = [0, 0, 0, 0, 0.5, 1, 1, 1, 1]

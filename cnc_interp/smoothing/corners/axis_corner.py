@@ -27,8 +27,12 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
-from cnc_interp.smoothing.corners.corner import LARGEST_TURN, LEAST_RATIO, USED_UP
-from cnc_interp.smoothing.corners.ratio import best_ratios
+from cnc_interp.smoothing.corners.corner_curve import (
+    LARGEST_TURN,
+    LEAST_RATIO,
+    USED_UP,
+    best_ratios,
+)
 from cnc_interp.smoothing.orientation import norm
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.

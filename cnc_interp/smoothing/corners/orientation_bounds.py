@@ -23,8 +23,8 @@ from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.corner_spline import corner_spline_jet
-from cnc_interp.smoothing.corners.corner_curves import Curves
-from cnc_interp.smoothing.segment_curves import corner_breaks, span_at
+from cnc_interp.smoothing.corners.connection import Curves
+from cnc_interp.smoothing.segments import corner_breaks, span_at
 
 #: Degree of interpolation; accepted ratio of bound and largest error seen; most halvings.
 DEGREE, CLOSE, HALVINGS = 8, 1.01, 12

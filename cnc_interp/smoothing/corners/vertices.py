@@ -12,7 +12,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
-from cnc_interp.smoothing.corners.corner import Corners
+from cnc_interp.smoothing.corners.corner_curve import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
 from cnc_interp.smoothing.orientation import dot, norm, rotations_between, shares_at_corners
 

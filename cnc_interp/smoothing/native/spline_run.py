@@ -17,7 +17,7 @@ from cnc_interp.core.bezier import divided, elevated, least_length
 from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.corners.corner import Style
+from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets
 from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.core.limit_table import limits_along
+from cnc_interp.core.limits_by_position import limits_along
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.run.setpoints import BEFORE, limit_shares
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from paths import cases
 
-from cnc_interp.core.limit_table import place_table
+from cnc_interp.core.limits_by_position import place_table
 from cnc_interp.feedrate.feed_planner import plan_path
 
 COULOMB, VISCOUS = 0.1, 0.3

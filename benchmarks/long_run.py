@@ -30,7 +30,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, waves
 
-from cnc_interp.core.limit_table import constant_table
+from cnc_interp.core.limits_by_position import constant_table
 from cnc_interp.nodes import qos
 from cnc_interp.run.setpoints import BEFORE, limit_shares
 
@@ -213,7 +213,7 @@ class LongRun(NodesUnderTest):
         for name, share in cpu.items():
             print(f'{name:<15}{share:5.0%} of a core, {memory[name]:.0f} MB at the start, '
                   f'{after[name]:.0f} MB at the end; {slopes.get(name, np.nan):+.3f} MB per 1000 '
-                  f'blocks behind {SETTLED:.0%} of the way', flush=True)  # fmt: skip
+                  f'blocks after {SETTLED:.0%} of the way', flush=True)  # fmt: skip
 
     def slopes(self, blocks: int) -> dict[str, float]:
         """Fit how the memory of each process grows once it has settled [MB per 1000 blocks]."""

@@ -31,9 +31,9 @@ import casadi
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import PLACE
+from cnc_interp.core.limits_by_position import PLACE
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     evaluate_cells,

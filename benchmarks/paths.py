@@ -16,7 +16,7 @@ from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.limit_table import constant_table
+from cnc_interp.core.limits_by_position import constant_table
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut

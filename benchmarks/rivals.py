@@ -15,9 +15,9 @@ from toppra.constraint import DiscretizationType, JointAccelerationConstraint, L
 from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import PLACE, constant_table
+from cnc_interp.core.limits_by_position import PLACE, constant_table
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 

@@ -31,7 +31,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine

@@ -22,7 +22,7 @@ from paths import Case, cases
 from whole_plans import path_of
 
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate

@@ -5,7 +5,7 @@ Cycle times at a held error at the tool: planned by error, and by a lower feed o
 
 Programs are planned on ``xyzac_tired``: by their feed alone, with a limit on the error at the
 tool, and with the largest override of feeds and rapids that keeps the same error. Errors are those
-of the simulated drives, as they are or behind the inverse of a model wrong by 20 % up and down.
+of the simulated drives, as they are or after the inverse of a model wrong by 20 % up and down.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from whole_plans import Kept
 from cnc_interp.core.units import MM, UM
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath

@@ -278,9 +278,9 @@ def _write_times(found: list[tuple[str, str, dict[str, Any], float]]) -> None:
         )
     text = PAGE.read_text(encoding='utf-8')
     before, rest = text.split(MARKERS[0])
-    behind = rest.split(MARKERS[1])[1]
+    after = rest.split(MARKERS[1])[1]
     table = '\n'.join(lines)
-    PAGE.write_text(f'{before}{MARKERS[0]}\n{table}\n{MARKERS[1]}{behind}', encoding='utf-8')
+    PAGE.write_text(f'{before}{MARKERS[0]}\n{table}\n{MARKERS[1]}{after}', encoding='utf-8')
     figure, panel = plt.subplots(figsize=(7.2, 3.2), layout='constrained')
     names = [f'{row[1]}: {row[0]}' for row in found]
     seconds = [row[3] for row in found]

@@ -47,7 +47,7 @@ PAGE = HERE / 'how_it_works' / 'corner_rounding.md'
 MARKERS = '<!-- tables: begin -->', '<!-- tables: end -->'
 GREEN = '#2e7d4f'
 FEED = 3000.0
-#: The corner's time is measured from here before its entry to here behind its exit [m].
+#: The corner's time is measured from here before its entry to here after its exit [m].
 MARGIN = 3.0 * MM
 #: Steps of the discrete third derivative: at F one period on the pocket; fine on the pyramid [m].
 POCKET_STEP, PYRAMID_STEP = 0.05 * MM, 0.002 * MM
@@ -103,7 +103,7 @@ class Run:
         return 6.0 * float(np.linalg.norm(bottom[1] - bottom[0]))
 
     def corner_time(self) -> float:
-        """Return the time from MARGIN before to MARGIN behind the first corner [s]."""
+        """Return the time from MARGIN before to MARGIN after the first corner [s]."""
         t, s, _ = self.motion()
         times = np.interp([self.corner[0] - MARGIN, self.corner[1] + MARGIN], s, t)
         return float(times[1] - times[0])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.kinematics.path_from_arrays import axis_path_from
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Interpolator, Setpoints

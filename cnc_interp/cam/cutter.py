@@ -12,10 +12,10 @@ from math import isfinite
 
 import numpy as np
 
-from cnc_interp.cam.vectors import dot, norm, scaled
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.core.vectors import dot, norm, scaled
 
 
 @dataclass(frozen=True)

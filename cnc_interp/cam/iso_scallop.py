@@ -33,10 +33,10 @@ from cnc_interp.cam.passes import (
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import estimated_half_width, scallop_points
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
-from cnc_interp.cam.vectors import norm
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import norm
 
 CLOSER = 0.985  #: Distance of a pass that starts afresh, as a share of its half width.
 #: Default distance of the points along a pass [m]; there are at least 25.

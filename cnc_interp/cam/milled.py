@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
-from cnc_interp.cam.vectors import scaled
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import MM
+from cnc_interp.core.vectors import scaled
 
 SPACING = 0.2 * MM  #: Distance of the places at which the border is compared with the strip [m].
 LINES = 9  #: Lines along the strip that are compared with the border, over its whole width.

@@ -11,9 +11,9 @@ from numba import njit
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.milled import runs
-from cnc_interp.cam.vectors import unit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import MM, UM
+from cnc_interp.core.vectors import unit
 
 STEP = 0.2 * MM  #: Distance of the poses that are tested [m].
 GOUGE = 1.0 * UM  #: Largest depth at which the mill may enter a neighbour [m].

@@ -22,9 +22,9 @@ from cnc_interp.cam.guiding import CurveFrames, GuidingCurve
 from cnc_interp.cam.passes import tilt_of_curvature
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops
-from cnc_interp.cam.vectors import dot, norm, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import dot, norm, scaled, unit
 
 Freedom = Literal['tilt', 'yaw']
 

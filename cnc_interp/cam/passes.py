@@ -13,9 +13,9 @@ from cnc_interp.cam.milled import kept_places
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError, place
-from cnc_interp.cam.vectors import dot
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import dot
 
 
 class UnfitError(SurfaceError):

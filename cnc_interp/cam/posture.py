@@ -18,8 +18,8 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import CurveFrames
-from cnc_interp.cam.vectors import cross, scaled
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.vectors import cross, scaled
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
-from cnc_interp.cam.vectors import cross, dot, scaled, unit
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.vectors import cross, dot, scaled, unit
 
 Angle = float | FloatArray
 

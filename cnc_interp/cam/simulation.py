@@ -13,10 +13,10 @@ from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
-from cnc_interp.cam.vectors import norm
 from cnc_interp.convert.conversion import with_chords
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import MM, UM
+from cnc_interp.core.vectors import norm
 from cnc_interp.drives.tool_error import SETTLING
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cnc_interp.cam.vectors import cross, dot, norm, scaled
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.core.vectors import cross, dot, norm, scaled
 
 
 @dataclass(frozen=True)

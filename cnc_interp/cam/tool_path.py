@@ -13,11 +13,11 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.spline_pass import ARM, SplinePass, sampled
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
-from cnc_interp.cam.vectors import norm, unit
 from cnc_interp.convert.conversion import convert
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
+from cnc_interp.core.vectors import norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
@@ -86,7 +86,7 @@ def link(
     parts = _in_order(passes, options)
     for k, (one, low) in enumerate(parts):
         tip, axis = one.poses(np.array(one.ends))
-        before, behind = tip + options.clearance * axis
+        before, after = tip + options.clearance * axis
         last = steps[-1] if steps else None
         hop = (
             isinstance(last, Link)
@@ -98,9 +98,9 @@ def link(
         if not hop:
             steps.append(Link(over(before, axis[0]), axis[0], True))
         steps += [Link(before, axis[0], True), Link(tip[0], axis[0], False), one]
-        steps.append(Link(behind, axis[1], False))
+        steps.append(Link(after, axis[1], False))
         if k == len(parts) - 1:
-            steps.append(Link(over(behind, axis[1]), axis[1], True))
+            steps.append(Link(over(after, axis[1]), axis[1], True))
     return steps
 
 

@@ -17,8 +17,8 @@ from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.units import MM, MS, UM
 from cnc_interp.machine_model.machine import error_text
 from cnc_interp.processes.node_processes import Children, load_nodes
-from cnc_interp.settings.choice import Stage, choices
 from cnc_interp.settings.command_line import settings_from
+from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 #: Domains whose ports Linux gives to no other program, and all domains.

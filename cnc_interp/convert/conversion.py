@@ -15,6 +15,7 @@ from cnc_interp.convert.native_splines import Portion, SplineMoves
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError, ProgramError
 from cnc_interp.core.units import MM, UM
+from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, on_pole, start_positions
 from cnc_interp.program import Program
@@ -30,7 +31,6 @@ from cnc_interp.program.writer import (
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import ROTATION
 
 #: Share of the tolerances for chords of native splines and of linear rotary axes.

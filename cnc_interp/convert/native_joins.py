@@ -25,6 +25,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import start_derivatives
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import matching_slopes
 from cnc_interp.smoothing.native.joining import (
@@ -34,7 +35,6 @@ from cnc_interp.smoothing.native.joining import (
     line_between,
     same_jets,
 )
-from cnc_interp.smoothing.orientation import norm
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly, BSpline

@@ -20,11 +20,12 @@ from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.corner_spline import corner_end_derivatives
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM
+from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import SiemensMove
 from cnc_interp.smoothing.native.joining import Jets, line_jets, span_jets
-from cnc_interp.smoothing.orientation import dot, norm, turned_by
+from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,

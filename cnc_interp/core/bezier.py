@@ -14,6 +14,7 @@ from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.jet import Jet
+from cnc_interp.core.vectors import norm
 
 
 def bezier_values(values: FloatArray, t: FloatArray | float) -> FloatArray:
@@ -128,14 +129,9 @@ def quintic_end_jet(points: FloatArray, length: float) -> FloatArray:
     return jet
 
 
-def _size(v: FloatArray) -> FloatArray:
-    """Return the lengths of vectors, shape (..., 3) to (...); the order of the sum is fixed."""
-    return np.asarray(np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2 + v[..., 2] ** 2))
-
-
 def largest(points: FloatArray) -> FloatArray:
     """Return the largest length among the vectors of each curve, shape (..., k, 3) to (...)."""
-    return np.asarray(_size(points).max(axis=-1, initial=0.0))
+    return np.asarray(norm(points).max(axis=-1, initial=0.0))
 
 
 def weighted_largest(points: FloatArray) -> FloatArray:
@@ -143,7 +139,7 @@ def weighted_largest(points: FloatArray) -> FloatArray:
     k, degree = np.arange(points.shape[1]), points.shape[1] - 1
     share = k / degree
     weight = np.array([comb(degree, int(i)) for i in k]) * share**k * (1.0 - share) ** (degree - k)
-    return np.asarray((weight * _size(points)).sum(axis=1))
+    return np.asarray((weight * norm(points)).sum(axis=1))
 
 
 def derivative_bounds(points: FloatArray, length: float = 1.0) -> FloatArray:
@@ -160,5 +156,5 @@ def least_length(points: FloatArray) -> FloatArray:
     mean = points[..., 0, :]
     for k in range(1, points.shape[-2]):
         mean = mean + points[..., k, :]
-    along = points * (mean / np.maximum(_size(mean), 1e-300)[..., None])[..., None, :]
+    along = points * (mean / np.maximum(norm(mean), 1e-300)[..., None])[..., None, :]
     return np.asarray((along[..., 0] + along[..., 1] + along[..., 2]).min(axis=-1))

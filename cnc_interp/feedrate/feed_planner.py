@@ -30,7 +30,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds

@@ -14,7 +14,14 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.limit_table import ACCELERATION, DRIVE, JERK, PLACE, has_loads, limit_at
+from cnc_interp.core.limits_by_position import (
+    ACCELERATION,
+    DRIVE,
+    JERK,
+    PLACE,
+    has_loads,
+    limit_at,
+)
 from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
 

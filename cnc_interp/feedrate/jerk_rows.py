@@ -31,7 +31,14 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VISCOUS, limit_at
+from cnc_interp.core.limits_by_position import (
+    ACCELERATION,
+    COULOMB,
+    DRIVE,
+    JERK,
+    VISCOUS,
+    limit_at,
+)
 from cnc_interp.core.native import DistinctArrays
 
 

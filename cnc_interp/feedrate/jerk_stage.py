@@ -22,11 +22,11 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.limit_table import COULOMB, DRIVE, has_loads, limits_along
+from cnc_interp.core.limits_by_position import COULOMB, DRIVE, has_loads, limits_along
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
-from cnc_interp.feedrate.limits import limit_use
+from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law

@@ -11,7 +11,14 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.limit_table import ACCELERATION, COULOMB, DRIVE, JERK, VELOCITY, limit_at
+from cnc_interp.core.limits_by_position import (
+    ACCELERATION,
+    COULOMB,
+    DRIVE,
+    JERK,
+    VELOCITY,
+    limit_at,
+)
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
 
 FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].

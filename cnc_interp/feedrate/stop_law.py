@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.limit_table import JERK, VELOCITY, acceleration_room, limit_at
+from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.kinematics.axis_path import (

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.limit_table import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
+from cnc_interp.core.limits_by_position import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
 

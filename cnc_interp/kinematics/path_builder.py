@@ -13,6 +13,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_checks import (
     OFF_WORDS,
@@ -36,7 +37,6 @@ from cnc_interp.kinematics.segment_axes import (
 )
 from cnc_interp.machine_model.transform import Transform, branch_at, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,

@@ -34,6 +34,7 @@ from numba import njit
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
 from cnc_interp.core.corner_spline import corner_pieces
+from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.segment_axes import (
     FOLLOWING,
     GUIDE_FROM,
@@ -50,7 +51,6 @@ from cnc_interp.machine_model.transform_kernels import (
     vector_at,
 )
 from cnc_interp.program.blocks import POSES
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
 GRAZING, ON_IT = 1e-4, 1e-12  #: Farther still counts as near: a share, and rounding.

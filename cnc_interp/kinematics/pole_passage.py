@@ -254,15 +254,15 @@ class PolePassages:
             near = ends[(ends >= core.end - SAME_PLACE) & (ends <= after + SAME_PLACE)]
             middle = 0.5 * (core.end + after)
             after = float(near[np.abs(near - middle).argmin()]) if len(near) else core.end
-        before, behind = self._ways(path, first, last, ends, core, open_s, after)
+        before, beyond = self._ways(path, first, last, ends, core, open_s, after)
         if begins:
             before = 0.0
         if arrives:
-            behind = 0.0
+            beyond = 0.0
         middle = 0.5 * (core.start + core.end)
         while True:
             left = self._left(path, first, ends, core, before, begins)
-            right = self._right(path, first, ends, core, behind, arrives, left)
+            right = self._right(path, first, ends, core, beyond, arrives, left)
             left = self._set_free(path, left, right, begins)
             guides = path.guides_between(first, ends, left, right)
             room = path.segments.room[guides.rows] / self._height
@@ -272,10 +272,10 @@ class PolePassages:
                 return _Stretch(left, right, guides, begins)
             at_segment = guides.rows.start + worst - first
             at = float(ends[at_segment : at_segment + 2].mean())
-            shorten = at < middle if before > SHORTEST and behind > SHORTEST else before > SHORTEST
-            if not shorten and behind <= SHORTEST:
+            shorten = at < middle if before > SHORTEST and beyond > SHORTEST else before > SHORTEST
+            if not shorten and beyond <= SHORTEST:
                 return None
-            before, behind = (before * SHORTER, behind) if shorten else (before, behind * SHORTER)
+            before, beyond = (before * SHORTER, beyond) if shorten else (before, beyond * SHORTER)
 
     def _give(self, path: PathAtPole, first: int, stretch: _Stretch) -> None:
         guides = stretch.guides
@@ -295,7 +295,7 @@ class PolePassages:
     ) -> tuple[float, float]:  # fmt: skip
         """Return how far a stretch may reach before and after a core [m]."""
         widest = np.sin(WIDEST)
-        before, behind = 0.0, 0.0
+        before, beyond = 0.0, 0.0
         if core.rests_before:
             before = REACH
         else:
@@ -306,17 +306,17 @@ class PolePassages:
                     break
                 i -= 1
         if core.rests_after:
-            behind = REACH
+            beyond = REACH
         else:
             i = path.place(core.end + 1e-12, first, ends)[0]
-            while i < last and path.motion[i] == FOLLOWING and behind < REACH:
-                behind = float(ends[i + 1 - first]) - core.end
+            while i < last and path.motion[i] == FOLLOWING and beyond < REACH:
+                beyond = float(ends[i + 1 - first]) - core.end
                 if i + 1 < last and path.sine[i + 1] > widest:
                     break
                 i += 1
         before = min(before, REACH, core.start - open_s)
-        behind = min(behind, REACH, after - core.end)
-        return max(before, 0.0), max(behind, 0.0)
+        beyond = min(beyond, REACH, after - core.end)
+        return max(before, 0.0), max(beyond, 0.0)
 
     def _left(
         self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, before: float,
@@ -332,12 +332,12 @@ class PolePassages:
         return path.following(i, u, s, self._branch, self._turn)
 
     def _right(
-        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, behind: float,
+        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, beyond: float,
         arrives: bool, left: PassageEnd,
     ) -> PassageEnd:  # fmt: skip
         """Return the last end of a stretch: on the branch that turns the outer axis less."""
         near = float(left.jet[0])
-        s = float(ends[-1]) if arrives else core.end + behind
+        s = float(ends[-1]) if arrives else core.end + beyond
         i, u = (first + len(ends) - 2, 1.0) if arrives else path.place(s, first, ends)
         stands = arrives or core.rests_after
         if stands and path.sine_at(i, u) < ON_POLE:

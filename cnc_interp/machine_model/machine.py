@@ -15,7 +15,7 @@ import yaml
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import MachineError
-from cnc_interp.core.limit_table import ACCELERATION, PLACE, place_table
+from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
 from cnc_interp.core.units import DEG, MM, UM
@@ -123,8 +123,8 @@ class Machine:
     #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     #: (4, k): For axes whose limits depend on the position: velocity, acceleration and jerk
-    #: limits, and the k positions at which they hold, see ``core/limit_table.py`` [m or rad, per
-    #: s, s2, s3].
+    #: limits, and the k positions at which they hold [m or rad, per s, s2, s3]; see
+    #: ``core/limits_by_position.py``.
     places: dict[int, FloatArray] = field(default_factory=dict)
     #: For axes whose drives have a largest torque: torque, inertia and friction.
     loads: dict[int, DriveLoad] = field(default_factory=dict)
@@ -155,7 +155,7 @@ class Machine:
 
     @cached_property
     def limit_table(self) -> FloatArray:
-        """The limits over position, shape (7, n_axes, m); see ``core/limit_table.py``."""
+        """The limits over position, shape (7, n_axes, m); see ``core/limits_by_position.py``."""
         loads = {axis: load.row for axis, load in self.loads.items()}
         table = place_table(self.limits, self.places, loads)
         table.flags.writeable = False

@@ -11,7 +11,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
-from cnc_interp.settings.choice import choices
+from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import (
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine.drive_kinds import Declared, parameters_of_drives
 from cnc_interp.nodes.qos import DEPTH
-from cnc_interp.settings.choice import Choice, Stage, choices
+from cnc_interp.settings.option_kinds import Choice, Stage, choices
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 

@@ -77,7 +77,7 @@ class Inlet:
         self._named = (OK, '')
         self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
         self._gap = False
-        self._early: dict[int, Any] = {}  # messages behind a gap, by their first number
+        self._early: dict[int, Any] = {}  # messages after a gap, by their first number
         self._subscriptions = [
             node.create_subscription(kind, topic, partial(self._receive, kind), STREAM, raw=True)
             for topic, kind in kinds.items()

@@ -34,8 +34,8 @@ AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
 VIEW_ONLY = 'view only: press "take over" first'  #: What a page says that does not command.
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
-#: A page whose last answer is older is behind: it is shown nothing until it has caught up [s].
-BEHIND = 1.5
+#: A page whose last answer is older lags: it is shown nothing until it has caught up [s].
+LAGS = 1.5
 REMEMBERED = round(2 * LATE / BEAT)  #: Answers to older beats do not count any more.
 
 
@@ -60,7 +60,7 @@ class Contact:
     @property
     def is_followed(self) -> bool:
         """Tell whether somebody sees the page and it keeps up with what it is shown."""
-        return self._seen and self.age <= BEHIND
+        return self._seen and self.age <= LAGS
 
     def _beat(self) -> None:
         self._sent.append(time.monotonic())

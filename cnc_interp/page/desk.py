@@ -24,7 +24,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview
 from cnc_interp.page.scene import tube
-from cnc_interp.page.start_choice import StartChoice, Way, WayAhead
+from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings, changed, texts_of
@@ -104,7 +104,7 @@ class Job:
 
 
 class Desk:
-    """The model behind all pages."""
+    """What all pages show and do."""
 
     def __init__(self, namespace: str, domain: int):
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
@@ -379,7 +379,7 @@ class Desk:
         else:
             self.start = replace(self.start, refused=str(result.message))
 
-    def way_ahead(self) -> Way | None:
+    def way_ahead(self) -> WayThere | None:
         """Return the way to the path that the machine waits to take, or takes."""
         state = self.nodes.state
         if state is None or self._ways is None:

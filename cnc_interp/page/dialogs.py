@@ -16,7 +16,7 @@ from cnc_interp.core.errors import SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.shown_unit import ShownUnit
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
-from cnc_interp.settings.choice import Choice
+from cnc_interp.settings.option_kinds import Choice
 from cnc_interp.settings.options import Settings, filled_in, offered, settings_filled_in
 
 #: What the browser calls a key; what is printed on it; the key of the page; what it does, where

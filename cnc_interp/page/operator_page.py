@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from dataclasses import replace
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from nicegui import events, ui
 
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
-from cnc_interp.client.operator_client import SWITCHES, Answer
+from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import work_zero
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.access import Access
@@ -23,13 +22,12 @@ from cnc_interp.page.contact import (
     Contact,
     asked,
     key,
-    pressing,
 )
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad
+from cnc_interp.page.keys import Keys
 from cnc_interp.page.number_fields import PoseField, TouchOffField
-from cnc_interp.page.overrides import OverrideSlider, RapidKeys, Switch
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import NOTHING, Messages, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
@@ -68,7 +66,9 @@ class Page:
             with ui.element('div').classes('text'):
                 self._build_program()
             with ui.element('div').classes('keys'):
-                self._build_keys()
+                self._keys = Keys(
+                    desk, self._command, self._command_in_sight, self._may_set, self._use
+                )
             with ui.element('div').classes('charts'):
                 self._charts = Charts(desk.machine.axis_names if desk.machine else (), self._unit)
         self._settings = SettingsDialog(self._use)
@@ -78,7 +78,6 @@ class Page:
         ui.on('pick_point', self._pick_point)
         ui.run_javascript('preferences.apply()')
         ui.timer(PACE, self._show)
-        ui.context.client.on_connect(self._override.show_again)
         ui.context.client.on_connect(self._listing.show_again)
 
     # Building -----------------------------------------------------------------------------------
@@ -223,55 +222,9 @@ class Page:
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 
-    def _build_keys(self) -> None:
-        desk = self._desk
-        with ui.element('div').classes('stops'):  # above every dialog
-            self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
-            hold = self._key('feed hold', 'warning').on(**pressing('feed_hold'))
-        self._keys = [
-            self._key('cycle start', 'positive', lambda: self._command_in_sight(desk.cycle_start)),
-            hold,
-            self._key(
-                'reset', 'blue-grey-7', lambda: self._command_in_sight(self._trigger('reset'))
-            ),
-        ]
-        self._keys[0].classes('moves')
-        self._switches = [
-            *(self._switch(name) for name in SWITCHES),
-            Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
-        ]
-        self._override = OverrideSlider(
-            lambda: desk.nodes.override,
-            desk.nodes.set_override,
-            self._may_set,
-        )
-        self._rapids = RapidKeys(
-            lambda: desk.nodes.rapid_override,
-            lambda share: desk.nodes.set_override(share, 'rapid_override'),
-            self._may_set,
-        )
-
-    def _switch(self, name: str) -> Switch:
-        desk = self._desk
-
-        async def turn(on: bool) -> None:
-            await self._command(lambda: desk.set_switch(name, on))
-
-        return Switch(name.replace('_', ' '), lambda: desk.switched[name], turn)
-
-    async def _skip_blocks(self, on: bool) -> None:
-        """Leave lines with a slash out of the next run, or not."""
-        wanted = replace(self._desk.settings, skip_blocks=on)
-        await self._use(wanted)
-
     def _may_set(self) -> bool:
         """Tell whether this page may set an override now; say so where it may not."""
         return self._allowed() and self._in_sight()
-
-    @staticmethod
-    def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
-        key = ui.button(text, on_click=act, color=colour).props('unelevated no-caps')
-        return marked(key, text)
 
     # Commands: every one is allowed or refused here, on the server ----------------------------
 
@@ -325,7 +278,7 @@ class Page:
         return done
 
     def _pick(self, waits: bool) -> None:
-        """Let the user choose a file, to be loaded, or to wait behind the one that runs."""
+        """Let the user choose a file, to be loaded, or to run after the one that runs."""
         self._waits = waits
         self._upload.run_method('pickFiles')
 
@@ -438,18 +391,10 @@ class Page:
             self._take.set_visibility(not self._in_charge)
             buttons = (self._loader, self._follower, self._checker, self._setter)
             fields = (self._upload, *self._start.keys, self._mdi.field)
-            switches = (
-                *(one.key for one in self._switches),
-                *self._override.elements,
-                *self._rapids.keys.values(),
-            )
-            for element in (*self._keys, *switches, *buttons, *fields, *self._zeros):
+            for element in (*buttons, *fields, *self._zeros):
                 element.set_enabled(self._in_charge)
-            self._stop.set_enabled(self._trusted)
-        for switch in self._switches:
-            switch.show()
-        self._override.show()
-        self._rapids.show()
+            self._keys.allow(self._in_charge, self._trusted)
+        self._keys.show()
 
     def _show_lists(self) -> None:
         desk, state = self._desk, self._desk.nodes.state

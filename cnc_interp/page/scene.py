@@ -22,7 +22,7 @@ from cnc_interp.description.urdf import (
     Shape,
 )
 from cnc_interp.page.preview import Preview
-from cnc_interp.page.start_choice import Way
+from cnc_interp.page.start_choice import WayThere
 
 SIDES = 5
 FACES = 2 * SIDES  #: Triangles between two neighbouring points.
@@ -317,7 +317,7 @@ class MachineView:
         words = self._scene.id, self._path.id, DONE, 3 * FACES * point
         ui.run_javascript(f'scene.show_done({", ".join(map(json.dumps, words))})')
 
-    def show_way(self, way: Way | None) -> None:
+    def show_way(self, way: WayThere | None) -> None:
         """Show the way to a place inside the program, and look at all of it; None removes it."""
         legs = way.legs if way is not None else ()
         if legs is self._legs or self._path is None:

@@ -33,7 +33,7 @@ PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},
-    'keyboard': {'MARKS': MARKS},
+    'shortcuts': {'MARKS': MARKS},
     'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN, 'LOST': LOST},
     'scene': {},
     'preferences': {},

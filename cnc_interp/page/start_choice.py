@@ -45,7 +45,7 @@ class StartChoice:
 
 
 @dataclass(frozen=True)
-class Way:
+class WayThere:
     """The way on which the tool comes to a place inside the program."""
 
     #: Name of each part, and the tool tip on it in W, shape (k, 3) [m].
@@ -59,9 +59,9 @@ class WayAhead:
     def __init__(self, transform: Transform):
         self._transform = transform
         self._known: tuple[str, list[float], list[float]] | None = None
-        self._way: Way | None = None
+        self._way: WayThere | None = None
 
-    def at(self, state: MachineState, program: LoadedProgram | None) -> Way | None:
+    def at(self, state: MachineState, program: LoadedProgram | None) -> WayThere | None:
         """Return the way; None where the machine neither waits for it nor is on it."""
         if program is None or program.program_id != state.program_id:
             return None
@@ -82,7 +82,7 @@ class WayAhead:
             retract = settings_from(program.settings, Settings()).retract
             stands = np.array(state.commanded_positions)
             corners = way_inside(self._transform, stands, np.array(ends), retract)
-            self._way = Way(self._legs(corners), told(program, before))
+            self._way = WayThere(self._legs(corners), told(program, before))
         return self._way
 
     def _legs(self, corners: FloatArray) -> tuple[tuple[str, FloatArray], ...]:

@@ -11,8 +11,9 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import elevated
 from cnc_interp.core.corner_spline import corner_end_derivatives, corner_spline_points
+from cnc_interp.core.vectors import dot, norm
 from cnc_interp.smoothing.corners.connection import Curves
-from cnc_interp.smoothing.orientation import dot, norm, turned_by
+from cnc_interp.smoothing.orientation import turned_by
 
 #: Step of the discrete derivative in the bottom parameter [-]; [B2013] does not state a value.
 STEP = 0.02

@@ -22,7 +22,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.jerk_stage import ACCEPTED
-from cnc_interp.feedrate.limits import limit_use
+from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.stretch import Stretch

@@ -8,7 +8,7 @@ import numpy as np
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.dialects import FANUC, LINUXCNC
+from cnc_interp.program.control_profiles import FANUC, LINUXCNC
 from cnc_interp.program.job import MOST_TOOL, SetupChange, Tool
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover

@@ -14,7 +14,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import INCH, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
-from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover

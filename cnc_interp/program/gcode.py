@@ -22,8 +22,9 @@ from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
 from cnc_interp.program.cycles import TAPPING, CannedCycle
-from cnc_interp.program.dialects import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
+from cnc_interp.program.dialect_words import NamedWords
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.functions import Acting, acting
@@ -31,7 +32,6 @@ from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
-from cnc_interp.program.named_words import NamedWords
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens_cycles import SiemensCycle

@@ -11,7 +11,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ActiveModes
-from cnc_interp.program.dialects import PLAIN, PROFILES, as_on
+from cnc_interp.program.control_profiles import PLAIN, PROFILES, as_on
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices

@@ -14,7 +14,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.contact_normal import ContactPath
-from cnc_interp.program.dialects import PLAIN
+from cnc_interp.program.control_profiles import PLAIN
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool

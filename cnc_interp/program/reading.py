@@ -10,7 +10,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.dialects import HEIDENHAIN, as_on, dialect_of, form_of
+from cnc_interp.program.control_profiles import HEIDENHAIN, as_on, dialect_of, form_of
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader

@@ -43,7 +43,7 @@ def tool_vector(tip: Point, second: Point) -> Point:
     return x / length, y / length, z / length
 
 
-class Curve:
+class ProgrammedCurve:
     """The control points of one curve, added block by block.
 
     ``tip``, ``axis``: pose of the tool: the first control point [m] and the unit tool axis [-];
@@ -166,7 +166,7 @@ class Splines:
 
     def __init__(self, mover: Mover):
         self._mover = mover
-        self._curve: Curve | None = None
+        self._curve: ProgrammedCurve | None = None
         self._passes = 0  # of the start line, at the last control point
         self._changed: int | None = None  # changes before the first control point
         self._second: FloatArray | None = None  # last second point, in program coordinates [m]
@@ -193,7 +193,7 @@ class Splines:
             )
         second = None if self._second is None else _point(mover.frames.point(self._second))
         self._changed = None
-        self._curve = Curve(
+        self._curve = ProgrammedCurve(
             _point(mover.point), _point(mover.tool_axis), second, mover.settings.flank_height,
             mover.flow.main.name,
         )  # fmt: skip

@@ -13,12 +13,12 @@ from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.corner_spline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
 from cnc_interp.report.curves import FILE, lengths
 from cnc_interp.smoothing.corners.connection import Curves, poses, top_parameters
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
 
 MOST = 8

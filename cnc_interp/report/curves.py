@@ -15,10 +15,10 @@ from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.corner_spline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
+from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.html import BLUE, ORANGE, base_layout, drawing, section, with_axes
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import CORNER, SPLINE, PathSegments
 
 #: Points of a span in the close-up, and its spans on either side of the largest bound.

@@ -10,7 +10,7 @@ from typing import Any
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -12,7 +12,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import cut_between

@@ -14,7 +14,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, LegEnd, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait

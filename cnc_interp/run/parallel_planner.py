@@ -24,7 +24,7 @@ import numpy as np
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 

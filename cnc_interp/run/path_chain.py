@@ -18,7 +18,7 @@ from cnc_interp.core.arrays import IntArray
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder

@@ -18,7 +18,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limits import feed_limit
+from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

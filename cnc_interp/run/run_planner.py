@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import PlanningError
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
@@ -27,7 +27,7 @@ ON_PATH = 1e-8  #: Largest distance of a machine that stands on the path [m, rad
 LINES_KEPT = 4096
 
 #: Motion that a plan brings before it joins another one in motion [s]. So a planner that is late
-#: behind it makes the change later, and the machine does not run out of setpoints.
+#: after that makes the change later, and the machine does not run out of setpoints.
 JOIN_RESERVE = 0.2
 
 

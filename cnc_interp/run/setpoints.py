@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, largest_between
+from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate_along
 
@@ -134,7 +134,7 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
 
     They are means of derivatives, so the largest limit between the setpoints counts.
     ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
-    ``table`` (7, n_axes, m): see ``limit_table.py``. ``period``: interpolation period T [s].
+    ``table`` (7, n_axes, m): see ``limits_by_position.py``; ``period``: T [s].
     Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
     """
     constant = table.shape[2] == 1

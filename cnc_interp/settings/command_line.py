@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cnc_interp.core.errors import SettingsError
-from cnc_interp.settings.choice import Choice, Stage, choices
+from cnc_interp.settings.option_kinds import Choice, Stage, choices
 from cnc_interp.settings.options import Settings
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
-from cnc_interp.settings.choice import (
+from cnc_interp.settings.option_kinds import (
     ANGLE,
     FEED,
     LENGTH,

@@ -8,6 +8,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner_curve
@@ -15,7 +16,7 @@ from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, axis_corners, corners_at
 from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.orientation import norm, turned_by
+from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.segments import (
     CORNER,
     LINE,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.vectors import cross, dot, norm
 
 # Beside the pole, see ``pole.py``.
 #: Part of the tolerance that can move a path onto the pole [-].
@@ -16,26 +17,6 @@ MOVED = 0.8
 LEAST, KEPT = 0.1, 0.7
 #: The deviation of a corner at f is at most this times ``(1 - f)^4`` of the largest [-].
 FADING = 1.4
-
-
-def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Scalar products of vectors (..., 3); the order of the sum is fixed, and so are the bits."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
-
-
-def norm(a: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(dot(a, a)))
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
 
 
 def rotations_between(a: FloatArray, b: FloatArray) -> FloatArray:

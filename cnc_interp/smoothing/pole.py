@@ -24,9 +24,9 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import UM
+from cnc_interp.core.vectors import cross, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
-from cnc_interp.smoothing.orientation import cross, norm
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM

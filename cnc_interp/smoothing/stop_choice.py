@@ -30,12 +30,13 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import Skeleton
-from cnc_interp.smoothing.orientation import angles_between, dot, norm
+from cnc_interp.smoothing.orientation import angles_between
 
 BEFORE, AFTER = 3, 6  #: Most lines before and after the corner that a way has.
 #: A corner is tried where the outer rotary axis may turn faster than this on one side [rad/m].

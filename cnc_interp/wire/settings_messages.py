@@ -11,7 +11,7 @@ from cnc_interp_msgs.msg import G1Block, LoadedProgram
 from diagnostic_msgs.msg import KeyValue
 
 from cnc_interp.core.errors import SettingsError
-from cnc_interp.settings.choice import Stage, choices
+from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import Settings, texts_of, with_texts
 
 

@@ -33,7 +33,7 @@ from cnc_interp.page.access import Access
 from cnc_interp.page.desk import Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
-from cnc_interp.page.overrides import RAPIDS
+from cnc_interp.page.keys import RAPIDS
 from cnc_interp.page.preview import DRAWN, Preview, thinned
 from cnc_interp.page.readings import (
     axis_words,
@@ -364,7 +364,7 @@ def test_a_late_echo_of_an_older_wish_does_not_count():
     assert override.at(9.0) == 0.5
     override.hear(1.2)  # of another page
     assert override.at(9.0) == 1.2
-    override.wish(0.7, now=20.0)  # never heard: theirs came behind it
+    override.wish(0.7, now=20.0)  # never heard: theirs came after it
     override.hear(1.1)
     assert (override.at(29.0), override.at(31.0)) == (0.7, 1.1)
 

@@ -387,7 +387,7 @@ def test_ten_tabs(panel, long_program):
 
 
 @pytest.mark.thorough
-def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path):
+def test_a_program_waits_for_the_end_of_the_one_that_runs(panel, short_program, tmp_path):
     tab, first = panel.open_in_charge(), tmp_path / 'first.ngc'
     first.write_text(zigzag('FIRST', SHORT, after_first='M0\n'))
     panel.load(tab, first)
@@ -395,15 +395,15 @@ def test_a_program_waits_behind_the_one_that_runs(panel, short_program, tmp_path
     panel.until(MachineState.HELD)  # at M0, for as long as it takes
     tab.wait(lambda: tab.text('state') == 'held')
 
-    def wait_behind():
+    def wait_for_its_end():
         tab.click('queue next')
         tab.choose_file('input[type=file]', short_program)
         tab.wait(lambda: tab.text('waiting') == f'next: {short_program.name}')
 
-    wait_behind()
+    wait_for_its_end()
     tab.click('clear queue')
     tab.wait(lambda: tab.text('waiting') == '')
-    wait_behind()
+    wait_for_its_end()
     assert tab.text('program') == first.name
     panel.go_on(tab)
     panel.spin_until(lambda: panel.loaded[-1].name == short_program.name)

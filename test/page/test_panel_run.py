@@ -35,7 +35,7 @@ def test_a_run_with_the_page_beside_it(tmp_path):
     bound.start()
     try:
         said = ''
-        for line in run.stderr:  # the page may come before the end of so short a run, or behind it
+        for line in run.stderr:  # the page may come before the end of so short a run, or after it
             said += line
             if 'view only' in said and 'the page stays open' in said:
                 break

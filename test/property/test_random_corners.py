@@ -7,6 +7,7 @@ from scipy.special import comb
 from tiers import examples
 
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import cross, dot, norm
 from cnc_interp.smoothing.corners.connection import poses
 from cnc_interp.smoothing.corners.corner_curve import (
     PAPER_RATIO,
@@ -16,7 +17,7 @@ from cnc_interp.smoothing.corners.corner_curve import (
     initial_lengths,
     ratios_at,
 )
-from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between, turned_by
+from cnc_interp.smoothing.orientation import rotations_between, turned_by
 
 HEIGHT = 30 * MM
 COUNT = examples(4_000, 50_000)

@@ -90,7 +90,7 @@ def test_chunks_are_the_interpolated_plan_bit_for_bit(name):
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_every_chunk_can_be_stopped_behind(name):
+def test_every_chunk_can_be_stopped_after_it(name):
     path, chunks = path_of(name), drain(stream_of(name))
     samples = joined(chunks)
     count, stops = 0, 0
@@ -142,7 +142,7 @@ def test_stopped_by_the_last_tail_the_run_ends_at_the_end_of_the_path(name):
     path, stream = path_of(name), stream_of(name)
     *chunks, end = drain(stream)
     assert end.wait is Wait.END
-    # what the stream has sampled behind this chunk was never executed
+    # what the stream has sampled after this chunk was never executed
     tail = chunks[-1].tail
     stream.resume(float(tail.s[-1]), stream.current.settings)
     rest = drain(stream)
@@ -214,7 +214,7 @@ def test_single_block_rests_where_the_block_changes():
     assert_sound(Setpoints.concatenate([joined(chunks), joined(after)]), path)
 
 
-def test_a_block_with_a_pause_is_waited_behind():
+def test_after_a_block_with_a_pause_it_waits():
     path, stream = path_of('zigzag'), MotionStream(MACHINE, T)
     stream.pause_after({4: Wait.OPTIONAL_STOP})
     stream.push(path)

@@ -52,7 +52,7 @@ def test_recorded_blocks_give_the_recorded_motion(path):
         found = list(compute_again(bag))
     assert max(c.difference for c in found) < 1e-6
     assert min(c.recorded for c in found) > 100
-    assert len(found) == (2 if path == HELD else 1)  # behind a hold a plan begins anew
+    assert len(found) == (2 if path == HELD else 1)  # after a hold a plan begins anew
 
 
 def test_blocks_recorded_now_give_the_same_setpoints_bit_for_bit(recorded_now):

@@ -89,7 +89,7 @@ class Relay:
             publish(late)
 
     def _spoilt(self, data):
-        """Flip one bit behind the encapsulation header."""
+        """Flip one bit after the encapsulation header."""
         spoilt = bytearray(data)
         spoilt[int(self.random.integers(4, len(data)))] ^= 1 << int(self.random.integers(8))
         return bytes(spoilt)

@@ -99,7 +99,7 @@ def test_a_restarted_feedrate_node_knows_the_override(bench):
 
 
 @pytest.mark.thorough
-def test_single_block_rests_behind_every_block(bench):
+def test_single_block_rests_after_every_block(bench):
     handle = bench.begin()
     bench.until_at(0.03)
     bench.single_block(True)
@@ -362,7 +362,7 @@ def test_the_rest_of_a_program_that_was_forgotten_is_given_up_by_reset(bench):
 
 
 @pytest.mark.thorough
-def test_behind_a_run_that_program_node_never_sent_a_program_is_refused(bench):
+def test_after_a_run_that_program_node_never_sent_a_program_is_refused(bench):
     for message in block_messages(blocks_of(PROGRAM)[:3], RunId('stranger'), 0, 0.03, end=False):
         bench.blocks.publish(message)
     bench.spin_until(lambda: bench.peers.knows('blocks', RunId('stranger')))

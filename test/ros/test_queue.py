@@ -85,11 +85,11 @@ def test_a_program_cancelled_while_it_waits_leaves_the_queue_and_the_others_move
 
 
 @pytest.mark.thorough
-def test_a_wrong_program_is_refused_while_it_waits_and_those_behind_it_are_not_started(bench):
+def test_a_wrong_program_is_refused_while_it_waits_and_those_after_it_are_not_started(bench):
     ended = send(bench, waves(6))[0].get_result_async()
-    wrong, behind = send(bench, 'G21 G90 G94\nG1 X1 F0\n')[0], send(bench, SECOND)[0]
+    wrong, following = send(bench, 'G21 G90 G94\nG1 X1 F0\n')[0], send(bench, SECOND)[0]
     assert bench.result_of(wrong).code == Result.BAD_PROGRAM
-    result = bench.result_of(behind)
+    result = bench.result_of(following)
     assert result.code == Result.NOT_STARTED and 'did not reach its end' in result.message
     assert not ended.done(), 'told while the first runs'
     bench.spin_until(ended.done)
@@ -98,7 +98,7 @@ def test_a_wrong_program_is_refused_while_it_waits_and_those_behind_it_are_not_s
 
 @pytest.mark.thorough
 @pytest.mark.parametrize('how', ['cancel', 'emergency_stop'])
-def test_nothing_starts_behind_a_program_that_was_stopped(bench, how):
+def test_nothing_starts_after_a_program_that_was_stopped(bench, how):
     first, second = send(bench, FIRST)[0], send(bench, SECOND)[0]
     bench.until_at(0.01)
     if how == 'cancel':

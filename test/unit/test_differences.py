@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.limit_table import COULOMB, DRIVE, VISCOUS, constant_table
+from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, constant_table
 from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
 T = 2e-3

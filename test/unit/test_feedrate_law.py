@@ -6,7 +6,7 @@ import numpy as np
 from feedrate_paths import XYZAC, line_path, polyline_path
 
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import feed_limit
+from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine

@@ -14,10 +14,10 @@ from tiers import examples
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import MachineError, StreamError
-from cnc_interp.core.limit_table import largest_between, limits_along, place_table
+from cnc_interp.core.limits_by_position import largest_between, limits_along, place_table
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limits import AxisLimits
+from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate

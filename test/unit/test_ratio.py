@@ -11,6 +11,7 @@ from whole_plans import path_of
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM
+from cnc_interp.core.vectors import cross
 from cnc_interp.feedrate.feed_planner import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
@@ -18,7 +19,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.corner_curve import LARGEST, LEAST, MOST, Corners, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead
-from cnc_interp.smoothing.orientation import cross, turned_by
+from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 HEIGHT = 30 * MM

@@ -17,8 +17,8 @@ from cnc_interp.commands.cli import parser
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.core.units import DEG
 from cnc_interp.nodes import parameters
-from cnc_interp.settings.choice import Stage, choices
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
+from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import (
     Settings,
     filled_in,
@@ -42,7 +42,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cnc_interp.settings.options as place
-from cnc_interp.settings.choice import LENGTH, Stage, number
+from cnc_interp.settings.option_kinds import LENGTH, Stage, number
 
 @dataclass(frozen=True)
 class Settings(place.Settings):

@@ -7,7 +7,7 @@ import pytest
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limits import limits_at
+from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.corners.corner_curve import (
@@ -33,7 +34,6 @@ from cnc_interp.smoothing.corners.corner_curve import (
     USED_UP,
     best_ratios,
 )
-from cnc_interp.smoothing.orientation import norm
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)

@@ -25,7 +25,7 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.corner_spline import corner_end_derivatives, corner_spline_points
-from cnc_interp.smoothing.orientation import cross, dot, norm
+from cnc_interp.core.vectors import cross, dot, norm
 
 
 @dataclass

@@ -35,11 +35,12 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.vectors import cross, norm
 from cnc_interp.machine_model.machine_traits import AxisRates
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import Curves, connect, poses
 from cnc_interp.smoothing.corners.orientation_bounds import orientation_bounds
-from cnc_interp.smoothing.orientation import cross, norm, turned_by
+from cnc_interp.smoothing.orientation import turned_by
 
 LEAST_RATIO = 1.5  #: Smallest ratio L2/L1 if the lines are too short for the tolerance.
 LEAST_TOP_RATIO = 1.4  #: The same for the top polygon with ``tolerance``.

@@ -9,12 +9,13 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import MM
+from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs
 from cnc_interp.smoothing.corners.corner_curve import Corners
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL, Rows
-from cnc_interp.smoothing.orientation import dot, norm, rotations_between, shares_at_corners
+from cnc_interp.smoothing.orientation import rotations_between, shares_at_corners
 
 #: Below this difference of directions [-] and of axis rates times h, the path goes straight on.
 STRAIGHT = 1e-9

@@ -280,8 +280,8 @@ class Compressor:
         """Drop vertices that no later result depends on."""
         skeleton = self._skeleton
         widest = float(skeleton.tolerance.max())
-        behind = skeleton.u[self._corners.turned - 1] - 20.0 * widest
-        kept = int(np.searchsorted(skeleton.u, behind))
+        before = skeleton.u[self._corners.turned - 1] - 20.0 * widest
+        kept = int(np.searchsorted(skeleton.u, before))
         # A run that has begun never needs its first vertices again, however long it becomes.
         needed = self._start if self._run is not None and self._run.begun else self._at
         first = min(needed - 1, kept - 1, self._corners.decided - 1)

@@ -8,8 +8,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.smoothing.orientation import norm
 
 STANDSTILL = 1e-9  #: What moves less than this does not move [m]; angles count at flank height.
 

@@ -8,12 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.vectors import dot, norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense import thinning
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
 from cnc_interp.smoothing.dense.thinning import FIXED, LONG, SHORT, Vertices
-from cnc_interp.smoothing.orientation import dot, norm, rotations_between
+from cnc_interp.smoothing.orientation import rotations_between
 
 #: Poses of a curve with a smaller difference are one pose [m]; small steps do not add up here.
 REPEATED = 0.1 * STANDSTILL

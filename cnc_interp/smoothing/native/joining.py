@@ -21,10 +21,11 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import divided, least_length, start_derivatives, weighted_largest
+from cnc_interp.core.vectors import cross, dot, norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import hermite, lacking
 from cnc_interp.smoothing.dense.path_rows import STANDSTILL
-from cnc_interp.smoothing.orientation import cross, dot, norm, rotations_between
+from cnc_interp.smoothing.orientation import rotations_between
 
 #: Jets with smaller differences are equal: first derivatives [rad], second derivatives [1/m].
 SAME_DIRECTION, SAME_BEND = 1e-9, 1e-6

@@ -16,10 +16,10 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import divided, elevated, least_length
 from cnc_interp.core.bspline import cubic_bezier_points
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets
-from cnc_interp.smoothing.orientation import norm
 from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
 
 #: Share of the tolerances for one join [-]. Two joins of a span may act at the same place.

@@ -1,4 +1,4 @@
-// The keyboard of the page: what KEYBOARD in dialogs.py lists. A key that moves the machine is never pressed by
+// Keys of the keyboard that press a key of the page: what KEYBOARD in dialogs.py lists. One that moves the machine is never pressed by
 // space or Enter, which act on whatever was pressed last.
 window.keyboard = {
   names: MARKS,

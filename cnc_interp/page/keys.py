@@ -1,13 +1,18 @@
-"""The keys of a page that set a value: feed override, rapid override, and switches."""
+"""The keys of a page: stops, start and reset, switches, feed override and rapid override."""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from nicegui import events, ui
 
-from cnc_interp.page.contact import key
+from cnc_interp.client.operator_client import SWITCHES
+from cnc_interp.page.contact import Command, key, pressing
+from cnc_interp.page.desk import Desk
+from cnc_interp.settings.options import Settings
 
 MOST, STEP = 150, 5  #: Largest override, and the step of its keys [%].
 RAPIDS = (25, 50, 100)  #: Keys of the rapid override [%].
@@ -131,3 +136,61 @@ class Switch:
                 f'color={"primary" if self._shown else "blue-grey-9"} '
                 f'aria-pressed={"true" if self._shown else "false"}'
             )
+
+
+class Keys:
+    """All keys in one page; ``in_sight`` commands what must not come late."""
+
+    def __init__(
+        self, desk: Desk, command: Command, in_sight: Command, may_set: Callable[[], bool],
+        use: Callable[[Settings], Awaitable[None]],
+    ):  # fmt: skip
+        self._desk, self._command, self._use = desk, command, use
+        with ui.element('div').classes('stops'):  # above every dialog
+            self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
+            hold = self._key('feed hold', 'warning').on(**pressing('feed_hold'))
+        start = self._key('cycle start', 'positive', partial(in_sight, desk.cycle_start))
+        reset = partial(in_sight, partial(desk.trigger, 'reset'))
+        keys = start.classes('moves'), hold, self._key('reset', 'blue-grey-7', reset)
+        self._switches = [
+            *(self._switch(name) for name in SWITCHES),
+            Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
+        ]
+        nodes = desk.nodes
+        self._override = OverrideSlider(lambda: nodes.override, nodes.set_override, may_set)
+        self._rapids = RapidKeys(
+            lambda: nodes.rapid_override,
+            lambda share: nodes.set_override(share, 'rapid_override'),
+            may_set,
+        )
+        switches = (one.key for one in self._switches)
+        self._elements = (*keys, *switches, *self._override.elements, *self._rapids.keys.values())
+        ui.context.client.on_connect(self._override.show_again)
+
+    @staticmethod
+    def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
+        made = ui.button(text, on_click=act, color=colour)
+        return made.props(f'unelevated no-caps data-mark="{text}"')
+
+    def _switch(self, name: str) -> Switch:
+        desk = self._desk
+
+        async def turn(on: bool) -> None:
+            await self._command(lambda: desk.set_switch(name, on))
+
+        return Switch(name.replace('_', ' '), lambda: desk.switched[name], turn)
+
+    async def _skip_blocks(self, on: bool) -> None:
+        """Leave lines with a slash out of the next run, or not."""
+        await self._use(replace(self._desk.settings, skip_blocks=on))
+
+    def allow(self, in_charge: bool, trusted: bool) -> None:
+        """Enable the keys of a page in charge; with the token it may always stop the machine."""
+        for element in self._elements:
+            element.set_enabled(in_charge)
+        self._stop.set_enabled(trusted)
+
+    def show(self) -> None:
+        """Show what others have set."""
+        for shown in (*self._switches, self._override, self._rapids):
+            shown.show()

@@ -10,7 +10,8 @@ from cnc_interp.core.arrays import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum('...i,...i->...', a, b))
+    """Return scalar products; the order of the sum is fixed, and so are the bits."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.limit_table import (
+from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     JERK,
     VELOCITY,
@@ -32,7 +32,7 @@ class AxisLimits(Protocol):
 
     @property
     def limit_table(self) -> FloatArray:
-        """All limits over position, shape (7, n_axes, m); see ``core/limit_table.py``."""
+        """All limits over position, shape (7, n_axes, m); see ``core/limits_by_position.py``."""
 
 
 class PlanningLimits(NamedTuple):

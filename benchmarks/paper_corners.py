@@ -23,7 +23,7 @@ from ratios import programs
 from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.corner_spline import corner_spline_points
+from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.machine_model.machine import Machine

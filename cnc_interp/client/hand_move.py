@@ -71,22 +71,24 @@ def pose_request(
     return request
 
 
-def await_machine(
-    client: OperatorClient,
-    namespace: str,
-    domain: int,
-    ready: Callable[[], bool] = lambda: True,
-) -> Machine:
-    """Wait for the machine, and for what else must be there; return which machine it is."""
-    until = time.monotonic() + PATIENCE
-    while not (client.machine and client.state is not None and client.can_move and ready()):
-        if time.monotonic() > until:
-            raise InterpError(
-                f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
-                'start the nodes, or name their --domain and --namespace'
-            )
-        client.serve()
-    return Machine.load(client.machine)
+@contextmanager
+def connected(
+    name: str, namespace: str, domain: int | None,
+    ready: Callable[[OperatorClient], bool] = lambda _: True,
+) -> Iterator[tuple[OperatorClient, Machine]]:  # fmt: skip
+    """Yield a client of running nodes, once what it needs is there, and their machine."""
+    domain = domain_of_nodes(domain)
+    check_place(namespace, domain)
+    with OperatorClient(name, namespace, domain) as client:
+        until = time.monotonic() + PATIENCE
+        while not (client.machine and client.state and client.can_move and ready(client)):
+            if time.monotonic() > until:
+                raise InterpError(
+                    f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
+                    'start the nodes, or name their --domain and --namespace'
+                )
+            client.serve()
+        yield client, Machine.load(client.machine)
 
 
 def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
@@ -94,10 +96,7 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
 
     Raises InterpError if no machine answers, or it refuses the move.
     """
-    domain = domain_of_nodes(domain)
-    check_place(namespace, domain)
-    with OperatorClient('jog', namespace, domain) as client:
-        machine = await_machine(client, namespace, domain)
+    with connected('jog', namespace, domain) as (client, machine):
         request = pose_request(wanted.values, wanted.speed) if wanted.pose else MoveAxes.Request(
             relative=wanted.relative, speed=wanted.speed, tool=wanted.tool * MM
         )  # fmt: skip
@@ -117,10 +116,7 @@ def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[s
 
     Raises InterpError if no machine answers, or it refuses.
     """
-    domain = domain_of_nodes(domain)
-    check_place(namespace, domain)
-    with OperatorClient('home', namespace, domain) as client:
-        machine = await_machine(client, namespace, domain)
+    with connected('home', namespace, domain) as (client, machine):
         client.granted(client.home(axes))
         wanted = set(axes or machine.homing.switches)
         with held_at_interrupt(client):

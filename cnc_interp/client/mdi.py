@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cnc_interp.client.hand_move import await_machine
+from cnc_interp.client.hand_move import connected
 from cnc_interp.client.operator_client import Answer, OperatorClient
-from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.units import MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine, place_text
 
@@ -76,12 +75,9 @@ def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iter
     Returns the end of each line; without lines, the modal state and the place. Raises InterpError
     if no nodes answer.
     """
-    domain = domain_of_nodes(domain)
-    check_place(namespace, domain)
-    with OperatorClient('mdi', namespace, domain) as client:
-        machine = await_machine(
-            client, namespace, domain, lambda: not client.silent and client.modes is not None
-        )
+    with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
+        client, machine,
+    ):  # fmt: skip
         if not lines:
             yield _end(client, machine, '', Answer(True, 'the modal state'))
         for line in lines:

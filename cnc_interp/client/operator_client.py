@@ -27,13 +27,50 @@ from std_srvs.srv import SetBool, Trigger
 from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.question import AGAIN, Question
-from cnc_interp.client.shared_value import SharedValue
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
+
+
+class SharedValue:
+    """The last value heard on a topic, and the values sent from here that have not come back yet.
+
+    While a sent value is on its way, a value that is heard may be older. So the last value sent
+    counts until it is heard, or until ``patience`` is over.
+    """
+
+    def __init__(self, value: float, patience: float):
+        self._heard, self._patience = value, patience
+        self._wishes: deque[float] = deque()
+        self._until = 0.0
+
+    def wish(self, value: float, now: float) -> None:
+        """Record a value that is sent from here at the time ``now`` [s]."""
+        if now >= self._until:
+            self._wishes.clear()
+        if value != self.at(now):
+            self._wishes.append(value)
+            self._until = now + self._patience
+
+    def hear(self, value: float) -> None:
+        """Record a value that was received. Values sent before it will not be received any more.
+
+        A value that is heard again and again is news only the first time.
+        """
+        if value == self._heard:
+            return
+        if value in self._wishes:
+            while self._wishes.popleft() != value:
+                pass
+        self._heard = value
+
+    def at(self, now: float) -> float:
+        """Return the value that counts at the time ``now`` [s]."""
+        return self._wishes[-1] if self._wishes and now < self._until else self._heard
+
 
 __all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
 

@@ -1,14 +1,27 @@
-"""Setpoints and feedback of the last run in a bag, row by row."""
+"""Setpoints and feedback of the last run in a bag, and what a compensated one teaches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
+from cnc_interp.drives.compensation import Compensation, compensated_model
+from cnc_interp.drives.learning import (
+    LearntMotion,
+    hash_of,
+    learnt_for,
+    learnt_rates,
+    measured_error,
+    start_of,
+    with_hold,
+)
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.wire.run_messages import run_id_of
 
 
@@ -61,3 +74,77 @@ def recorded_feedback(bag: Bag) -> RecordedFeedback:
         np.concatenate([np.asarray(chunk.sequences, dtype=np.int64) for chunk in chunks]),
         np.concatenate(plans), bool(chunks[-1].end_of_program), name,
     )  # fmt: skip
+
+
+#: States of a run that goes on without a stop.
+ON_ITS_WAY = (MachineState.IDLE, MachineState.RUNNING)
+NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node that count.
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What was learnt, and how far the tool was off in the run."""
+
+    motion: LearntMotion  #: For the next run.
+    #: Error of the tip [m].
+    largest: float
+    mean: float
+
+
+def recorded_lesson(bag: Bag) -> Lesson:
+    """Learn from the last run in a bag.
+
+    Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
+    in one piece.
+    """
+    told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
+    name, model, learnt = (told[key] for key in NAMES)
+    if not model:
+        raise InterpError(
+            f'{bag.path}: was recorded without compensation; record a run with --compensate MODEL'
+        )
+    machine, run = Machine.load(name), recorded_feedback(bag)
+    if run.setpoint.shape[1] != len(machine.axis_names):
+        raise InterpError(f'{bag.path}: was recorded on a machine with other axes than {name}')
+    known = compensated_model(model, machine)
+    rows = _rows_of_program(bag, run)
+    setpoint = with_hold(run.setpoint[rows], run.period)
+    feedback = run.feedback[rows][start_of(run.setpoint[rows]) :]
+    before = learnt_for(Path(learnt), name, model, run.period) if learnt else None
+    if before is not None and not np.array_equal(before.setpoint, setpoint):
+        raise InterpError(
+            f'{bag.path}: ran with {learnt}, which was learnt from other setpoints; learn from a '
+            'run without --learnt'
+        )
+    lead = Compensation(known, run.period, setpoint[0]).lead
+    tip = measured_error(machine, run.period, lead, setpoint, feedback)[:, 0]
+    error = np.array([[tip.max(), tip.mean()]])
+    motion = LearntMotion(
+        setpoint,
+        learnt_rates(
+            known, run.period, lead, setpoint, feedback, None if before is None else before.rate
+        ),
+        run.period,
+        error if before is None else np.concatenate([before.error, error]),
+        ' '.join(machine.axis_names),
+        hash_of(name),
+        hash_of(model),
+    )
+    return Lesson(motion, float(error[0, 0]), float(error[0, 1]))
+
+
+def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
+    """Return the rows from the start of the program to its end; refuse a run with stops."""
+    if not run.complete:
+        raise InterpError(f'{bag.path}: the run did not end as programmed; record a whole run')
+    first = int(np.argmax(run.block > 0))
+    whole = bool(np.all(run.block[first:] > 0) and np.all(run.plan[first:] == run.plan[-1]))
+    for state in bag.messages('machine_state'):
+        if state.program_id == run.program_id and state.sequence > 0:
+            whole = whole and state.state in ON_ITS_WAY
+            whole = whole and state.feed_override == 1.0 and state.rapid_override == 1.0
+    if not whole:
+        raise InterpError(
+            f'{bag.path}: the run was held, stopped, or had an override; record one without'
+        )
+    return slice(first, len(run.block))

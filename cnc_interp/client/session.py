@@ -197,7 +197,7 @@ def run_session(
     load_nodes()
     # The rest is imported, and this end of ROS made, while another process loads the nodes.
     from cnc_interp.client.operator_client import OperatorClient
-    from cnc_interp.client.recorded_runs import run_recorded
+    from cnc_interp.client.run_console import run_recorded
     from cnc_interp.machine_model.machine import Machine
 
     client = OperatorClient('run', namespace, domain)

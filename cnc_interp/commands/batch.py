@@ -54,9 +54,8 @@ def add_batch_command(commands: Any) -> None:
 def batch_command(options: argparse.Namespace) -> int:
     import json
 
-    from cnc_interp.batch.batch_page import write_page
+    from cnc_interp.batch.batch_page import write_page, write_tables
     from cnc_interp.batch.batch_run import Progress, Store, run_batch, workers_of
-    from cnc_interp.batch.table import write_tables
     from cnc_interp.batch.task import Jobs, Verdict
     from cnc_interp.core.progress_bar import ProgressBar
 

@@ -98,7 +98,7 @@ def add_learn_command(commands: Any) -> None:
 
 def learn_command(options: Namespace) -> int:
     from cnc_interp.client.bag import Bag
-    from cnc_interp.client.recorded_lesson import recorded_lesson
+    from cnc_interp.client.recorded_feedback import recorded_lesson
 
     with Bag(options.bag) as bag:
         lesson = recorded_lesson(bag)

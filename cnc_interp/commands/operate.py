@@ -206,7 +206,7 @@ def _do(
     words: dict[str, float] | None = None,
 ) -> int:
     """Ask for a change, or show the table where nothing is asked for."""
-    from cnc_interp.client.setup_console import SetupConsole
+    from cnc_interp.client.setup_client import SetupConsole
 
     with SetupConsole(options.namespace, options.domain) as console:
         told = ''

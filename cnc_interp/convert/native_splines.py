@@ -16,8 +16,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import cubic_bezier_points
-from cnc_interp.core.corner_spline import corner_end_derivatives
+from cnc_interp.core.bspline import corner_end_derivatives, cubic_bezier_points
 from cnc_interp.core.errors import BlockError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.core.vectors import dot, norm

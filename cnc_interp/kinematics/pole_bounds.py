@@ -33,7 +33,7 @@ from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
-from cnc_interp.core.corner_spline import corner_pieces
+from cnc_interp.core.bspline import corner_pieces
 from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.segment_axes import (
     FOLLOWING,

@@ -10,7 +10,7 @@ from numba import njit
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import quintic_jet
-from cnc_interp.core.corner_spline import corner_spline_jet
+from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.kinematics.axis_path import septic_value
 from cnc_interp.machine_model.transform_kernels import (

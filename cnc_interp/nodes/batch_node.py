@@ -16,10 +16,9 @@ from cnc_interp_msgs.action import PlanBatch
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 
-from cnc_interp.batch.batch_page import write_page
+from cnc_interp.batch.batch_page import write_page, write_tables
 from cnc_interp.batch.batch_run import Progress, Store, run_batch
 from cnc_interp.batch.processes import Processes, total_memory
-from cnc_interp.batch.table import write_tables
 from cnc_interp.batch.task import Jobs, Verdict, programs_of
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.named_files import require_allowed, require_inside

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import elevated
-from cnc_interp.core.corner_spline import corner_end_derivatives, corner_spline_points
+from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points
 from cnc_interp.core.vectors import dot, norm
 from cnc_interp.smoothing.corners.connection import Curves
 from cnc_interp.smoothing.orientation import turned_by

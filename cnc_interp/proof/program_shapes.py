@@ -6,13 +6,204 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.blocks import POSES
+from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.proof.programmed_axes import ProgrammedAxes
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath
+
+SAME = 1e-9  #: Two tool axes that differ by less are equal [-], a tip that moves less rests [m].
+SMALL_USE = 0.02  #: A use of the tolerances below this is not improved by a search [-].
+# Golden section: number of steps, and the share of the bracket that each one keeps.
+STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
+# Way from a row whose rotary axes run linearly up to which rows are compared in its coordinates:
+# short ones are joined to one line, so that a corner reaches over several of them [m].
+JOINED = 5e-3
+BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
+
+
+@dataclass(frozen=True)
+class ProgrammedAxes:
+    """The rows of a program as lines in coordinates: X Y Z or the tip, then the others."""
+
+    machine: Transform  #: The forward kinematics.
+    #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
+    known: BoolArray
+    #: (M,): Rows whose rotary axes run linearly, and known rows whose coordinates are machine
+    #: axes.
+    linear: BoolArray
+    in_axes: BoolArray
+    #: (M, n): Coordinates at the start of known rows, and what they move by [m, rad].
+    start: FloatArray
+    step: FloatArray
+    tolerance: FloatArray  #: (M, 2): Contour and orientation tolerance of each row [m].
+    #: (M, 4): These tolerances over the smallest of the row and those beside it, which count at
+    #: vertices; as the four columns of ``_Search.gaps``.
+    weight: FloatArray
+    height: float  #: Flank height [m].
+
+    @staticmethod
+    def of(plan: PlanFiles, machine: Machine) -> ProgrammedAxes | None:
+        """Return the lines of a plan's program, or None if no row moves the rotary axes so."""
+        blocks = plan.blocks
+        kind = np.asarray(blocks['interpolation'], dtype=np.int64)
+        linear = kind != POSES
+        if not linear.any() or not machine.has_rotary:
+            return None
+        tip, axis, transform = blocks['tip'], blocks['axis'], Transform.of(machine)
+        before = np.r_[0, np.arange(len(tip) - 1)]
+        turned = np.abs(axis - axis[before]).max(axis=1)
+        still = ~linear & (turned < SAME) & (np.linalg.norm(tip - tip[before], axis=1) > SAME)
+        extra = blocks['extra_axes']
+        still &= (extra == extra[before]).all(axis=1)
+        first = np.array(blocks['rotary_from'], dtype=float)
+        last = np.array(blocks['rotary'], dtype=float)
+        rows, length = np.arange(len(tip)), np.linalg.norm(tip - tip[before], axis=1)
+        way = np.cumsum(length)
+        # The nearest row before and after that is not like this, and the way to it.
+        at_start = np.maximum.accumulate(np.where(still, 0, rows))
+        at_end = np.minimum.accumulate(np.where(still, len(tip) - 1, rows)[::-1])[::-1]
+        follows = still & linear[at_start] & (way - length - way[at_start] <= JOINED)
+        leads = still & linear[at_end] & (way[at_end] - length[at_end] - way <= JOINED)
+        places = (follows, at_start, last.copy()), (leads, at_end, first.copy())
+        for some, at, place in places:
+            first[some] = last[some] = place[at[some]]
+            kind = np.where(some, kind[at], kind)
+        known, in_axes = linear | leads | follows, kind == AXES_LINEAR
+        ends = []
+        for rows, rotary in ((before, first), (np.arange(len(tip)), last)):
+            found = np.hstack([tip[rows], rotary, extra[rows]])
+            found[~known] = 0.0
+            found[in_axes, :3] = axis_positions(transform, found[in_axes])
+            ends.append(found)
+        tolerance = np.stack(
+            [blocks['contour_tolerance'], blocks['orientation_tolerance']], axis=1
+        )
+        tolerance = np.maximum(tolerance, 1e-12)
+        beside = np.pad(tolerance, ((1, 1), (0, 0)), mode='edge')
+        least = np.minimum(tolerance, np.minimum(beside[:-2], beside[2:]))
+        return ProgrammedAxes(
+            transform, known, linear, in_axes, ends[0], ends[1] - ends[0], tolerance,
+            np.tile(tolerance / least, 2), plan.flank_height,
+        )  # fmt: skip
+
+    @property
+    def scale(self) -> FloatArray:
+        """Factors that turn coordinates into lengths at flank height, shape (n,)."""
+        scale = np.ones(self.start.shape[1])
+        scale[3:5] = self.height
+        return scale
+
+    def improve(self, result: Deviation, position: FloatArray, block: IntArray) -> FloatArray:
+        """Compare positions with the lines near them and keep what is nearer."""
+        least = np.full(len(block), np.inf)
+        beside = np.full(len(block), np.inf)
+        tip, axis = self.machine.forward(position)
+        for shift in (0, -1, 1):
+            row = np.clip(block + shift, 0, len(self.known) - 1)
+            at = np.flatnonzero(self.known[row] & ((row == block) == (shift == 0)))
+            if not len(at):
+                continue
+            k = row[at]
+            here = position[at].copy()
+            here[~self.in_axes[k], :3] = tip[at][~self.in_axes[k]]
+            search = _Search(self, k, here, tip[at], tip[at] + self.height * axis[at])
+            x, gaps = search.best()
+            use = (gaps * self.weight[k]).max(axis=1)
+            own = use < least[at]
+            at, x, k, gaps, use = at[own], x[own], k[own], gaps[own], use[own]
+            least[at] = use
+            beside[at] = np.where(self.in_axes[k], gaps[:, :2].max(axis=1), 0.0)
+            contour, orientation = (gaps[:, 2:] * self.tolerance[k]).T
+            nearer = contour <= result.contour[at]
+            result.contour[at[nearer]] = contour[nearer]
+            result.row[at[nearer]], result.part[at[nearer]] = k[nearer], x[nearer]
+            result.orientation[at] = np.minimum(result.orientation[at], orientation)
+            result.twist[at] = np.minimum(result.twist[at], orientation)
+        return np.where(self.linear[block] & self.in_axes[block], beside, 0.0)
+
+    @property
+    def lengths(self) -> FloatArray:
+        return np.asarray(np.linalg.norm(self.step * self.scale, axis=1))
+
+    def speeds(
+        self, position: FloatArray, tip: FloatArray, row: IntArray, period: float
+    ) -> FloatArray:
+        """Return the speed along the lines between samples of rows, shape (K - 1,) [m/s]."""
+        step = np.diff(position, axis=0)
+        beside = ~self.in_axes[row]
+        step[beside, :3] = np.diff(tip, axis=0)[beside]
+        return np.asarray(np.linalg.norm(step * self.scale, axis=1) / period)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The search for the best points on rows ``k`` for coordinates, tips and top points."""
+
+    program: ProgrammedAxes
+    k: IntArray
+    here: FloatArray
+    tip: FloatArray
+    top: FloatArray
+
+    def best(self) -> tuple[FloatArray, FloatArray]:
+        """Return shares of the rows, and the uses of the tolerances there, shape (K, 4)."""
+        program, scale = self.program, self.program.scale
+        step = program.step[self.k] * scale
+        square = np.maximum((step**2).sum(axis=1), 1e-300)
+        way = (self.here - program.start[self.k]) * scale
+        x = np.clip((way * step).sum(axis=1) / square, 0.0, 1.0)
+        gaps = self.gaps(np.arange(len(x)), x)
+        use = self.use(np.arange(len(x)), gaps)
+        far = np.flatnonzero((use > SMALL_USE) & (use < BRACKET**2))
+        if len(far):
+            room = BRACKET * program.tolerance[self.k[far]].sum(axis=1) / np.sqrt(square[far])
+            low, high = np.maximum(x[far] - room, 0.0), np.minimum(x[far] + room, 1.0)
+            for _ in range(STEPS):
+                left, right = high - SHARE * (high - low), low + SHARE * (high - low)
+                uses = [self.use(far, self.gaps(far, at)) for at in (left, right)]
+                down = uses[0] < uses[1]
+                low, high = np.where(down, low, left), np.where(down, right, high)
+            found = 0.5 * (low + high)
+            other = self.gaps(far, found)
+            better = self.use(far, other) < use[far]
+            x[far[better]], gaps[far[better]] = found[better], other[better]
+        return x, gaps
+
+    def use(self, rows: IntArray, gaps: FloatArray) -> FloatArray:
+        return np.asarray((gaps * self.program.weight[self.k[rows]]).max(axis=1))
+
+    def gaps(self, rows: IntArray, x: FloatArray) -> FloatArray:
+        """Return linear and rotary coordinates, tip and top point over tolerances, (m, 4)."""
+        program, k = self.program, self.k[rows]
+        point = program.start[k] + x[:, None] * program.step[k]
+        apart = (self.here[rows] - point) * program.scale
+        linear = np.sqrt((apart[:, :3] ** 2).sum(axis=1) + (apart[:, 5:] ** 2).sum(axis=1))
+        rotary = np.sqrt((apart[:, 3:5] ** 2).sum(axis=1))
+        tip, axis = program.machine.forward(point)
+        beside = ~program.in_axes[k]
+        tip[beside] = point[beside, :3]
+        top = tip + program.height * axis
+        off = np.linalg.norm(tip - self.tip[rows], axis=1)
+        off_top = np.linalg.norm(top - self.top[rows], axis=1)
+        contour, orientation = program.tolerance[k].T
+        return np.stack(
+            [linear / contour, rotary / orientation, off / contour, off_top / orientation], axis=1
+        )
+
+
+def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
+    """Return X Y Z at which the tip is where it should be, from the forward kinematics alone."""
+    at = coordinates.copy()
+    at[:, :3] = 0.0
+    zero = machine.forward(at)[0]
+    gap, found = coordinates[:, :3] - zero, np.empty((len(at), 3))
+    for i in range(3):
+        at[:, :3] = np.eye(3)[i]
+        found[:, i] = ((machine.forward(at)[0] - zero) * gap).sum(axis=1)
+    return found
+
 
 SLACK = 1e-9  #: Distances below this are zero [m].
 # A search is widened by this number of tolerances where blocks are tiny. There one path segment

@@ -59,7 +59,7 @@ class ProgrammedPath:
         """Build the path from tips, tool axes and rotary words (or NaN) at the ends of M rows.
 
         ``linear`` (M,): rows whose rotary axes run linearly; no pose is near
-        (``programmed_axes.py``).
+        (``program_shapes.py``).
         """
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]

@@ -10,10 +10,11 @@ import numpy as np
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.corner_spline import corner_spline_points
+from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.core.vectors import norm
+from cnc_interp.kinematics.segment_axes import speed_of
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
@@ -187,21 +188,12 @@ def _third_derivatives(
         tip, axis = corner_jets(
             one.bottom[0], one.top[0], one.connection[0], one.parametrization[0], v, piece
         )
-        rate = ds_du(np.array(tip))
+        rate = speed_of(tip)
         speed[k] = rate[0]
         turn[k] = np.linalg.norm([jet.by_arc_length.py_func(tuple(a), rate)[3] for a in axis])
     step = np.diff(u)
     way = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)]
     return way * (float(lengths(one, 0.0)[0]) / way[-1]), turn
-
-
-def ds_du(tip: FloatArray) -> tuple[float, float, float, float]:
-    """Return the path speed ds/du with its Taylor coefficients."""
-    first, second, third = tip[:, 1], 2.0 * tip[:, 2], 3.0 * tip[:, 3]
-    squared = (first @ first, 2.0 * first @ second, 2.0 * first @ third + second @ second)
-    s0 = float(np.sqrt(squared[0]))
-    s1 = float(squared[1]) / (2.0 * s0)
-    return s0, s1, (float(squared[2]) - s1 * s1) / (2.0 * s0), 0.0
 
 
 def _with_lines(

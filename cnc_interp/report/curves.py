@@ -12,14 +12,19 @@ import plotly.graph_objects as go
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.corner_spline import corner_end_derivatives, sum_of
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.core.vectors import norm
+from cnc_interp.kinematics.segment_axes import (
+    FOLLOWING,
+    LINEAR,
+    arc_length,
+    beside_of,
+    shapes_of,
+)
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.report.html import BLUE, ORANGE, base_layout, drawing, section, with_axes
-from cnc_interp.smoothing.segments import CORNER, SPLINE, PathSegments
+from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 #: Points of a span in the close-up, and its spans on either side of the largest bound.
 POINTS, AROUND = 24, 5
@@ -153,29 +158,12 @@ def read_segments(directory: Path) -> PathSegments | None:
 
 
 def lengths(segments: PathSegments, height: float) -> FloatArray:
-    """Return the path lengths of segments; those of curves by Gauss's rule."""
-    length = np.array(segments.length, dtype=float)
-    corner = np.flatnonzero(segments.kind == CORNER)
-    points = segments.bottom[corner, :5]
-    if segments.interpolation.any():
-        linear = (segments.interpolation[corner] != POSES)[:, None, None]
-        beside = [height * segments.rotary[corner, :5], segments.extra[corner, :5]]
-        beside = [np.where(linear, values, 0.0) for values in beside]
-        points = np.concatenate([points, *beside], axis=2)
-    node, weight = np.polynomial.legendre.leggauss(12)  # type: ignore[no-untyped-call]
-    total = np.zeros(len(corner))
-    for half in (points, points[:, ::-1]):
-        first, second, third = corner_end_derivatives(half)
-        for x, w in zip(0.25 * (node + 1.0), 0.25 * weight, strict=True):
-            rate = first + x * (second + 0.5 * x * third)
-            total += w * (norm(rate) if rate.shape[1] == 3 else np.linalg.norm(rate, axis=1))
-    length[corner] = total
-    spline = np.flatnonzero(segments.kind == SPLINE)
-    rates = 5.0 * np.diff(segments.bottom[spline], axis=1)
-    length[spline] = sum_of(
-        0.5
-        * w
-        * norm(bezier_values(rates.swapaxes(1, 2), np.full((len(spline), 1), 0.5 * (x + 1.0))))
-        for x, w in zip(node, weight, strict=True)
-    )
-    return length
+    """Return the path lengths of segments, flank height as lever."""
+    shapes, beside = shapes_of(segments), beside_of(segments)
+    motion = np.where(segments.interpolation == POSES, FOLLOWING, LINEAR)
+    rows = zip(segments.kind, motion, shapes, beside, segments.length, strict=True)
+    halves = ((0.0, 0.5), (0.5, 1.0))
+    return np.array([
+        sum(arc_length(kind, how, shape, own, height, length, *half) for half in halves)
+        for kind, how, shape, own, length in rows
+    ])  # fmt: skip

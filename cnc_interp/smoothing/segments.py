@@ -10,8 +10,8 @@ from numba import njit
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_jet, quintic_jet
+from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.corner_spline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.program.blocks import POSES
 

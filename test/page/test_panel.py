@@ -22,8 +22,7 @@ from nodes_under_test import hear_ctrl_c
 from cnc_interp import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
-from cnc_interp.client.operator_client import SWITCHES
-from cnc_interp.client.shared_value import SharedValue
+from cnc_interp.client.operator_client import SWITCHES, SharedValue
 from cnc_interp.commands.cli import main
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine

@@ -24,7 +24,7 @@ from rosbags.rosbag2 import Reader
 from tiers import few_of
 
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
-from cnc_interp.client.recorded_lesson import recorded_lesson
+from cnc_interp.client.recorded_feedback import recorded_lesson
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
 from cnc_interp.commands.cli import main

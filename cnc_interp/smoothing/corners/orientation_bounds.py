@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.corner_spline import corner_spline_jet
+from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.smoothing.corners.connection import Curves
 from cnc_interp.smoothing.segments import corner_breaks, span_at
 

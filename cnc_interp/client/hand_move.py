@@ -81,7 +81,7 @@ def connected(
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
         until = time.monotonic() + PATIENCE
-        while not (client.machine and client.state and client.can_move and ready(client)):
+        while not (ready(client) and client.machine and client.state and client.can_move):
             if time.monotonic() > until:
                 raise InterpError(
                     f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '

@@ -25,8 +25,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.client.alarms import AlarmList
-from cnc_interp.client.goal_sender import SentProgram
-from cnc_interp.client.question import AGAIN, Question
+from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine

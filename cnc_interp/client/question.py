@@ -1,15 +1,23 @@
-"""A request to a service that is sent again until it is answered.
+"""What is sent again until it is answered: requests to services, and programs.
 
 An answer can be lost: a node drops it if it has heard of the request before it knows where answers
 are read, as happens on a busy computer while both find each other. A node that was killed never
 answers, and DDS addresses the dead process for some twenty seconds.
+
+A goal keeps its id, so it cannot run twice. Its result is asked for again, too: what was asked may
+have gone to a node that was killed since; the one that is there now does not know the goal and
+says so.
 """
 
 from __future__ import annotations
 
 import math
 import time
+import uuid
 from typing import Any
+
+from cnc_interp_msgs.action import RunProgram
+from unique_identifier_msgs.msg import UUID
 
 #: Time without an answer after which a request is sent again, unless told otherwise [s].
 AGAIN = 0.5
@@ -40,3 +48,73 @@ class Question:
         """Wait no longer for answers."""
         for future in self._sent:
             self._client.remove_pending_request(future)
+
+
+GOAL_AGAIN = 1.0  #: Time without an answer after which a goal is sent again [s].
+#: Longest time between two questions for its result [s]: a node keeps it for ten seconds.
+SELDOM = 8.0
+
+
+class SentProgram:
+    """A goal of ``run_program`` and what has been heard about it."""
+
+    def __init__(self, client: Any, goal: RunProgram.Goal, ahead: int = 0):
+        self.goal, self._ahead = goal, ahead
+        self.feedback: RunProgram.Feedback | None = None
+        self._client = client
+        self._id = UUID(uuid=list(uuid.uuid4().bytes))
+        self._answers: list[Any] = []
+        self.handle: Any = None  # of the goal, once it is accepted
+        self._results: list[Any] = []
+        self._ask_after = GOAL_AGAIN
+        self._send()
+
+    def _send(self) -> None:
+        self._sent_at = time.monotonic()
+        self._answers.append(
+            self._client.send_goal_async(self.goal, self._see_feedback, goal_uuid=self._id)
+        )
+
+    def _see_feedback(self, message: Any) -> None:
+        self.feedback = message.feedback
+
+    def follow(self) -> None:
+        """Read an answer, or send the goal or the question for its result again; to be repeated.
+
+        A second answer to the same goal says "not accepted", because the first one runs. So the
+        first answer counts.
+        """
+        now = time.monotonic()
+        if self.handle is not None:
+            if self.result is None and now - self._sent_at > self._ask_after:
+                self._ask_after = min(2.0 * self._ask_after, SELDOM)
+                self._ask(now)
+            return
+        answer = next((answer for answer in self._answers if answer.done()), None)
+        if answer is not None:
+            self.handle = answer.result()
+            self._ask(now)
+        elif now - self._sent_at > GOAL_AGAIN:
+            self._send()
+
+    def _ask(self, now: float) -> None:
+        self._sent_at = now
+        self._results.append(self.handle.get_result_async())
+
+    @property
+    def accepted(self) -> bool:
+        return self.handle is not None
+
+    @property
+    def result(self) -> RunProgram.Result | None:
+        """The result; None while the program waits or runs."""
+        return next((one.result().result for one in self._results if one.done()), None)
+
+    @property
+    def programs_ahead(self) -> int:
+        """Number of programs that run before this one."""
+        return self._ahead if self.feedback is None else int(self.feedback.programs_ahead)
+
+    def cancel(self) -> None:
+        if self.handle is not None:
+            self.handle.cancel_goal_async()

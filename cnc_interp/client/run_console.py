@@ -20,8 +20,8 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.client.bag import TOPICS, Bag
-from cnc_interp.client.goal_sender import SentProgram
 from cnc_interp.client.operator_client import Answer, OperatorClient
+from cnc_interp.client.question import SentProgram
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.recorder import NEEDED, Recorder
 from cnc_interp.client.session import RunRequest, RunResult

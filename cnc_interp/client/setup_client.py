@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import os
-import time
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.msg import SetupTable
 from cnc_interp_msgs.srv import SetOffset, SetTool, TouchOff
 
+from cnc_interp.client.hand_move import connected
 from cnc_interp.client.length_unit import MILLIMETRES
-from cnc_interp.client.operator_client import Answer, OperatorClient
-from cnc_interp.client.session import check_place, domain_of_nodes
+from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.frames import rotation
@@ -108,30 +108,33 @@ def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray
     return place + rotation(2, row[ROTATION]) @ added, row[ROTATION]
 
 
-PATIENCE = 10.0  #: Longest wait for the nodes [s].
+@contextmanager
+def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
+    """Yield a console for the table of running nodes; InterpError if they do not answer."""
+    found: list[SetupClient] = []
+
+    def ready(client: OperatorClient) -> bool:
+        if not found:
+            found.append(SetupClient(client, 'cnc-interp'))
+        return found[0].is_ready
+
+    with connected('setup', namespace, domain, ready) as (client, _):
+        yield SetupConsole(client, found[0])
 
 
 class SetupConsole:
-    """A connection to the table of running nodes.
+    """The table of offsets and tools on the command line."""
 
-    ``domain``: their ROS domain; None takes that of the environment. Raises InterpError if no
-    program_node answers there.
-    """
+    def __init__(self, client: OperatorClient, setup: SetupClient):
+        self._client, self._setup = client, setup
 
-    def __init__(self, namespace: str, domain: int | None):
-        domain = domain_of_nodes(domain)
-        check_place(namespace, domain)
-        self._client = OperatorClient('setup', namespace, domain)
-        self._setup = SetupClient(self._client, 'cnc-interp')
-        until = time.monotonic() + PATIENCE
-        while not self._setup.is_ready or self._client.state is None:
-            if time.monotonic() > until:
-                self._client.close()
-                raise InterpError(
-                    f'no nodes answer in ROS domain {domain}, namespace {namespace}; start them, '
-                    'or name their --domain and --namespace'
-                )
-            self._client.serve()
+    @property
+    def _now(self) -> tuple[SetupTable, JobSetup, MachineState]:
+        """What the nodes told last."""
+        table, state = self._setup.table, self._client.state
+        assert table is not None
+        assert state is not None
+        return table, self._setup.setup, state
 
     def values(self, words: dict[str, float]) -> dict[str, Any]:
         """Return values by axis letter [mm, deg] as the fields of a request [m, rad]."""
@@ -147,9 +150,7 @@ class SetupConsole:
 
     def offsets_text(self) -> str:
         """Return positions and offsets as a table in mm and deg; a star marks the active one."""
-        table, setup, state = self._setup.table, self._setup.setup, self._client.state
-        assert table is not None
-        assert state is not None
+        table, setup, state = self._now
         machine = dict(zip(table.axes, state.positions, strict=False))
         rows = [('machine', machine), (f'work {setup.offset}', self._work())]
         rows += [
@@ -188,9 +189,7 @@ class SetupConsole:
 
     def to_json(self) -> dict[str, Any]:
         """Return everything for machines to read, in SI."""
-        setup, table, state = self._setup.setup, self._setup.table, self._client.state
-        assert table is not None
-        assert state is not None
+        table, setup, state = self._now
         return {
             'file': table.file,
             'machine': dict(zip(table.axes, state.positions, strict=False)),
@@ -206,17 +205,8 @@ class SetupConsole:
 
     def _work(self) -> dict[str, float]:
         """Return the work coordinates [m, rad]."""
-        table, state = self._setup.table, self._client.state
-        assert table is not None
-        assert state is not None
-        return work_coordinates(table, self._setup.setup, state.positions)
+        table, setup, state = self._now
+        return work_coordinates(table, setup, state.positions)
 
     def _file_text(self) -> str:
-        assert self._setup.table is not None
-        return f'kept in {self._setup.table.file or "program_node only, until it ends"}'
-
-    def __enter__(self) -> SetupConsole:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._client.close()
+        return f'kept in {self._now[0].file or "program_node only, until it ends"}'

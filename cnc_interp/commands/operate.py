@@ -206,9 +206,9 @@ def _do(
     words: dict[str, float] | None = None,
 ) -> int:
     """Ask for a change, or show the table where nothing is asked for."""
-    from cnc_interp.client.setup_client import SetupConsole
+    from cnc_interp.client.setup_client import setup_console
 
-    with SetupConsole(options.namespace, options.domain) as console:
+    with setup_console(options.namespace, options.domain) as console:
         told = ''
         if wanted is not None:
             fields = console.values(words) if words is not None else {}

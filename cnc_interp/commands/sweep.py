@@ -46,8 +46,16 @@ def sweep_command(
     options: argparse.Namespace, main: Callable[[Sequence[str]], int], commands: Any
 ) -> int:
     from cnc_interp.batch.processes import Processes, total_memory
-    from cnc_interp.batch.sweep_page import as_it_is, lengths_text, why, write_page, write_table
-    from cnc_interp.batch.sweep_points import Sweep, front, without_effect
+    from cnc_interp.batch.sweep import (
+        Sweep,
+        as_it_is,
+        front,
+        lengths_text,
+        why,
+        without_effect,
+        write_page,
+        write_table,
+    )
     from cnc_interp.core.progress_bar import ProgressBar
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
@@ -98,7 +106,7 @@ def sweep_command(
 
 def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -> None:
     """Refuse options that the command does not have, before anything is planned."""
-    from cnc_interp.batch.sweep_points import SWEPT
+    from cnc_interp.batch.sweep import SWEPT
 
     known = next((swept for swept in SWEPT if tuple(words[: len(swept)]) == swept), None)
     if known is None:
@@ -112,7 +120,7 @@ def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -
 
 
 def _range(words: Sequence[str], search: bool) -> Any:
-    from cnc_interp.batch.sweep_points import Range
+    from cnc_interp.batch.sweep import Range
 
     name, *values = words
     name = name.lstrip('-')

@@ -103,10 +103,33 @@ def check(
     stream: ProgramStream, setup: JobSetup, text: str, transform: Transform, settings: Settings,
     told: Callable[[float], None], may_rest: bool = False,
 ) -> Prepared:  # fmt: skip
-    """Check a program to its last block; raises as ``prepare``."""
-    blocks = BlockSpool()
+    """Lead a program through smoothing and kinematics to its last block; raises as ``prepare``."""
+    blocks, length = BlockSpool(), 0.0
+    chain, tolerances = PathChain(transform, settings), ToleranceUse()
+    finder = None
+    if stream.start.line:
+        finder = StartFinder(transform, settings.flank_height, stream.start)
+
+    def take(done: PathPart, last: bool = False) -> None:
+        nonlocal length
+        tolerances.require(done.segments)
+        length = length if done.path is None else float(done.path.s[-1])
+        if finder is not None:
+            finder.path(done.path, last)
+
     try:
-        length, stops, start = checked_path(stream, blocks, transform, settings, told)
+        with at_fault(stream.source):
+            for part in stream:
+                blocks.append(part)
+                tolerances.blocks(part)
+                if finder is not None:
+                    finder.blocks(part)
+                for batch in batches(part):
+                    take(chain.push(batch))
+                    told(stream.share)
+            take(chain.finish(), last=True)
+            stream.note(chain.notice)
+        start = finder.found() if finder is not None else None
         if not (length > 0.0 or may_rest):
             raise no_motion(stream.source)
     except OSError as problem:
@@ -119,44 +142,10 @@ def check(
         blocks.close()
         raise
     return Prepared(
-        blocks, (*stream.read_as, *stream.notices), text, settings, length, stops, setup,
-        settings.setup is not None, stream.changes, stream.used, stream.modes, start,
+        blocks, (*stream.read_as, *stream.notices), text, settings, length, np.sort(chain.stops),
+        setup, settings.setup is not None, stream.changes, stream.used, stream.modes, start,
         stream.waits_first,
     )  # fmt: skip
-
-
-def checked_path(
-    stream: ProgramStream, spool: BlockSpool, transform: Transform, settings: Settings,
-    told: Callable[[float], None],
-) -> tuple[float, IntArray, StartPlace | None]:  # fmt: skip
-    """Run a program through look-ahead and kinematics; its blocks go into the spool."""
-    chain, tolerances = PathChain(transform, settings), ToleranceUse()
-    finder = StartFinder(transform, settings.flank_height, stream.start)
-    inside, length = stream.start.line > 0, 0.0
-    with at_fault(stream.source):
-        for part in stream:
-            spool.append(part)
-            tolerances.blocks(part)
-            if inside:
-                finder.blocks(part)
-            for batch in batches(part):
-                done = chain.push(batch)
-                length = checked(done, tolerances, length)
-                if inside:
-                    finder.path(done.path)
-                told(stream.share)
-        done = chain.finish()
-        length = checked(done, tolerances, length)
-        if inside:
-            finder.path(done.path, last=True)
-        stream.note(chain.notice)
-    return length, np.sort(chain.stops), finder.found() if inside else None
-
-
-def checked(part: PathPart, tolerances: ToleranceUse, length: float) -> float:
-    """Check the tolerances of a further part of the path; return the length so far [m]."""
-    tolerances.require(part.segments)
-    return length if part.path is None else float(part.path.s[-1])
 
 
 class Preparation:

@@ -25,9 +25,8 @@ from cnc_interp.page.contact import (
 )
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
-from cnc_interp.page.hand_motion import JogPad
+from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys
-from cnc_interp.page.number_fields import PoseField, TouchOffField
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import NOTHING, Messages, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView

@@ -26,8 +26,7 @@ from cnc_interp.machine.jog import LATE
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes import qos
 from cnc_interp.page.contact import AGAIN, VIEW_ONLY
-from cnc_interp.page.hand_motion import LOST, STALE
-from cnc_interp.page.number_fields import numbers
+from cnc_interp.page.hand_motion import LOST, STALE, numbers
 from cnc_interp.program import JobSetup
 
 pytestmark = pytest.mark.skipif(

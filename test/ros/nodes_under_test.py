@@ -14,8 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from cnc_interp.client.goal_sender import SentProgram
-from cnc_interp.client.question import Question
+from cnc_interp.client.question import Question, SentProgram
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.peers import Peers

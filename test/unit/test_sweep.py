@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cnc_interp.batch.processes import Processes
-from cnc_interp.batch.sweep_points import (
+from cnc_interp.batch.sweep import (
     Found,
     Point,
     Range,
@@ -163,7 +163,7 @@ def test_bad_input_gets_a_line(tmp_path, capsys):
 
 @pytest.mark.thorough
 def test_a_surface_is_swept_with_its_ridges(tmp_path):
-    from cnc_interp.batch.sweep_points import Call
+    from cnc_interp.batch.sweep import Call
 
     surface = tmp_path / 'plane.json'
     surface.write_text('{"kind": "plane", "size_mm": [12, 8]}')

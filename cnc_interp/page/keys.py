@@ -192,5 +192,7 @@ class Keys:
 
     def show(self) -> None:
         """Show what others have set."""
-        for shown in (*self._switches, self._override, self._rapids):
-            shown.show()
+        for switch in self._switches:
+            switch.show()
+        self._override.show()
+        self._rapids.show()

@@ -24,5 +24,5 @@ def pytest_runtest_teardown(nextitem):
 
 
 def pytest_collection_modifyitems(items):
-    """Those that share come first, one behind the other: together they take longest."""
+    """Those that share come first, one after the other: together they take longest."""
     items.sort(key=lambda item: 'shared_nodes' not in item.fixturenames)

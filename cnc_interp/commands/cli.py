@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import signal
 import sys
 from collections.abc import Sequence
@@ -61,6 +62,8 @@ def _told(problem: OSError, options: argparse.Namespace | None) -> str:
         reason = 'a file stands where a folder must be; name another folder'
     if isinstance(problem, IsADirectoryError):
         reason = 'it is a folder; name a file'
+    if problem.errno == errno.ENOSPC and not place:  # semaphores of processes have no name
+        place = '/dev/shm or a temporary folder'
     return f'{place}: {reason}' if place else reason
 
 

@@ -88,8 +88,9 @@ class Tab:
     def send(self, method, **parameters):
         self._number += 1
         self._socket.send(json.dumps({'id': self._number, 'method': method, 'params': parameters}))
-        while True:
-            message = json.loads(self._socket.recv(timeout=PATIENCE))
+        deadline = time.monotonic() + PATIENCE
+        while True:  # events come in between
+            message = json.loads(self._socket.recv(timeout=deadline - time.monotonic()))
             if message.get('method') == 'Runtime.exceptionThrown':
                 self.faults.append(message['params']['exceptionDetails'])
             if message.get('id') == self._number:

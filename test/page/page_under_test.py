@@ -18,6 +18,9 @@ TOKEN = 'every test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.
 REFUSED = f'document.body.textContent.includes("{INTERRUPTED}")'
 
+#: What draws machine, path and part.
+VIEW = 'document.querySelector(".scene canvas")'
+
 
 class PageUnderTest:
     """The page beside nodes that run, and a browser."""
@@ -36,10 +39,16 @@ class PageUnderTest:
         self.tabs = []
 
     def open(self, token=TOKEN, **size):
-        """Open a page and wait until it shows who commands."""
+        """
+        Open a page and wait until it shows who commands, and its view is drawn.
+
+        Drawing in software, a page that is hidden before waits for all that others draw.
+        """
         tab = self.browser.open(f'{self.address}?token={token.replace(" ", "%20")}', **size)
         self.tabs.append(tab)
         tab.wait(lambda: tab.text('rights') in ('in charge', 'view only'))
+        tab.wait(lambda: tab.run(f'!!{VIEW}'))
+        tab.run(f'{VIEW}.getContext("webgl2").finish()')
         return tab
 
     def open_in_charge(self, **size):

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
 #: Lines of a program that runs to its end, and of one that outlasts every test.
 SHORT, LONG = 4, 24
-TABS = 10
+TABS = 4
 
 
 def zigzag(name, lines, after_first='', feed=2000):
@@ -178,7 +178,7 @@ new MutationObserver(() => { window.plansAgain ||= mark.textContent !== 'planned
 
 
 @pytest.mark.thorough
-def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
+def test_settings_of_the_dialog_are_planned_and_run(panel, long_program):
     tab = panel.open_in_charge()
     tab.click('settings')
     tab.fill('setting contour_tolerance', 'wide')
@@ -187,7 +187,7 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, short_program):
     tab.wait(lambda: tab.run(f'document.body.textContent.includes("{wrong}")'))
     tab.fill('setting contour_tolerance', '0.1')
     tab.click('use settings')
-    panel.load(tab, short_program)
+    panel.load(tab, long_program)
     panel.begin(tab)
     told = {pair.key: pair.value for pair in panel.loaded[-1].settings}
     assert float(told['contour_tolerance']) == pytest.approx(1e-4)
@@ -354,7 +354,7 @@ def test_only_one_page_with_the_token_commands(panel, short_program):
 
 
 @pytest.mark.thorough
-def test_ten_tabs(panel, long_program):
+def test_many_tabs(panel, long_program):
     first = panel.open_in_charge()
     panel.load(first, long_program)
     panel.begin(first)

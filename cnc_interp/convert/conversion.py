@@ -22,8 +22,7 @@ from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.subdivide import piece_counts, ragged
 from cnc_interp.program.writer import (
-    ClMove,
-    GcodeMove,
+    Move,
     cl_data,
     gcode,
     siemens,
@@ -172,7 +171,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
     if rotary is not None and other.any():
         notes.append('G64 P holds the contour tolerance only; the orientation tolerance differs')
     moves = (
-        GcodeMove(
+        Move(
             tip=blocks.tip[i],
             rotary=None if rotary is None else rotary[i],
             feedrate=float(blocks.feedrate[i]),
@@ -237,7 +236,7 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
     if np.isfinite(blocks.duration).any():
         notes.append('inverse-time feeds (G93) are written as feedrates')
     moves = (
-        ClMove(
+        Move(
             tip=blocks.tip[i],
             axis=blocks.axis[i],
             feedrate=float(feed[i]),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import isfinite, isnan
+from math import isfinite, isnan, nan
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
@@ -50,24 +50,26 @@ class Modal:
 
 
 @dataclass(frozen=True)
-class GcodeMove:
-    """One block of G-code."""
+class Move:
+    """One block; a writer takes of it what its format has."""
 
-    tip: FloatArray  #: (3,): Tool tip [m].
-    #: (2,): Positions of the rotary axes [rad]; None without words for them.
-    rotary: FloatArray | None
-    #: Speed of the tip [m/s]; duration [s] or NaN.
-    feedrate: float
-    duration: float
+    tip: FloatArray  #: (3,): Tool tip or control point [m].
+    feedrate: float  #: Speed of the tip [m/s].
     #: Whether the block is a rapid, and whether the tool rests at its end.
     rapid: bool
     exact_stop: bool
-    program_stop: int  #: GO_ON, STOP or OPTIONAL_STOP.
-    on_great_circle: bool  #: Whether the tool axis turns on the great circle.
-    tolerance: float  #: Path tolerance [m].
+    program_stop: int = GO_ON  #: GO_ON, STOP or OPTIONAL_STOP.
+    #: (2,): Positions of the rotary axes [rad]; None without words for them.
+    rotary: FloatArray | None = None
+    duration: float = nan  #: [s], where it counts instead of the feedrate.
+    on_great_circle: bool = False  #: Whether the tool axis turns on the great circle.
+    tolerance: float = 0.0  #: Path tolerance [m].
+    axis: FloatArray | None = None  #: (3,): Unit tool axis [-].
+    second: FloatArray | None = None  #: (3,): Second point on the tool axis [m].
+    knot_interval: float = nan  #: Knot interval of a control point [m]; NaN on lines.
 
 
-def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
+def gcode(moves: Iterable[Move], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
     """Return G-code with rotary words, ORIVECT or ORIAXES, and tool-tip programming."""
     state = Modal.empty()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
@@ -107,20 +109,7 @@ def gcode(moves: Iterable[GcodeMove], rotary_letters: tuple[str, ...], notes: li
     return '\n'.join([*filter(None, lines), 'M30', ''])
 
 
-@dataclass(frozen=True)
-class SiemensMove:
-    """One block of a Siemens program."""
-
-    tip: FloatArray  #: (3,): Tool tip or control point [m].
-    second: FloatArray | None  #: (3,): Second point on the tool axis [m].
-    feedrate: float  #: Speed of the tip [m/s].
-    knot_interval: float  #: Knot interval of a control point [m]; NaN on lines.
-    #: Whether the block is a rapid, and whether the tool rests at its end.
-    rapid: bool
-    exact_stop: bool
-
-
-def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
+def siemens(moves: Iterable[Move], notes: list[str]) -> str:
     """Return a Siemens 840D program with lines and cubic B-splines [B2013, section 4.1]."""
     state = Modal.empty()
     moves = list(moves)
@@ -150,21 +139,7 @@ def siemens(moves: Iterable[SiemensMove], notes: list[str]) -> str:
     return '\n'.join([*lines, 'M30', ''])
 
 
-@dataclass(frozen=True)
-class ClMove:
-    """One point of CL data."""
-
-    #: (3,): Tool tip [m] and unit tool axis [-].
-    tip: FloatArray
-    axis: FloatArray
-    feedrate: float  #: Speed of the tip [m/s].
-    #: Whether the motion is a rapid, and whether the tool rests at its end.
-    rapid: bool
-    exact_stop: bool
-    program_stop: int = GO_ON  #: GO_ON, STOP or OPTIONAL_STOP.
-
-
-def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
+def cl_data(moves: Iterable[Move], name: str, notes: list[str]) -> str:
     """Return a CL file with GOTO points and tool axis vectors."""
     lines = [f'PARTNO {name}', *(f'$$ {note}' for note in notes), 'UNITS/MM', 'MULTAX/ON']
     feed = ''
@@ -175,6 +150,7 @@ def cl_data(moves: Iterable[ClMove], name: str, notes: list[str]) -> str:
             feed = text
             lines.append(f'FEDRAT/{text},MMPM')
         words = [fixed(v / MM, _LENGTH) for v in move.tip]
+        assert move.axis is not None
         words += [fixed(v, _AXIS) for v in move.axis]
         lines.append(('GOTO/' if number else 'FROM/') + ','.join(words))
         if move.exact_stop:

@@ -28,7 +28,6 @@ from cnc_interp.program.functions import acting
 from cnc_interp.program.holes import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import LineStart, Source
-from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.target_row import AT_M0, NO_ARC
 from cnc_interp.program.targets import TargetColumns
 from cnc_interp.settings.options import Settings
@@ -97,20 +96,15 @@ class ClReader:
         """Return the part of the text whose blocks have been returned, about, 0 to 1."""
         return self.source.share(self.place) * self.targets.share
 
-    @property
-    def start(self) -> StartLine:
-        """The line at which the run starts."""
-        return self.targets.start
-
     def blocks(self) -> Iterator[Blocks]:
         """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
-        refused = Refusals()
+        refused, start = Refusals(), self.targets.start
         for line_number, statement in self._statements(self._lines()):
             self.line_number = line_number
-            if self.start.line and not self.start.passes and line_number >= self.start.line:
-                self.start.reach(self._state_words)
+            if start.line and not start.passes and line_number >= start.line:
+                start.reach(self._state_words)
             if statement.startswith('FINI'):
                 break
             self._frames.keep(line_number, statement)

@@ -37,9 +37,7 @@ from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens_cycles import SiemensCycle
 from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
-from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.target_row import AT_M0, AT_M1
-from cnc_interp.program.targets import TargetColumns
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.options import Settings
@@ -64,6 +62,7 @@ class GcodeReader:
         )
         self.flow = Flow(source, self.variables, settings.most_jumps)
         self.mover = Mover(geometry, settings, setup, self.flow, notices)
+        self.targets = self.mover.targets
         self.mover.dialect = dialect
         self.mover.motion = dialect.starts_with
         self.splines = Splines(self.mover)
@@ -83,11 +82,6 @@ class GcodeReader:
         self._named = NamedWords(self.mover, self._modes, self._plane, self.variables)
 
     @property
-    def targets(self) -> TargetColumns:
-        """Return the targets of the program."""
-        return self.mover.targets
-
-    @property
     def used(self) -> set[str]:
         """Return what the program has used of the setup so far."""
         return self.mover.used | {'G92', self.mover.last_offset}
@@ -96,11 +90,6 @@ class GcodeReader:
     def share(self) -> float:
         """Return the part of the text whose blocks have been returned, about, 0 to 1."""
         return self.flow.share * self.targets.share
-
-    @property
-    def start(self) -> StartLine:
-        """The line at which the run starts."""
-        return self.mover.targets.start
 
     def follow(self, before: GcodeReader) -> None:
         """Take over the modal state and the variables of another reader, which stays as it is."""
@@ -141,7 +130,7 @@ class GcodeReader:
 
     def blocks(self) -> Iterator[Blocks]:
         """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
-        flow, targets, refused = self.flow, self.mover.targets, Refusals()
+        flow, targets, refused = self.flow, self.targets, Refusals()
         while self._goes_on(refused):
             try:
                 self._next_lines(together=not refused)
@@ -194,7 +183,7 @@ class GcodeReader:
 
     def _until_start(self, row: int, end: int) -> int:
         """Note that the line of the start is reached; end lines read together before it."""
-        start, flow = self.start, self.flow
+        start, flow = self.targets.start, self.flow
         ahead = start.line - flow.line_number
         if not start.line or ahead < 0 or flow.source is not flow.main:
             return end
@@ -246,7 +235,7 @@ class GcodeReader:
         if not line:
             return
         if line[0] == '%' and line[-1] != '*':
-            if self._percent_seen or not self.mover.targets.empty:
+            if self._percent_seen or not self.targets.empty:
                 self.flow.ended = True
             self._percent_seen = True
             return
@@ -265,7 +254,7 @@ class GcodeReader:
                              'blank; post for Fanuc or as plain text', '*')  # fmt: skip
         if rest and self.settings.numbers == 'increments':
             rest = self._with_points(rest)
-        if rest and not (rest[0] in 'O<' and self.mover.targets.empty and is_name(rest)):
+        if rest and not (rest[0] in 'O<' and self.targets.empty and is_name(rest)):
             self._execute(split_words(rest, self.variables, self.fault))
 
     def _with_points(self, line: str) -> str:
@@ -524,9 +513,9 @@ class GcodeReader:
         """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         self.mover.end_corner()
         self.targets.program_stop()
-        if self.mover.targets.stands and not self.splines.open:
+        if self.targets.stands and not self.splines.open:
             waits = code != 'M1'
-            self.mover.targets.waits_first |= waits
+            self.targets.waits_first |= waits
             self.notice(f'{code} at the start', codes.WAITS_FIRST if waits else codes.NOT_YET)
         else:
             self.notice(code, codes.STOP_M[code])

@@ -96,7 +96,7 @@ class ProgramStream:
     @property
     def start(self) -> StartLine:
         """The line at which the run starts, if it is not the top."""
-        return self._reader.start
+        return self._reader.targets.start
 
     @property
     def waits_first(self) -> bool:

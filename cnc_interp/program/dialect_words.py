@@ -7,8 +7,8 @@ from difflib import get_close_matches
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
+from cnc_interp.program.chamfers import Corner
 from cnc_interp.program.contact_normal import NORMAL_WORDS
-from cnc_interp.program.corners import Corner
 from cnc_interp.program.expressions import ExpressionError, ProgramVariables
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.modes import Modes

@@ -18,7 +18,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.corners import Corner
+from cnc_interp.program.chamfers import Corner
 from cnc_interp.program.cursor import Loop
 from cnc_interp.program.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.gcode import GcodeReader

@@ -14,9 +14,9 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import AS_ABSOLUTE, AS_REVERSED, FAULTS, PLANES, TOLD, arcs_of
+from cnc_interp.program.chamfers import Corner
 from cnc_interp.program.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
-from cnc_interp.program.corners import Corner
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.words import BlockWords

@@ -18,7 +18,7 @@ from cnc_interp.kinematics.segment_axes import speed_of
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
-from cnc_interp.report.curves import FILE, lengths
+from cnc_interp.report.dense_blocks import FILE, lengths
 from cnc_interp.smoothing.corners.connection import Curves, poses, top_parameters
 from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
 

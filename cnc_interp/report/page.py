@@ -14,7 +14,7 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report.corners import views_of
-from cnc_interp.report.curves import read_segments
+from cnc_interp.report.dense_blocks import read_segments
 from cnc_interp.report.html import document, drawing, section, tiles
 from cnc_interp.report.series import Series, series_of, tool_error_use, tool_errors
 from cnc_interp.report.time_lost import time_section
@@ -51,9 +51,9 @@ def render(
 ) -> str:
     try:
         from cnc_interp.report.comparison import ExaminedPlan, comparison_section
-        from cnc_interp.report.corner_figures import corner_section
-        from cnc_interp.report.curves import curves_section
-        from cnc_interp.report.figures import PLOTS, tool_error_section
+        from cnc_interp.report.corner_plots import corner_section
+        from cnc_interp.report.dense_blocks import curves_section
+        from cnc_interp.report.plots import PLOTS, tool_error_section
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
     proof, series = _examined(plan, machine)

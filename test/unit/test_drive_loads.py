@@ -26,7 +26,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.report.figures import axes_figure
+from cnc_interp.report.plots import axes_figure
 from cnc_interp.report.series import series_of
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings

@@ -20,8 +20,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.report import write_report
-from cnc_interp.report.figures import feed_span
 from cnc_interp.report.html import feed_ceiling, letters
+from cnc_interp.report.plots import feed_span
 from cnc_interp.report.series import extremes, series_of
 from cnc_interp.report.time_lost import NO_LIMIT, time_lost
 

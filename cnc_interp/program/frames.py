@@ -3,8 +3,9 @@
     point = work + Rz @ (programmed_turn @ program + shift + G52 + G92) + tool length
 
 Rz is the rotation of the work offset about Z (G10 L2 R). With tool-tip programming on, a point is
-the tool tip in W. With it off, a point is the position of X Y Z minus that of the workpiece zero.
-Both are equal while the rotary axes are at zero.
+the tip in W of the tool of the machine file; the tool length counts beyond it along the tool axis.
+With it off, a point is the position of X Y Z minus that of the workpiece zero. Both are equal
+while the rotary axes are at zero.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class Frames:
         self.named = ''  #: The work offset that the program has named last; empty before.
         self.local = np.zeros(5)
         self.length = 0.0
+        self.along = np.array([0.0, 0.0, 1.0])  #: Direction of the tool length.
         #: Shift and rotation that the program has set, in the frame of the work offset.
         self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
         self.tilt_code = ''  #: The code of the rotation; empty for ROT.
@@ -60,6 +62,7 @@ class Frames:
         """Take over what another program has set and the setup does not hold."""
         self.named, self.length, self.local = before.named, before.length, before.local.copy()
         self.shift, self.programmed_turn = before.shift, before.programmed_turn
+        self.along = before.along
         self.tilt_code = before.tilt_code
         self.update()
 
@@ -88,7 +91,7 @@ class Frames:
     def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
         """Return the machine coordinates of a zero where the words are what is read here."""
         turn, added, zero = self.base(name), self.local + self.g92, self.work(name)
-        gone = here - np.array([0.0, 0.0, self.length, 0.0, 0.0])
+        gone = here - np.array([*(self.length * self.along), 0.0, 0.0])
         reads = gone - zero - added
         reads[:3] = turn.T @ (gone - zero)[:3] - added[:3]
         for i, value in words.items():
@@ -107,7 +110,7 @@ class Frames:
     def update(self) -> None:
         """Recompute the sum of the offsets."""
         added = self.local + self.g92
-        work, length = self._work[:3], np.array([0.0, 0.0, self.length])
+        work, length = self._work[:3], self.length * self.along
         self.origin = work + self._base @ (self.shift + added[:3]) + length
         self.rotary_origin = self._work[3:] + added[3:]
         #: Rotation from program coordinates to points.

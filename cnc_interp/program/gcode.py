@@ -443,7 +443,8 @@ class GcodeReader:
             mover.dialect in (FANUC, PLAIN) and 'H' in words.values and mover.frames.length
             and not (codes.LENGTH_CODES | {'G65'}) & set(words.g)
         ):  # fmt: skip
-            self._modes.tool_length('G43', words, self._tool)
+            code = mover.tcp if mover.tcp in codes.TCP_BY_LENGTH else 'G43'
+            self._modes.tool_length(code, words, self._tool)
         if 'G64' in words.g:
             self._modes.path_tolerance(words)
         if was != mover.feed_mode:

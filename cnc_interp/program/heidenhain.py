@@ -405,7 +405,7 @@ class HeidenhainReader(GcodeReader):
         if number is not None:
             words.values['T'], words.texts['T'] = float(number), f'TOOL CALL {number}'
             words.m.append('M6')
-            if not self.mover.tcp and (self.mover.setup.tools or int(number) == 0):
+            if self.mover.setup.tools or int(number) == 0:
                 words.g.append('G43' if int(number) else 'G49')
         for name in 'SF':
             if name in values:

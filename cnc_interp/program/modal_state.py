@@ -14,7 +14,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
 from cnc_interp.program.contact_normal import ContactPath
-from cnc_interp.program.control_profiles import PLAIN
+from cnc_interp.program.control_profiles import LINUXCNC, PLAIN
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
@@ -33,7 +33,7 @@ LONG_WAY = 180.0 * DEG + 1e-9
 #: A smaller tilt is none, where a plane is told in words [rad].
 UPRIGHT = 1e-9
 LENGTH_WITH_TCP = (
-    'with tool-tip programming the tool length belongs in the machine file '
+    'on LinuxCNC the tool length of tool-tip programming belongs in the machine file '
     '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
 )
 NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
@@ -58,11 +58,11 @@ def modal_words(state: ModalState) -> list[str]:
     if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
         words['stop_always'] = f'G64 P{tolerance:.9g}'
     found = [*words.values(), state.setup.active, *frame_words(frames, state.unit)]
+    if frames.length:
+        found.append(f'G43.1 Z{frames.length / state.unit:g}')
     found += [state.tcp, state.radius_code, 'G16' * state.polar]
     if state.rotary_letters:
         found.append('ORIVECT' if state.great_circle else 'ORIAXES')
-    if frames.length:
-        found.append(f'G43.1 Z{frames.length / state.unit:g}')
     if state.feed_mode == 'G93':
         feed = None
     if feed is not None:
@@ -182,7 +182,7 @@ class ModalState:
         for name in (*_SETTINGS[1:], *_VALUES):
             setattr(self, name, values[name])
         self.frames.length = float(str(values['length']))
-        self.frames.update()
+        self.aim()
 
     def modal_values(self) -> tuple[object, ...]:
         """Return all that the codes, the spindle speed and the tolerances tell, to compare it."""
@@ -277,8 +277,7 @@ class ModalState:
             self.tcp = word
             return
         if word:
-            if self.frames.length:
-                raise self.fault(LENGTH_WITH_TCP, word)
+            self.check_length(word)
             if self.rotary.any() or self.extra.any():
                 stands = self.point + self.zero + self.extra @ self._along
                 q = np.concatenate([stands, self.rotary])[None]
@@ -289,6 +288,20 @@ class ModalState:
                 linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
                 self.point = linear - self.zero - self.extra @ self._along
         self.tcp = word
+        self.aim()
+
+    def check_length(self, word: str) -> None:
+        """Tell what a tool length means with tool-tip programming on; LinuxCNC has none."""
+        if self.frames.length and (self.dialect is LINUXCNC or word == 'M428'):
+            raise self.fault(LENGTH_WITH_TCP, word)
+        if self.frames.length:
+            self.notice('WARNING: a tool length with tool-tip programming', 'it counts beyond the '
+                        'tip in the machine file (tip_to_secondary_pivot_mm)')  # fmt: skip
+
+    def aim(self) -> None:
+        """Take the tool length along the tool axis, with tool-tip programming on."""
+        self.frames.along = self.tool_axis if self.tcp else np.array([0.0, 0.0, 1.0])
+        self.frames.update()
 
     def set_oriented(self, oriented: bool) -> None:
         """Take X Y Z as positions of the tool tip on a tilted plane, or no longer."""

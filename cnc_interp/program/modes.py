@@ -10,7 +10,7 @@ from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.contact_normal import ToolShape
 from cnc_interp.program.job import ALL_OFFSETS, SetupChange, Tool
-from cnc_interp.program.modal_state import FARTHEST, LENGTH_WITH_TCP
+from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.words import BlockWords
 from cnc_interp.settings.options import Settings
@@ -31,31 +31,26 @@ class Modes:
         named = words.values.pop('H', None)
         number = tool if named is None else round(min(abs(named), 1e6))
         tools = mover.setup.tools
-        if code in codes.TCP_ON:
-            if named is not None and number in tools and tools[number].length:
-                raise self.fault(LENGTH_WITH_TCP, words.texts['H'])
-            self.switch_tcp(code)
-            return
-        if mover.tcp in codes.TCP_BY_LENGTH:
+        if mover.tcp in codes.TCP_BY_LENGTH and code not in codes.TCP_ON:
             mover.switch_tcp('')
-        length = 0.0
+        length = frames.length if code in codes.TCP_ON and named is None else 0.0
         if code == 'G43.1':
             length = words.values.pop('Z', 0.0) * mover.unit
-        elif code in ('G43', 'G44'):
+        elif code in ('G43', 'G44') or (code in codes.TCP_ON and named is not None):
             if not tools:
                 self.notice(code, 'no tool lengths are set (--setup); taken as zero')
             elif number and number not in tools:
                 raise self.fault('the setup has no length of this tool; add it', f'H{number}')
             if number in tools:
                 mover.used.add(f'tool {number}')
-                length = tools[number].length * (1.0 if code == 'G43' else -1.0)
-        if mover.tcp and length:
-            raise self.fault(
-                'a tool length while tool-tip programming is on; switch it off before', code
-            )
+                length = tools[number].length * (-1.0 if code == 'G44' else 1.0)
         # The axes do not move. The same position now has other program coordinates.
         frames.length = length
-        frames.update()
+        if code in codes.TCP_ON:
+            self.switch_tcp(code)
+        if mover.tcp:
+            mover.check_length(code)
+        mover.aim()
 
     def cutter_radius(self, code: str, words: BlockWords, tool: int) -> None:
         """Process G40, G41, G42; as G41.2, or after CUT3DF, they follow contact normals."""

@@ -93,7 +93,8 @@ class Mover(ModalState):
         if self.tcp:
             stands = np.concatenate([q[:3] + self.extra @ self._along, rotary])
             point = self.geometry.forward(stands[None])[0][0]
-        self.named = float(bool(self.rotary_letters))
+        self.named, self.rotary = float(bool(self.rotary_letters)), rotary
+        self.aim()
         self.go(point, rotary, rapid=True)
 
     def begin_radius(self, code: str, distance: float) -> None:
@@ -147,8 +148,16 @@ class Mover(ModalState):
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
+            self._check_aim()
         else:
             self.go(point, rotary, rapid=True)
+
+    def _check_aim(self) -> None:
+        """Raise if the tool has turned while its length counts along the axis that it had."""
+        frames = self.frames
+        if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
+            raise self.fault('the tool turns with tool-tip programming on and a tool length; turn '
+                             'it before, or put the length into the machine file')  # fmt: skip
 
     def _has_axes(self, words: BlockWords) -> bool:
         """Tell whether the block has axis words; raise for an axis that does not exist."""
@@ -294,6 +303,7 @@ class Mover(ModalState):
             self.vector = vector
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
+        self._check_aim()
         place = point
         if self.contact is not None:
             place = self.contact.tip(point, self.tool_axis, not rapid, self._contact_fault)

@@ -46,6 +46,8 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     linear_words, arc_words = values[:, _LINEAR], np.isfinite(values[:, _ARC_WORDS]).any(axis=1)
     on_arc = motion >= 2.0
     rotary_words = np.isfinite(values[:, _ROTARY_WORDS])
+    if mover.tcp and mover.frames.length and rotary_words.any():
+        return False
     moves = np.isfinite(linear_words).any(axis=1) | rotary_words.any(axis=1) | (on_arc & arc_words)
     others = [i for i, letter in enumerate('ABC') if letter not in mover.rotary_letters]
     if (

@@ -191,6 +191,10 @@ class Splines:
                 f'a spline needs tool-tip programming; switch it on with {codes.TCP_ON_WORDS}',
                 'BSPLINE',
             )
+        if mover.frames.length:
+            raise mover.fault(
+                'a spline with a tool length; put it into the machine file', 'BSPLINE'
+            )
         second = None if self._second is None else _point(mover.frames.point(self._second))
         self._changed = None
         self._curve = ProgrammedCurve(

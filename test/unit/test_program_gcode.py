@@ -157,7 +157,6 @@ def test_g64_keeps_the_path_within_p_whatever_q_allows():
         ('G64 Q0.01', 'Q0.01: write G64 P Q'),
         ('G64 P0.1 Q-1', 'Q-1: write G64 P Q'),
         ('G93 G1 X1 F60\nG94 X2', 'after the change of feed mode'),
-        ('G43.4 H1', 'H1: with tool-tip programming the tool length'),
     ],
 )
 def test_words_that_would_be_lost_are_refused(text, part):

@@ -11,7 +11,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import ProgramStream, read_text
+from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
 from cnc_interp.program.source import Source
 from cnc_interp.settings.options import Settings
 
@@ -309,3 +309,30 @@ def test_a_plane_lies_in_a_turned_work_offset():
     # The plane on which the tool stands now is the same one, from where it stands.
     tool, upright, _ = last(f'{offset}G0 A30 C20\nG68.3 X1 Y2 Z3\nG0 X0 Y0 Z7')
     np.testing.assert_allclose(tool, [5, 0, 0] + outside.apply([1, 2, 3]) + 7 * upright, atol=1e-5)
+
+
+@pytest.mark.parametrize('code', ['G43.4 H7', 'G43 H7\nG68.2 I0 J40 K0\nG53.1', 'G43 H7\nTRAORI'])
+def test_a_tool_length_counts_along_the_tool_that_rests(code):
+    """The tip of the longer tool is where the words say; the blocks have that of the shorter."""
+    setup = JobSetup(tools={7: Tool(0.06), 8: Tool(0.02)})
+    siemens = 'TRAORI' in code
+    text = f'G21 G90 F900\nG0 A40 C0\n{code}\nG0 X10 Y20 Z30\nG1 X12 Y21 Z25'
+    settings = Settings(dialect='siemens' if siemens else 'fanuc')
+    machine = Transform.of(Machine.load('xyzac'))
+    long, short = (
+        read_text(words, 'a.nc', machine, settings, setup).blocks
+        for words in (text, text.replace('H7', 'H8'))
+    )
+    along = long.axis[-2:]
+    assert along[-1][2] < 0.8
+    tips = long.tip[-2:] - 0.06 * along
+    np.testing.assert_allclose(tips, short.tip[-2:] - 0.02 * along, atol=1e-12)
+    axes = [machine.linear(blocks.tip[-2:], blocks.rotary[-2:]) for blocks in (long, short)]
+    np.testing.assert_allclose(axes[0] - axes[1], [[0, 0, 0.04]] * 2, atol=1e-12)
+    if 'G68.2' not in code:
+        np.testing.assert_allclose(tips * 1e3, [[10, 20, 30], [12, 21, 25]], atol=1e-9)
+        for turn in ('X0 A50', 'A50', 'C90'):
+            with pytest.raises(ProgramError, match='the tool turns'):
+                read_text(f'{text}\n{turn}', 'a.nc', machine, settings, setup)
+    with pytest.raises(ProgramError, match='on LinuxCNC'):
+        read_text('G43 H7\nM428', 'a.nc', machine, settings, setup)

@@ -40,6 +40,17 @@ class Tool:
     #: Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
 
+    @property
+    def fault(self) -> str:
+        """What is not possible about it; empty if nothing is."""
+        if self.radius < 0.0:
+            return 'the radius must not be below 0'
+        if not 0.0 <= (self.corner_radius or 0.0) <= self.radius:
+            return 'the corner radius must be from 0 to the radius'
+        if len(self.remark) > LONGEST_REMARK or not self.remark.isprintable():
+            return f'the remark must be one line of {LONGEST_REMARK} characters'
+        return ''
+
 
 @dataclass(frozen=True)
 class SetupChange:
@@ -275,29 +286,17 @@ class _Reading:
 
     def _tool(self, content: Any, key: Any) -> Tool:
         """Return a tool [m], from mm."""
-        words = self._mapping(content, f'tools.{key}')
+        words = dict(self._mapping(content, f'tools.{key}'))
         if 'length' not in words or not set(words) <= _TOOL_KEYS:
             raise self.fault(
                 f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
                 'remark, as {length: 75.0, radius: 5.0, remark: ball}'
             )
-        radius = self._number(words.get('radius', 0.0), f'tools.{key}.radius') * MM
-        remark = words.get('remark', '')
-        if radius < 0.0:
-            raise self.fault(f'tools.{key}.radius: must not be below 0')
-        corner = None
-        if 'corner_radius' in words:
-            corner = self._number(words['corner_radius'], f'tools.{key}.corner_radius') * MM
-            if not 0.0 <= corner <= radius:
-                raise self.fault(f'tools.{key}.corner_radius: must be from 0 to the radius')
-        if not isinstance(remark, str) or not fits_as_remark(remark):
-            raise self.fault(
-                f'tools.{key}.remark: must be a text in one line of {LONGEST_REMARK} characters'
-            )
-        length = self._number(words['length'], f'tools.{key}.length') * MM
-        return Tool(length, radius, remark, corner)
-
-
-def fits_as_remark(remark: str) -> bool:
-    """Tell whether a text can be the remark of a tool."""
-    return len(remark) <= LONGEST_REMARK and (not remark or remark.isprintable())
+        remark = words.pop('remark', '')
+        if not isinstance(remark, str):
+            raise self.fault(f'tools.{key}.remark: must be a text')
+        found = {name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words}
+        tool = Tool(remark=remark, **found)
+        if tool.fault:
+            raise self.fault(f'tools.{key}: {tool.fault}')
+        return tool

@@ -13,14 +13,12 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import (
-    LONGEST_REMARK,
     MOST_TOOL,
     WORK_OFFSETS,
     JobSetup,
     Position,
     SetupChange,
     Tool,
-    fits_as_remark,
 )
 
 LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
@@ -110,12 +108,8 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
         value = getattr(tool, name) or 0.0
         if not isfinite(value) or abs(value) > LARGEST:
             raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')
-    if tool.radius < 0.0:
-        raise InterpError(f'tool {number}: the radius must not be below 0')
-    if not 0.0 <= (tool.corner_radius or 0.0) <= tool.radius:
-        raise InterpError(f'tool {number}: the corner radius must be from 0 to the radius')
-    if not fits_as_remark(tool.remark):
-        raise InterpError(f'tool {number}: a remark is one line of {LONGEST_REMARK} characters')
+    if tool.fault:
+        raise InterpError(f'tool {number}: {tool.fault}')
     return tool
 
 

@@ -174,5 +174,7 @@ def test_the_corner_radius_can_be_set_while_the_machine_is_on():
 
 def test_the_corner_radius_is_kept_in_the_setup_file():
     assert JobSetup.of_text(SETUP.text()) == SETUP
-    with pytest.raises(ProgramError, match=r'tools.1.corner_radius: must be from 0 to the radius'):
+    with pytest.raises(
+        ProgramError, match=r'tools.1: the corner radius must be from 0 to the radius'
+    ):
         JobSetup.of_text('tools:\n  1: {length: 1, radius: 2, corner_radius: 3}\n')

@@ -14,6 +14,7 @@ from cnc_interp_msgs.msg import (
     G1Block,
     G1BlockBatch,
     LoadedProgram,
+    MachineSignals,
     MachineState,
     PathSegmentBatch,
     SetpointChunk,
@@ -56,6 +57,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'axis_feedback': (AxisFeedback, qos.STREAM),
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
+    'machine_signals': (MachineSignals, qos.LOADED),
     'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }

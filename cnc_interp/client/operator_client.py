@@ -14,8 +14,8 @@ from typing import Any
 
 import rclpy
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineState, ModalState
-from cnc_interp_msgs.srv import Home, MoveAxes
+from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineSignals, MachineState, ModalState
+from cnc_interp_msgs.srv import Home, MoveAxes, SwitchOutputs
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
@@ -135,6 +135,7 @@ class OperatorClient:
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
         self.active_modes: ModalState | None = None  # of the block that is executed
+        self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
         self.machine = ''
         self._on_state = on_state
@@ -143,6 +144,7 @@ class OperatorClient:
             (LoadedProgram, 'loaded_program', 'program'),
             (ModalState, 'modal_state', 'modes'),
             (ModalState, 'active_modes', 'active_modes'),
+            (MachineSignals, 'machine_signals', 'signals'),
         ):
             node.create_subscription(kind, topic, partial(setattr, self, name), LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
@@ -150,6 +152,7 @@ class OperatorClient:
         self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
         self._move_axes = node.create_client(MoveAxes, 'move_axes')
         self._home = node.create_client(Home, 'home')
+        self._switch_outputs = node.create_client(SwitchOutputs, 'switch_outputs')
         self._beats = node.create_publisher(Jog, 'jog', BEATS)
         self._set_overrides = {
             topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
@@ -227,6 +230,11 @@ class OperatorClient:
 
     def set_switch(self, name: str, on: bool) -> Future[Answer]:
         return self.ask(self._switches[name], SetBool.Request(data=on), name)
+
+    def set_output(self, name: str, value: float) -> Future[Answer]:
+        """Set an output of the machine by hand."""
+        request = SwitchOutputs.Request(names=[name], values=[value])
+        return self.ask(self._switch_outputs, request, 'switch_outputs')
 
     @property
     def can_move(self) -> bool:

@@ -12,20 +12,23 @@ import numpy as np
 from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.client.bag import Bag
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.start_line import StartBlock, StartLine
+from cnc_interp.proof.functions import MISSING
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
+from cnc_interp.wire.function_messages import check_functions, functions_from
 from cnc_interp.wire.message_checks import check_setpoints
 from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
 from cnc_interp.wire.run_messages import run_id_of
@@ -127,6 +130,25 @@ class RecordedRun:
             if len(chunk.sequences):
                 yield setpoints_from(chunk)
 
+    def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
+        """Return the functions of the program, and the setpoints with which they came.
+
+        Raises InterpError if one came out twice, or as another one.
+        """
+        sent = [function for block in self.blocks for function in block.functions]
+        check_functions('blocks', sent, machine.signals)
+        kept = np.concatenate([np.zeros(0, bool), *(p.block > 0 for p in self._executed(machine))])
+        program = np.append(np.cumsum(kept) - kept, kept.sum())
+        sample = np.full(len(sent), MISSING)
+        for done in (f for chunk in self.chunks for f in chunk.functions):
+            known = done.number < len(sent) and sent[done.number]
+            if not known or (known.step, known.value) != (done.step, done.value):
+                raise InterpError(f'function {done.number} was executed, but not sent so')
+            if sample[done.number] != MISSING:
+                raise InterpError(f'function {done.number} was executed twice')
+            sample[done.number] = program[min(done.sample, len(program) - 1)]
+        return functions_from(sent), sample
+
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
         """Yield the recorded path in machine axes, part by part."""
         builder = AxisPathBuilder(Transform.of(machine), self.flank_height, self.period)
@@ -226,6 +248,8 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             writer.path(fine, way.feed(fine.s[:-1]))
         for samples in run.setpoints(machine):
             writer.setpoints(finder.setpoints(samples))
+        functions, writer.acted = run.functions(machine)
+        writer.functions = finder.functions(functions) if row > 1 else functions
         if row > 1:
             block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
             writer.figures.start = finder.place(block)

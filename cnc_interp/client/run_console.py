@@ -43,6 +43,7 @@ STOP_TEXTS = {
     MachineState.REASON_OPTIONAL_STOP: 'optional stop',
     MachineState.REASON_SINGLE_BLOCK: 'single block',
     MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
+    MachineState.REASON_FUNCTION: 'the operator must see to an output',
 }
 #: Stops after which only the operator goes on.
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
@@ -267,15 +268,18 @@ class RunConsole:
         ):
             self._stop_told = False
             return
-        asked = not self._request.pass_stops and at_terminal()
+        answers = state.reason == MachineState.REASON_FUNCTION  # no option answers for a switch
+        passes = self._request.pass_stops and not answers
+        asked = not passes and at_terminal()
         if not self._stop_told:
             self._stop_told = True
-            if not self._request.pass_stops:
-                stop = f'\nline {state.line_number}: {STOP_TEXTS[state.reason]}; '
+            if not passes:
+                text = state.message if answers else STOP_TEXTS[state.reason]
+                stop = f'\nline {state.line_number}: {text}; '
                 print(stop + ('Enter to go on' if asked else self._elsewhere()), file=sys.stderr)
             if asked:
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
-        if self._request.pass_stops:
+        if passes:
             if self._passed is None or self._passed.done():
                 self._passed = self._client.trigger('cycle_start')
         elif asked and enter_pressed():

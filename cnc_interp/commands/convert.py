@@ -94,9 +94,11 @@ def hal_command(options: argparse.Namespace) -> int:
     from cnc_interp.machine.hal_file import hal_file
     from cnc_interp.machine_model.machine import Machine
 
-    axes = Machine.load(options.machine).axis_names
+    machine = Machine.load(options.machine)
+    axes = machine.axis_names
     text = '\n'.join(file.read_text(encoding='utf-8', errors='replace') for file in options.files)
-    made, left_out = hal_file(text, axes, (options.joints or ''.join(axes)).upper())
+    joints = (options.joints or ''.join(axes)).upper()
+    made, left_out = hal_file(text, axes, joints, machine.signals)
     _write(made, options.out)
     for line in left_out:
         print(f'not connected: {line}', file=sys.stderr)

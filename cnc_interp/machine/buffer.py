@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.machine.switching import ActsOfChunk
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
@@ -37,13 +38,14 @@ class BufferedChunk:
     #: Setpoints and stop tail with their lines.
     rows: SourcedSetpoints
     tail: SourcedSetpoints
+    acts: ActsOfChunk  #: What is switched.
 
-    def head(self, count: int, serial: int) -> BufferedChunk:
+    def head(self, count: int, serial: int, acts: ActsOfChunk) -> BufferedChunk:
         """Return its first setpoints as a chunk with another serial number."""
         chunk, lines = self.chunk.head(count), self.rows.lines
         tail = SourcedSetpoints(chunk.tail, lines[count:] + self.tail.lines)
         rows = SourcedSetpoints(chunk.samples, lines[:count])
-        return BufferedChunk(serial, self.run_id, self.first, chunk, rows, tail)
+        return BufferedChunk(serial, self.run_id, self.first, chunk, rows, tail, acts)
 
     @property
     def after(self) -> int:

@@ -29,6 +29,7 @@ from cnc_interp.machine.cycle_kernels import (
     FORGET,
     HALT,
     LEAVE,
+    MUTE,
     NEXT,
     NONE,
     POSITIONS,
@@ -41,6 +42,7 @@ from cnc_interp.machine.cycle_kernels import (
     SERIAL,
     SOURCE,
     START,
+    SWITCHES,
     TAIL_COLUMNS,
     WORDS,
     Memory,
@@ -50,6 +52,7 @@ from cnc_interp.machine.cycle_kernels import (
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.run.setpoints import Chunk
 
+NO_SWITCHES = np.zeros((0, 3))
 KEPT = 10.0  #: Records are kept so long [s]; longer than any buffer and stop tail.
 STANDS = 0.5  #: A clock later than this stands [s]; no service waits longer for it.
 
@@ -76,7 +79,7 @@ class Cycle:
 
     def __init__(
         self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
-        drives: FloatArray,
+        drives: FloatArray, outputs: FloatArray = NO_SWITCHES[0:0, 0],
     ):  # fmt: skip
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
@@ -85,8 +88,9 @@ class Cycle:
             chunks=np.zeros((slots, COLUMNS), dtype=np.int64),
             travel=np.ascontiguousarray(travel, dtype=float),
             jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
-            feedback=np.zeros((4, n)), drives=drives, records=np.zeros((kept, 4), dtype=np.int64),
-            measured=np.zeros((kept, 3, n)), late=np.zeros(RECORD, dtype=np.int64),
+            feedback=np.zeros((4, n)), drives=drives, outputs=outputs,
+            records=np.zeros((kept, 4), dtype=np.int64), measured=np.zeros((kept, 3, n)),
+            late=np.zeros(RECORD, dtype=np.int64),
         )  # fmt: skip
         self._control = self._memory.control
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
@@ -99,17 +103,24 @@ class Cycle:
         self._memory.setpoint[0] = position
         self._memory.feedback[0] = self._memory.feedback[2] = position
 
-    def push(self, chunk: Chunk) -> int:
-        """Write a chunk into the ring; return its unique serial number. Linked, it is played."""
+    def push(
+        self, chunk: Chunk, switches: tuple[FloatArray, FloatArray] = (NO_SWITCHES, NO_SWITCHES)
+    ) -> int:
+        """Write a chunk into the ring; return its unique serial number. Linked, it is played.
+
+        ``switches``: row, output and value, (k, 3), of the chunk and of its stop tail.
+        """
         serial, descriptors = self._written, self._memory.chunks
         if self._kept and serial - self._kept[0][0] >= len(descriptors):
             raise StreamError('the buffer is full; keep to the window of the stream')
         arrays: list[FloatArray] = []
         descriptor = descriptors[serial % len(descriptors)]
-        for column, part in ((POSITIONS, chunk.samples), (TAIL_COLUMNS, chunk.tail)):
+        parts = zip((POSITIONS, TAIL_COLUMNS), (chunk.samples, chunk.tail), switches, strict=True)
+        for column, part, acts in parts:
             both = [np.ascontiguousarray(rows) for rows in (part.position, part.velocity)]
-            arrays += both
+            arrays += [*both, acts]
             descriptor[column : column + 3] = *(rows.ctypes.data for rows in both), len(part)
+            descriptor[column + SWITCHES : column + SWITCHES + 2] = acts.ctypes.data, len(acts)
         descriptor[RESTS], descriptor[NEXT] = chunk.rests, NONE
         self._kept.append((serial, tuple(arrays)))
         self._written = serial + 1
@@ -146,6 +157,10 @@ class Cycle:
     def leave(self) -> None:
         """Continue with the stop tail of the chunk that is being played."""
         publish(self._control, LEAVE, 1)
+
+    def mute(self, mutes: bool) -> None:
+        """Leave the outputs as they are, whatever is played, or let setpoints switch them."""
+        publish(self._control, MUTE, int(mutes))
 
     def halt(self) -> None:
         """Send the drives no further setpoint."""

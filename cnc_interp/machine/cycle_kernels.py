@@ -16,12 +16,14 @@ REST, CHUNK, TAIL = 0, 1, 2  #: What the cycle plays.
 STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED = 1, 2, 4, 8, 16, 32
 ALARM_SHIFT = 8  #: The events of an ALARMED record have the number of the alarm above this bit.
 #: Words that Python writes and the cycle reads ...
-QUIT, LEAVE, HALT, START, FIRST, READ, FORGET = range(7)
+QUIT, LEAVE, HALT, START, FIRST, READ, FORGET, MUTE = range(8)
 #: ... and words that the cycle writes.
-HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(7, 16)
-#: Columns of a descriptor: positions, velocities and count of a chunk, then of its stop tail;
-#: whether the machine rests after it; and the chunk that comes next.
-POSITIONS, VELOCITIES, COUNT, TAIL_COLUMNS, RESTS, NEXT, COLUMNS = 0, 1, 2, 3, 6, 7, 8
+HALTED, STARTED, SOURCE, SERIAL, ROW, RECORDED, FORGOTTEN, ALARM, WORDS = range(8, 17)
+#: Columns of a descriptor: positions, velocities and count of a chunk, its switches (row, output,
+#: value) and their count; the same of its stop tail; whether the machine rests after it; and the
+#: chunk that comes next.
+POSITIONS, VELOCITIES, COUNT, SWITCHES, SWITCH_COUNT, TAIL_COLUMNS = range(6)
+RESTS, NEXT, COLUMNS = 10, 11, 12
 NONE = -1  #: No chunk comes next, so far.
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
@@ -39,6 +41,7 @@ class Memory(NamedTuple):
     #: which the drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
     feedback: FloatArray
     drives: FloatArray  #: Memory of the drives.
+    outputs: FloatArray  #: (n_outputs,): What the outputs are set to; the drives read it.
     records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
     measured: FloatArray  #: (count, 3, n_axes): Actual position, velocity; setpoint answered.
     late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
@@ -96,6 +99,21 @@ def _take_setpoint(memory: Memory) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def _switch(memory: Memory) -> None:
+    """Set the outputs that change with the chosen row."""
+    control = memory.control
+    descriptor = memory.chunks[control[SERIAL] % len(memory.chunks)]
+    shift = TAIL_COLUMNS if control[SOURCE] == TAIL else 0
+    count = descriptor[SWITCH_COUNT + shift]
+    if count == 0 or control[MUTE]:
+        return
+    switches = carray(pointer(np.uintp(descriptor[SWITCHES + shift])), (count, 3))
+    for i in range(count):
+        if switches[i, 0] == control[ROW]:
+            memory.outputs[int(switches[i, 1])] = switches[i, 2]
+
+
+@njit(cache=True, nogil=True)
 def advance(memory: Memory, step: int) -> None:
     """Let one period pass."""
     control, records = memory.control, memory.records
@@ -106,6 +124,8 @@ def advance(memory: Memory, step: int) -> None:
         control[SOURCE] = REST
     if control[SOURCE] == REST:
         memory.setpoint[1] = 0.0
+    else:
+        _switch(memory)
     memory.feedback[2], memory.feedback[3] = memory.setpoint[0], 0.0
     fault = call_drives(
         np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,

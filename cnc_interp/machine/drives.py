@@ -56,6 +56,25 @@ class Drives(Protocol):
         """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
         ...
 
+    @property
+    def outputs(self) -> FloatArray:
+        """What the outputs of the machine file are set to: their memory, which others write."""
+        ...
+
+    @property
+    def inputs(self) -> FloatArray:
+        """The inputs of the machine file, as they were reported last."""
+        ...
+
+    @property
+    def wired(self) -> bool:
+        """Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does."""
+        ...
+
+    def exchange(self, seconds: float) -> None:
+        """Take over outputs and inputs, some time after the call before."""
+        ...
+
     def switch_on(self) -> None:
         """Switch the power on and hold the axes where they stand."""
         ...

@@ -17,6 +17,7 @@ from cnc_interp.core.native import publish
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
+from cnc_interp.machine.hal_file import columns_of
 from cnc_interp.machine_model.machine import Machine
 
 LIBRARY = 'liblinuxcnchal.so.0'
@@ -160,6 +161,7 @@ class HalDrives:
     thread stands or has another period.
     """
 
+    wired = True
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
@@ -174,11 +176,16 @@ class HalDrives:
                     f"HAL's thread has a period of {found * 1e3:g} ms, the interpolation period "
                     f'is {period * 1e3:g} ms; make them equal'
                 )
-            stream = self._attach(STREAMER_KEY, 'f' * (2 * n) + 'b', 'streamer')
-            samples = self._attach(SAMPLER_KEY, 'f' * (2 * n) + 'b' * (n + 2), 'sampler')
+            columns = columns_of(n, machine.signals)
+            stream = self._attach(STREAMER_KEY, columns[0], 'streamer')
+            samples = self._attach(SAMPLER_KEY, columns[1], 'sampler')
             self._check_depth(depth, stream, samples)
-            self.memory = np.zeros(hal_step.block_size(n))
+            counts = len(machine.signals.outputs), len(machine.signals.inputs)
+            self.memory = np.zeros(hal_step.block_size(n, *counts))
+            self.memory.view(np.int64)[[hal_step.OUTPUTS, hal_step.INPUTS]] = counts
             self._block = hal_step.block_at(self.memory.ctypes.data, n)
+            self.outputs, self.inputs = self._block.outputs, self._block.inputs
+            self._block.is_number[:] = [s.is_number for s in machine.signals.outputs]
             self._fill(machine, period, depth, limits, stream, samples)
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
@@ -186,6 +193,9 @@ class HalDrives:
         except BaseException:
             self._leave()
             raise
+
+    def exchange(self, seconds: float) -> None:
+        """Do nothing: the step exchanges outputs and inputs with HAL."""
 
     def _attach(self, key: int, columns: str, name: str) -> HalStream:
         stream = HalStream(self._session, key, columns, name)

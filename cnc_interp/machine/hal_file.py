@@ -6,7 +6,9 @@ import re
 from collections.abc import Sequence
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.machine_model.signals import Signals
 
+NO_SIGNALS = Signals()
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|\w+kins|\[(KINS|EMCMOT|TRAJ)\].*')
 #: Pins of programs that do not run beside cnc_interp.
@@ -17,12 +19,28 @@ RELEASED, LOOP = 'iocontrol.0.emc-enable-in', 'iocontrol.0.user-enable-out'
 #: Signals that take the place of those of each joint, and of the emergency stop.
 POWER, STOP = 'cnc-power', 'cnc-released'
 
+#: Pins of LinuxCNC whose signals outputs and inputs of these names take over.
+PINS = {
+    'spindle_speed': 'spindle.0.speed-out-abs', 'spindle_forward': 'spindle.0.forward',
+    'spindle_reverse': 'spindle.0.reverse', 'spindle_at_speed': 'spindle.0.at-speed',
+    'coolant_flood': 'iocontrol.0.coolant-flood', 'coolant_mist': 'iocontrol.0.coolant-mist',
+    'tool_change': 'iocontrol.0.tool-change', 'tool_changed': 'iocontrol.0.tool-changed',
+}  # fmt: skip
+
 LOADED = """loadrt threads {threads}
-loadrt streamer depth=1000 cfg={floats}b
-loadrt sampler depth=4000 cfg={floats}{bits}
+loadrt streamer depth=1000 cfg={stream}
+loadrt sampler depth=4000 cfg={samples}
 loadrt not names=stream-alive
 loadrt and2 names=power-wanted,power-given
 loadrt timedelay names=stream-late"""
+
+
+def columns_of(n: int, signals: Signals) -> tuple[str, str]:
+    """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them."""
+    outputs = ''.join('f' if signal.is_number else 'b' for signal in signals.outputs)
+    return 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2 + len(signals.inputs))
+
+
 #: Functions that take the place of those of the motion controller.
 REPLACED = {
     'motion-command-handler': (
@@ -45,7 +63,9 @@ net cnc-power power-given.out => sampler.0.pin.{power}
 start"""
 
 
-def hal_file(text: str, axes: Sequence[str], joints: str) -> tuple[str, list[str]]:
+def hal_file(
+    text: str, axes: Sequence[str], joints: str, signals: Signals = NO_SIGNALS
+) -> tuple[str, list[str]]:
     """Put cnc_interp in the place of LinuxCNC's motion controller, in the text of all HAL files.
 
     ``joints``: letter of the axis of each joint, as ``XYZ``. Returns the new file, and the lines
@@ -56,20 +76,20 @@ def hal_file(text: str, axes: Sequence[str], joints: str) -> tuple[str, list[str
             f'--joints {joints}: name each axis of the machine once, in the order of the joints '
             f'of LinuxCNC (axes: {" ".join(axes)}); an axis with two motors cannot be converted'
         )
-    place, needed = _places(axes, joints), {'motion-command-handler', 'motion-controller'}
+    place, needed = _places(axes, joints, signals), {'motion-command-handler', 'motion-controller'}
     needed |= {pin for pin in place if 'motor-pos' in pin}
     commented = [line.partition('#') for line in text.replace('\\\n', ' ').splitlines()]
     rows = [(line + mark + note, line.split()) for line, mark, note in commented]
-    signals: dict[str, set[str]] = {}
+    nets: dict[str, set[str]] = {}
     for _, words in rows:
         if words[:1] == ['net']:
-            signals.setdefault(' '.join(words[1:2]), set()).update(_pins(words))
-    renamed = {name: new for name, pins in signals.items() if (new := _new_name(pins))}
+            nets.setdefault(' '.join(words[1:2]), set()).update(_pins(words))
+    renamed = {name: new for name, pins in nets.items() if (new := _new_name(pins))}
     made, left_out = [], []
     for line, words in rows:
         needed -= set(words)
         if words[:1] == ['loadrt'] and MOTION.fullmatch(' '.join(words[1:2])):
-            made += _loaded(words, len(axes))
+            made += _loaded(words, columns_of(len(axes), signals))
         elif words[:1] == ['addf'] and ' '.join(words[1:2]) in REPLACED:
             made += [' '.join(['addf', name, *words[2:3]]) for name in REPLACED[words[1]]]
         elif words[:1] == ['net']:
@@ -95,8 +115,14 @@ def hal_file(text: str, axes: Sequence[str], joints: str) -> tuple[str, list[str
     return '\n'.join(made) + '\n', left_out
 
 
-def _places(axes: Sequence[str], joints: str) -> dict[str, str]:
+def _places(axes: Sequence[str], joints: str, signals: Signals) -> dict[str, str]:
     found: dict[str, str] = {}
+    ways = (('streamer.0', 2 * len(axes) + 1, signals.outputs),
+            ('sampler.0', 3 * len(axes) + 2, signals.inputs))  # fmt: skip
+    for name, first, declared in ways:
+        for k, signal in enumerate(declared):
+            if signal.name in PINS:
+                found[PINS[signal.name]] = f'{name}.pin.{first + k}'
     for joint, letter in enumerate(joints):
         i, n = axes.index(letter), len(axes)
         found |= {
@@ -119,7 +145,7 @@ def _new_name(pins: set[str]) -> str:
     return STOP if RELEASED in pins and pins - {RELEASED, LOOP} else ''
 
 
-def _loaded(words: Sequence[str], n: int) -> list[str]:
+def _loaded(words: Sequence[str], columns: tuple[str, str]) -> list[str]:
     """Return what is loaded in the place of a module: its threads are those of ``motmod``."""
     given = dict(word.split('=', 1) for word in words if '=' in word)
     if 'servo_period_nsec' not in given:
@@ -130,4 +156,4 @@ def _loaded(words: Sequence[str], n: int) -> list[str]:
     threads = ' '.join(
         f'name{k}={name} period{k}={x}' for k, (name, x) in enumerate(periods.items(), 1)
     )
-    return [LOADED.format(threads=threads, floats='f' * 2 * n, bits='b' * (n + 2))]
+    return [LOADED.format(threads=threads, stream=columns[0], samples=columns[1])]

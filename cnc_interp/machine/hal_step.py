@@ -27,7 +27,8 @@ WANTED, PERIOD, POWER = range(6, 9)
 #: time at which samples were looked for last [ns], and the memory of a ``timespec``.
 COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
 LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
-WORDS = TIME + 2
+#: Numbers of outputs and inputs, which Python writes before all others.
+OUTPUTS, INPUTS, WORDS = 26, 27, 28
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
 KEPT = 8192  #: Rows that are kept for comparison; more than wait between push and sample.
@@ -51,34 +52,44 @@ class Block(NamedTuple):
     held: FloatArray  #: (n,): Where the axes are held after the power came [m, rad].
     actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
     kept: FloatArray  #: (KEPT, 2n + FLAGS): Pushed rows: setpoint [m, rad], in HAL's units, flags.
-    row: FloatArray  #: (2n + 1,): A row of the stream: positions, velocities, power.
-    #: (3n + 2,): A row of the sampler: positions commanded and actual; then bits: amplifier
-    #: faults, power is on, FIFO was empty.
+    row: FloatArray  #: (2n + 1 + m,): A row of the stream: positions, velocities, power, outputs.
+    #: (3n + 2 + k,): A row of the sampler: positions commanded and actual; then bits: amplifier
+    #: faults, power is on, FIFO was empty, inputs.
     sample: FloatArray
     number: FloatArray  #: (1,): Where HAL writes the number of the sample.
+    outputs: FloatArray  #: (m,): What the outputs are set to.
+    is_number: FloatArray  #: (m,): Whether an output is a number; otherwise it is a bit.
+    inputs: FloatArray  #: (k,): The inputs in the last sample.
 
 
-def block_size(n: int) -> int:
-    return WORDS + 5 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1
+def block_size(n: int, outputs: int, inputs: int) -> int:
+    signals = 3 * outputs + 2 * inputs
+    return WORDS + 5 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1 + signals
 
 
 @njit(cache=True, nogil=True)
 def block_at(address: int, n: int) -> Block:
     """Return the parts of the memory that begins at an address."""
     columns, at = 2 * n + FLAGS, address + 8 * WORDS
+    words = carray(pointer(np.uintp(address)), (WORDS,)).view(np.int64)
+    m, k = words[OUTPUTS], words[INPUTS]
     rows = at + 8 * 5 * n
     row = rows + 8 * KEPT * columns
-    sample = row + 8 * (2 * n + 1)
+    sample = row + 8 * (2 * n + 1 + m)
+    number = sample + 8 * (3 * n + 2 + k)
     return Block(
-        carray(pointer(np.uintp(address)), (WORDS,)).view(np.int64),
+        words,
         carray(pointer(np.uintp(at)), (n,)),
         carray(pointer(np.uintp(at + 8 * n)), (n,)),
         carray(pointer(np.uintp(at + 16 * n)), (n,)),
         carray(pointer(np.uintp(at + 24 * n)), (2, n)),
         carray(pointer(np.uintp(rows)), (KEPT, columns)),
-        carray(pointer(np.uintp(row)), (2 * n + 1,)),
-        carray(pointer(np.uintp(sample)), (3 * n + 2,)),
-        carray(pointer(np.uintp(sample + 8 * (3 * n + 2))), (1,)),
+        carray(pointer(np.uintp(row)), (2 * n + 1 + m,)),
+        carray(pointer(np.uintp(sample)), (3 * n + 2 + k,)),
+        carray(pointer(np.uintp(number)), (1,)),
+        carray(pointer(np.uintp(number + 8)), (m,)),
+        carray(pointer(np.uintp(number + 8 * (1 + m))), (m,)),
+        carray(pointer(np.uintp(number + 8 * (1 + 2 * m))), (k,)),
     )
 
 
@@ -97,7 +108,13 @@ def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, move
         kept[i], kept[n + i] = wanted[i], wanted[i] / block.units[i]
         block.row[i], block.row[n + i] = kept[n + i], velocity[i] / block.units[i]
     kept[2 * n], kept[2 * n + 1] = on, moves
-    block.row[2 * n :].view(np.int64)[0] = on
+    bits = block.row[2 * n :].view(np.int64)
+    bits[0] = on
+    for i in range(len(block.outputs)):
+        if block.is_number[i] != 0.0:
+            block.row[2 * n + 1 + i] = block.outputs[i]
+        else:
+            bits[1 + i] = block.outputs[i] != 0.0
     if _call(words, WRITE, STREAM, block.row.ctypes.data) < 0:
         return False
     words[PUSHED] += 1
@@ -110,6 +127,8 @@ def _judge(block: Block) -> int:
     words, n, sample = block.words, len(block.units), block.sample
     bits = sample[2 * n :].view(np.int64)
     on, empty = (bits[n] & 1) == 1, (bits[n + 1] & 1) == 1
+    for i in range(len(block.inputs)):
+        block.inputs[i] = bits[n + 2 + i] & 1
     for i in range(n):
         block.actual[0, i] = block.actual[1, i]
         block.actual[1, i] = sample[n + i] * block.units[i]

@@ -6,6 +6,7 @@ When a stop tail was followed, the plan is over; the next one begins where the m
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -31,6 +32,7 @@ from cnc_interp.machine.cycle_kernels import (
     follow_ideally,
 )
 from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
+from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
@@ -44,8 +46,12 @@ RESTS = {
     Wait.OPTIONAL_STOP: (Event.WAIT, Reason.OPTIONAL_STOP),
     Wait.SINGLE_BLOCK: (Event.WAIT, Reason.SINGLE_BLOCK),
     Wait.APPROACH: (Event.WAIT, Reason.APPROACH),
+    Wait.FUNCTION: (Event.FILL, Reason.NONE),
     Wait.END: (Event.FINISH, Reason.NONE),
 }
+EMERGENCY = 'emergency_stop'  #: What switches off, as in ``signals.STOPS``.
+STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
+LOST = 2.0  #: After so long without setpoints the planner counts as lost [s].
 ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
 TOGETHER = 0.01  #: Motion that is read at once, where nothing else happens and much waits [s].
 SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
@@ -74,13 +80,19 @@ class Playback:
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
-        self._drives, self._full = drives, full
+        self.drives, self._full = drives, full
         self._together = min(round(TOGETHER / period), full // 4)
         self._delayed = drives if isinstance(drives, DelayedDrives) else None
         step, memory = int(follow_ideally.address), np.zeros(1)
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
-        self.cycle = Cycle(period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory)
+        self.cycle = Cycle(
+            period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs
+        )
+        self._signals = machine.signals
+        self.switching = Switching(machine.signals, drives)
+        #: What functions have set, until it is published: the run, and the setpoint before.
+        self.switched: deque[tuple[RunId, Act, int]] = deque()
         self.state = RunState()
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
@@ -107,21 +119,22 @@ class Playback:
         self._empty()
 
     def _power_on(self) -> None:
-        self._drives.switch_on()
+        self.drives.switch_on()
         self._powered = True
-        self._place(self._drives.position)
+        self._place(self.drives.position)
 
     def _power_off(self) -> None:
         self._powered = False
-        self._drives.switch_off()
+        self.drives.switch_off()
 
     def switch_off(self) -> None:
         """Switch the drives off; at rest without a run, or in a fault."""
         self.state = self.state.after(Event.DEACTIVATE)
+        self._switch_off(EMERGENCY)
         self._power_off()
 
     def close(self) -> None:
-        self._drives.close()
+        self.drives.close()
 
     # Runs and plans -----------------------------------------------------------------------------
 
@@ -166,6 +179,11 @@ class Playback:
     def _forget_run(self, run_id: RunId) -> None:
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
+        self.switching.forget()
+        self.functions = self._queued = 0  # set so far; number after those that wait
+        self._wanted: dict[int, Act] = {}  # what the functions have set, by output
+        self._off = self._finishing = False  # a stop has switched off; the last functions wait
+        self._starved_for = 0.0  # [s]
         self.last: Reached | None = None
         #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
         self.away: FloatArray = np.zeros(0)
@@ -187,7 +205,8 @@ class Playback:
     @property
     def busy(self) -> bool:
         """Tell whether the cycle must be read often: setpoints wait or move."""
-        return bool(not self.state.resting or self.buffer.count or self._delayed is not None)
+        waits = self.buffer.count or self.switching.busy or self._delayed is not None
+        return bool(not self.state.resting or waits)
 
     @property
     def left(self) -> bool:
@@ -252,16 +271,22 @@ class Playback:
         self.look()
         if not self.left:
             last = self.buffer.chunks[-1] if self.buffer.chunks else self._current
-            pushed = self._written(chunk, lines, tail_lines, self.buffer.next_number)
+            pushed = self._written(chunk, lines, tail_lines, self.buffer.next_number, last)
             if last is not None:
                 self.cycle.link(last.serial, pushed.serial)
             self.buffer.push(pushed)
 
     def _written(
-        self, chunk: Chunk, lines: list[int], tails: list[int], first: int
-    ) -> BufferedChunk:
+        self, chunk: Chunk, lines: list[int], tails: list[int], first: int,
+        before: BufferedChunk | None,
+    ) -> BufferedChunk:  # fmt: skip
         rows, tail = SourcedSetpoints(chunk.samples, lines), SourcedSetpoints(chunk.tail, tails)
-        return BufferedChunk(self.cycle.push(chunk), self.run_id, first, chunk, rows, tail)
+        expected = self.functions if before is None else max(before.acts.after, self.functions)
+        acts = ActsOfChunk.of(chunk, self._signals, expected)
+        if acts.waiting and before is not None and not before.chunk.rests:
+            raise StreamError('a function that waits must stand where the path rests')
+        serial = self.cycle.push(chunk, acts.switches)
+        return BufferedChunk(serial, self.run_id, first, chunk, rows, tail, acts)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
@@ -289,9 +314,13 @@ class Playback:
         split = next((c for c in buffer.chunks if c.first < number < c.after), None)
         before, comes = kept[-1] if kept else self._current, []
         if split is not None:
-            head = split.chunk.head(number - split.first)
-            comes.append(split.head(number - split.first, self.cycle.push(head)))
-        pushed = replace(self._written(chunk, lines, tail_lines, number), run_id=run_id)
+            count = number - split.first
+            acts = split.acts.head(count, len(split.rows))
+            serial = self.cycle.push(split.chunk.head(count), acts.switches)
+            comes.append(split.head(count, serial, acts))
+        follows = comes[-1] if comes else before
+        pushed = self._written(chunk, lines, tail_lines, number, follows)
+        pushed = replace(pushed, run_id=run_id)
         if comes:
             self.cycle.link(comes[0].serial, pushed.serial)
         comes.append(pushed)
@@ -343,6 +372,7 @@ class Playback:
         if not self._powered:
             self._power_on()
         self.state = cleared
+        self.cycle.mute(False)
         self._given_up = self.run_id.program_id or self._given_up
         self._forget_run(NO_RUN)
 
@@ -352,6 +382,99 @@ class Playback:
             self.cycle.leave()
         if self.state.state is State.FAULT:
             self._empty()
+        self._see_stop()
+
+    # Outputs ------------------------------------------------------------------------------------
+
+    def switch(self, acts: Sequence[Act]) -> None:
+        """Set outputs at rest without a program, one after the other; else StreamError."""
+        self.read()
+        if self.state.state is not State.IDLE or self.buffer.count:
+            text = self.state.text or self.state.state.value
+            raise StreamError(f'outputs are switched by hand at rest without a program ({text})')
+        self._forget_run(NO_RUN)
+        self.switching.add(acts)
+        self._finishing = True
+        self._await_answers()
+        self._work(0.0)
+
+    def _await_answers(self) -> None:
+        self.state = self.state.after(Event.FILL, Reason.FUNCTION, self.switching.text)
+
+    def _switch_off(self, word: str) -> None:
+        """Set what the machine file says for a stop; setpoints switch nothing any more."""
+        self.cycle.mute(True)
+        self.switching.stop(word)
+        self._off, self._queued = True, self.functions
+        self.switching.work(0.0, lambda _: True)
+
+    def _see_stop(self) -> None:
+        if self.state.state in (State.STOPPING, State.FAULT) and not self._off:
+            emergency = self.state.reason is Reason.EMERGENCY_STOP
+            self._switch_off(EMERGENCY if emergency else 'fault')
+
+    def _work(self, seconds: float) -> None:
+        """Go on with the outputs that are set at rest, some time later; start what may start."""
+        switching, starved = self.switching, self.state.state is State.STARVED
+        self._see_stop()
+        self._starved_for = self._starved_for + seconds if starved else 0.0
+        if self._starved_for >= LOST and not self._off:
+            self._switch_off('lost_planner')
+        enough = self.state.may_start and self._has_enough()
+        self._queue_functions(enough)
+        for act in switching.work(seconds, self._may_begin):
+            self._note(act, self.played)
+        self.drives.exchange(seconds)
+        state = self.state
+        if not (state.may_start and (enough or switching.asks or self._finishing)):
+            return
+        if switching.asks and state.start_wanted:
+            switching.answer()
+            self._await_answers()
+        elif switching.asks:
+            self.state = state.after(Event.WAIT, Reason.FUNCTION, switching.asks)
+        elif switching.busy:
+            if state.text != switching.text:
+                self._await_answers()
+        elif self._finishing:
+            self._finishing = False
+            self.state = state.after(Event.FINISH)
+        else:
+            self.state = state.after(Event.START)
+            self.cycle.start(self.buffer.chunks[0].serial)
+
+    def _may_begin(self, act: Act) -> bool:
+        held = self.state.state is State.HELD and not self.state.start_wanted
+        return act.number == NO_FUNCTION or act.before_stop or not held
+
+    def _queue_functions(self, starts: bool) -> None:
+        """Take what must be set before the path goes on, or before a program stop waits."""
+        stops = self.state.state is State.HELD and self.state.reason in STOPPED
+        if not (self.buffer.chunks and (starts or stops)) or self.buffer.chunks[0].first < 0:
+            return
+        if starts and self._off:  # after a lost planner
+            self._off = False
+            self.cycle.mute(False)
+            self.switching.forget()
+            outputs = self.drives.outputs
+            again = [a for a in self._wanted.values() if outputs[a.step.output] != a.value]
+            self.switching.add(act._replace(number=NO_FUNCTION) for act in again)
+        acts = self.buffer.chunks[0].acts
+        count = acts.waiting if starts else 0
+        for k, (row, act) in enumerate(acts.rows):
+            early = row == 0 and (k < count or (stops and act.before_stop))
+            if early and act.number >= max(self._queued, self.functions):
+                self.switching.add([act])
+                self._queued = act.number + 1
+
+    def _note(self, act: Act, sample: int) -> None:
+        """Note that the function was executed that a setpoint begins with."""
+        if act.number < self.functions:
+            return
+        self.functions = act.number + 1
+        self._wanted.pop(act.step.output, None)  # the last one comes last
+        self._wanted[act.step.output] = act
+        self.switched.append((self.run_id, act, sample))
 
     # What the cycle does ------------------------------------------------------------------------
 
@@ -363,7 +486,8 @@ class Playback:
 
     def look(self) -> None:
         """Read, but motion along a program only some periods at a time, which costs far less."""
-        if self._delayed is not None or self.state.by_hand or self.cycle.has_news(self._together):
+        waits = self._delayed is not None or self.switching.busy
+        if waits or self.state.by_hand or self.cycle.has_news(self._together):
             self.read()
 
     def read(self) -> None:
@@ -378,9 +502,7 @@ class Playback:
         failed = self.state.state is State.FAULT and self.state.reason is Reason.DRIVE_FAULT
         if failed and self._powered:
             self._power_off()
-        if self.state.may_start and self._has_enough():
-            self.state = self.state.after(Event.START)
-            self.cycle.start(self.buffer.chunks[0].serial)
+        self._work(count * self.axes.period)
 
     def _has_enough(self) -> bool:
         buffer = self.buffer
@@ -395,8 +517,8 @@ class Playback:
         if source == CHUNK:
             self._find(int(records.serial[0]))
         if events & ALARMED:
-            assert isinstance(self._drives, CycleDrives)
-            self._alarm(self._drives.fault(events >> ALARM_SHIFT))
+            assert isinstance(self.drives, CycleDrives)
+            self._alarm(self.drives.fault(events >> ALARM_SHIFT))
         if events & STARVED:
             self._starve()
         if source == TAIL and not self._on_tail:
@@ -440,6 +562,11 @@ class Playback:
             self.state = self.state.after(Event.REST)
             return
         wait, self._current = current.chunk.wait, None
+        if wait is Wait.END and current.acts.end:
+            self.switching.add(current.acts.end)
+            self._finishing = True
+            self._await_answers()
+            return
         if wait is Wait.SINGLE_BLOCK and not self.single_block:
             wait = Wait.NOTHING  # single block was switched off after this rest was planned
         self.state = self.state.after(*RESTS[wait])
@@ -448,8 +575,8 @@ class Playback:
         """Go to FAULT: the cycle has refused a setpoint, or the drives have."""
         row = int(records.row[0])
         if int(records.events[0]) & FAILED:
-            assert isinstance(self._drives, CycleDrives)
-            self._handle(Event.FAIL, Reason.DRIVE_FAULT, self._drives.fault(row))
+            assert isinstance(self.drives, CycleDrives)
+            self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))
             return
         samples = self._played.samples
         fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
@@ -493,6 +620,9 @@ class Playback:
             if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
                 self.least_buffered = min(self.least_buffered, self.buffer.count + left)
             self.last = Reached(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+        for row, act in current.acts.tail if on_tail else current.acts.rows:
+            if 0 <= (ahead := row - (self._row + 1 - len(rows))) < len(rows) and not self._off:
+                self._note(act, self.played + ahead)
         at_end = not on_tail and not left
         ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
         actual = self.feedback.position

@@ -17,16 +17,32 @@ from cnc_interp.machine_model.transform import Transform
 class SimulatedDrives:
     """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
 
+    wired = False
+
     def __init__(self, machine: Machine, period: float, position: FloatArray):
         self.lag, self.step = lag_of(machine), int(follow_once.address)
         words = words_of(machine, period, position)
         self.memory = np.concatenate([[float(words.shape[1])], words.ravel()])
         self._words = self.memory[1:].reshape(words.shape)
+        self._signals = machine.signals
+        self.outputs = np.zeros(len(machine.signals.outputs))
+        self.inputs = np.zeros(len(machine.signals.inputs))
+        self._before, self._unchanged = self.outputs.copy(), np.full(len(self.outputs), np.inf)
 
     @property
     def position(self) -> FloatArray:
         """The last setpoint, where the axes stand or settle [m, rad]."""
         return self._words[:, RING].copy()
+
+    def exchange(self, seconds: float) -> None:
+        """Let the inputs follow the outputs that they are declared to follow."""
+        self._unchanged += seconds
+        self._unchanged[self.outputs != self._before] = 0.0
+        self._before[:] = self.outputs
+        for k, signal in enumerate(self._signals.inputs):
+            if follows := list(signal.follows):
+                settled = self._unchanged[follows].min() >= signal.after
+                self.inputs[k] = settled and self.outputs[follows[0]] != 0.0
 
     def switch_on(self) -> None:
         """Do nothing: simulated axes are where they were."""
@@ -66,12 +82,15 @@ def simulate(
 class CompensatedDrives:
     """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
 
+    wired = False
+
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
     ):
         self._compensation = Compensation(model, period, inner.position)
         self.switch_on, self.switch_off = inner.switch_on, inner.switch_off
-        self.close, self.fault = inner.close, inner.fault
+        self.close, self.fault, self.exchange = inner.close, inner.fault, inner.exchange
+        self.outputs, self.inputs = inner.outputs, inner.inputs
         self.lag, self.step = self._compensation.lead, int(compensate_once.address)
         self._learnt = learnt  # its arrays must stay where they are
         taught = None if learnt is None else (learnt.setpoint, learnt.rate)

@@ -81,6 +81,7 @@ class TrajectoryDrives:
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
+    wired = False
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(
@@ -88,6 +89,8 @@ class TrajectoryDrives:
         limits: tuple[float, float], silence: float,
     ):  # fmt: skip
         self._names, self._controller = machine.axis_names, controller
+        self.outputs = np.zeros(len(machine.signals.outputs))
+        self.inputs = np.zeros(len(machine.signals.inputs))
         self._period = round(period * 1e9)
         self._delay = round(delay * 1e9)
         self._step = max(1, round(SPACING / period))
@@ -156,6 +159,9 @@ class TrajectoryDrives:
 
     def close(self) -> None:
         self._controller.close()
+
+    def exchange(self, seconds: float) -> None:
+        """Do nothing: outputs are told on ``machine_signals``, inputs on ``machine_inputs``."""
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
         """Take setpoints and send what is new to the controller; see ``drives.DelayedDrives``."""

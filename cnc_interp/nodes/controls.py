@@ -8,9 +8,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, MachineState, PathSegment
+from cnc_interp_msgs.msg import G1Block, MachineSignals, MachineState, PathSegment
 from cnc_interp_msgs.msg import Jog as JogMessage
-from cnc_interp_msgs.srv import Home, MoveAxes
+from cnc_interp_msgs.srv import Home, MoveAxes, SwitchOutputs
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
@@ -18,12 +18,15 @@ from cnc_interp.core.errors import BlockError, StreamError
 from cnc_interp.machine.homing import Homing, SimulatedSwitches
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
+from cnc_interp.machine.switching import Act
+from cnc_interp.machine_model.signals import Step
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.node_main import answering
-from cnc_interp.nodes.qos import BEATS, OVERRIDE
+from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.setpoints import Wait
+from cnc_interp.wire.function_messages import check_functions
 
 
 class Controls:
@@ -46,9 +49,12 @@ class Controls:
             (SetBool, 'single_block', self._set_single_block),
             (MoveAxes, 'move_axes', self._move),
             (Home, 'home', self._home),
+            (SwitchOutputs, 'switch_outputs', self._switch),
         ):
             node.create_service(kind, name, answering(act))
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
+        if not playback.drives.wired:
+            node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
         diagnostics.say('jog', OK, 'no motion by hand refused')
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
@@ -107,6 +113,41 @@ class Controls:
     def _home(self, request: Home.Request, _response: Any) -> str:
         self._wake()
         return f'homing {" ".join(self.homing.begin(list(request.axes), time.monotonic()))}'
+
+    def _switch(self, request: SwitchOutputs.Request, _response: Any) -> str:
+        self._wake()
+        self._refuse_beside_homing()
+        playback = self._playback
+        signals = playback.axes.machine.signals
+        check_functions('switch_outputs', request.functions, signals)
+        if len(request.names) != len(request.values) or (request.names and request.functions):
+            raise StreamError('name each output once, with one value for each')
+        acts = [
+            Act(signals.steps[f.step], f.value, k, f.step, 0, f.line_number)
+            for k, f in enumerate(request.functions)
+        ]
+        outputs = [signal.name for signal in signals.outputs]
+        for name, value in zip(request.names, request.values, strict=True):
+            if name not in outputs:
+                raise StreamError(f'{name!r} is no output; choose {", ".join(outputs)}')
+            if fault := signals.outputs[outputs.index(name)].fault_of(value):
+                raise StreamError(fault)
+            acts.append(Act(Step('', outputs.index(name), value), value))
+        playback.switch(acts)
+        return 'switched'
+
+    def _take_inputs(self, message: MachineSignals) -> None:
+        """Take inputs of drives without wires: simulated switches, or those of a controller."""
+        signals, problem = self._playback.axes.machine.signals, ''
+        known = {signal.name: k for k, signal in enumerate(signals.inputs)}
+        for name, value in zip(message.inputs, message.input_values, strict=False):
+            fault = signals.inputs[known[name]].fault_of(value) if name in known else 'unknown'
+            if fault:
+                problem = f'input {name} refused: {fault}'
+            else:
+                self._playback.drives.inputs[known[name]] = value
+        level = WARN if problem else OK
+        self._diagnostics.say('machine_inputs', level, problem or 'follows machine_inputs')
 
     def _refuse_beside_homing(self) -> None:
         if self.homing.active:

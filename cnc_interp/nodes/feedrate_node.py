@@ -30,6 +30,7 @@ from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transiti
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
@@ -44,6 +45,7 @@ from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
+from cnc_interp.wire.function_messages import functions_from
 from cnc_interp.wire.message_checks import check_segment
 from cnc_interp.wire.path_messages import segments_from
 from cnc_interp.wire.run_messages import machine_report, run_id_of
@@ -153,7 +155,8 @@ class FeedrateNode(LifecycleNode):
             name = self.get_name()
             text = f'{name} is not active; activate it, then run the program again'
             raise StreamError(text, Refusal.NOT_READY)
-        check_segment(segment, len(self._transform.machine.extra_names))
+        machine = self._transform.machine
+        check_segment(segment, len(machine.extra_names), machine.signals)
 
     def _take(self, segment: PathSegment) -> None:
         self._pace.wake()
@@ -217,8 +220,9 @@ class FeedrateNode(LifecycleNode):
             self._values['retract'], self._values['plunge_feed'], tool, asks=first.attempt == 0,
         )  # fmt: skip
 
-    def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait]]:
-        return segments_from(segments), self._inputs.pauses_after(segments)
+    def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait], Functions]:
+        functions = functions_from([f for segment in segments for f in segment.functions])
+        return segments_from(segments), self._inputs.pauses_after(segments), functions
 
     def join(self, run_id: RunId, first: int) -> None:
         self._outlet.join(run_id, first)
@@ -242,6 +246,7 @@ class FeedrateNode(LifecycleNode):
         return chunk_message(
             chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._session.run_id, first,
             self._values['interpolation_period'], joins=0 < first == self._session.joins_at,
+            signals=self._transform.machine.signals,
         )  # fmt: skip
 
     def close(self) -> None:

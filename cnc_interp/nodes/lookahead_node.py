@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from collections import deque
 from functools import partial
+from math import inf
 
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, PathSegmentBatch
+from cnc_interp_msgs.msg import Function, G1Block, G1BlockBatch, PathSegment, PathSegmentBatch
 from rclpy.node import Node
 
 from cnc_interp.core.errors import InterpError, Refusal
@@ -43,6 +44,7 @@ class SmoothingRun:
         self._sequence = 0
         self._newest: PathSegments | None = None  # held back: it may be the last one
         self._program_stops: dict[int, int] = {}  # by block
+        self._functions: deque[Function] = deque()
 
     @property
     def can_smooth(self) -> bool:
@@ -50,6 +52,7 @@ class SmoothingRun:
 
     def take(self, block: G1Block) -> None:
         self.blocks.append(block)
+        self._functions.extend(block.functions)
         if block.program_stop:
             self._program_stops[block.sequence] = block.program_stop
 
@@ -92,9 +95,17 @@ class SmoothingRun:
         for message in messages:
             if message.sequence == 0:
                 message.continue_at = self._continue_at
+            last = end and message is messages[-1]
+            message.functions = self._functions_until(inf if last else message.last_block)
             if message.stop:
                 message.program_stop = self._stop_after(message.last_block)
         return messages
+
+    def _functions_until(self, block: float) -> list[Function]:
+        found = []
+        while self._functions and self._functions[0].sequence <= block:
+            found.append(self._functions.popleft())
+        return found
 
     def _stop_after(self, block: int) -> int:
         """Return the kind of program stop after a block; M0 where several meet there."""
@@ -125,7 +136,8 @@ class LookaheadNode(Node):
             self, 'segments', PathSegmentBatch, values['resend_after'],
             lambda segments, _: PathSegmentBatch(segments=segments),
         )  # fmt: skip
-        check = partial(check_block, extra_count=len(self._transform.machine.extra_names))
+        machine = self._transform.machine
+        check = partial(check_block, extra_count=len(machine.extra_names), signals=machine.signals)
         self._inlet = Inlet(
             self, WindowedReceiver('blocks', values['block_window']),
             {'blocks': G1Block, 'block_batches': G1BlockBatch}, check,

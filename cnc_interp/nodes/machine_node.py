@@ -174,6 +174,7 @@ class MachineNode(LifecycleNode):
             level = LEVELS.get(state.state, OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._topics.publish_state()
+        self._topics.tell_signals()
         self._controls.work(override)  # what was reached before is published
         self._inlet.tick()
         return self._controls.homing.active or playback.busy

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
+from cnc_interp_msgs.msg import AxisFeedback, MachineSignals, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.machine.homing import Homing
@@ -17,7 +18,8 @@ from cnc_interp.machine.simulated_drives import Uncompensated
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
-from cnc_interp.nodes.qos import JOINTS, STATE, STREAM
+from cnc_interp.nodes.qos import JOINTS, LOADED, STATE, STREAM
+from cnc_interp.wire.function_messages import signals_message
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 
 EXECUTED_PERIOD = 0.1  #: Time between reports of what was executed [s].
@@ -57,6 +59,8 @@ class MachineTopics:
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
         self._states = node.create_publisher(MachineState, 'machine_state', STATE)
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
+        self._told_signals: MachineSignals | None = None
+        self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         node.create_timer(EXECUTED_PERIOD, self.publish_executed)
         Rate(node, values['joint_state_rate'], playback, self._publish_joints)
@@ -75,6 +79,15 @@ class MachineTopics:
         if self._homing.active and message.state == MachineState.IDLE:
             message.state = MachineState.JOGGING  # between two groups all axes rest
         self._states.publish(message)
+
+    def tell_signals(self) -> None:
+        """Publish outputs and inputs if one has changed."""
+        drives, signals = self._playback.drives, self._playback.axes.machine.signals
+        message = signals_message(signals, drives.outputs.tolist(), drives.inputs.tolist())
+        if message != self._told_signals and (signals.outputs or signals.inputs):
+            self._told_signals = deepcopy(message)
+            message.header.stamp = self._now()
+            self._signals.publish(message)
 
     def _publish_joints(self) -> None:
         feedback = self._playback.feedback

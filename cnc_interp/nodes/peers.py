@@ -32,7 +32,10 @@ OWNERS = {
 }
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
-STARTS_BY_ITSELF = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE)
+STARTS_BY_ITSELF = (
+    MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE,
+    MachineState.WAITS_FOR_INPUT,
+)  # fmt: skip
 
 
 def watch_machine(

@@ -17,6 +17,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.mdi import MdiLine, MdiReader
 from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
@@ -24,6 +25,7 @@ from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
 from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.run_phase import Code, Outcome
+from cnc_interp.run.setpoints import NO_FUNCTIONS
 from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.settings_messages import settings_of_goal
@@ -48,6 +50,7 @@ class Prepared:
     changes: tuple[ProgramChange, ...]  #: What it changes of them.
     used: frozenset[str]  #: What it uses of them.
     modes: ModesOfBlocks  #: The modal state of each block.
+    functions: Functions = NO_FUNCTIONS  #: What it switches.
     start: StartPlace | None = None  #: Where the run starts, if that is not the top.
     waits_first: bool = False  #: Whether it waits for the operator before it moves (M0).
     line: MdiLine | None = None  #: The line by hand, whose state is kept once executed.
@@ -130,7 +133,7 @@ def check(
             take(chain.finish(), last=True)
             stream.note(chain.notice)
         start = finder.found() if finder is not None else None
-        if not (length > 0.0 or may_rest):
+        if not (length > 0.0 or may_rest or len(stream.functions)):
             raise no_motion(stream.source)
     except OSError as problem:
         blocks.close()
@@ -141,10 +144,17 @@ def check(
     except BaseException:
         blocks.close()
         raise
+    functions, signals = stream.functions, transform.machine.signals
+    if start is not None and len(functions):
+        first = functions[: functions.until(0)]
+        places = zip(first.step.tolist(), first.value.tolist(), strict=True)
+        acts = [(signals.steps[k].output, value) for k, value in places]
+        sets = {output: signals.text(output, value) for output, value in acts}
+        start = replace(start, sets=tuple(sets.values()))
     return Prepared(
         blocks, (*stream.read_as, *stream.notices), text, settings, length, np.sort(chain.stops),
-        setup, settings.setup is not None, stream.changes, stream.used, stream.modes, start,
-        stream.waits_first,
+        setup, settings.setup is not None, stream.changes, stream.used, stream.modes,
+        functions, start, stream.waits_first,
     )  # fmt: skip
 
 

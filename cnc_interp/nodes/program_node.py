@@ -12,6 +12,7 @@ from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState
+from cnc_interp_msgs.srv import SwitchOutputs
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -33,6 +34,7 @@ from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
+from cnc_interp.wire.function_messages import function_messages
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result
@@ -58,7 +60,9 @@ class ProgramNode(Node):
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self, len(self._transform.machine.axis_names), self._diagnostics)
         self._setup = SetupServices(self, self._table, self._transform, self._peers)
-        self._feed = BlockFeed()
+        self._signals = self._transform.machine.signals
+        self._feed = BlockFeed(self._signals)
+        self._switch = self.create_client(SwitchOutputs, 'switch_outputs')
         self._outlet = Outlet(
             self, 'blocks', G1BlockBatch, self._values['resend_after'], self._feed.message,
             topic='block_batches',
@@ -154,6 +158,11 @@ class ProgramNode(Node):
 
     def _begin(self, run: ProgramRun) -> None:
         assert run.preparation.prepared is not None
+        if run.rests_throughout:
+            functions, signals = run.preparation.prepared.functions, self._signals
+            request = SwitchOutputs.Request(functions=function_messages(functions, 0, signals))
+            run.answer = self._switch.call_async(request)
+            return
         self._feed.begin(
             run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
         )

@@ -13,6 +13,7 @@ from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.program import JobSetup
@@ -22,6 +23,7 @@ from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, Step, refused
 from cnc_interp.run.run_state import State
+from cnc_interp.wire.function_messages import function_messages
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_messages import run_result
 from cnc_interp.wire.settings_messages import loaded_program, pairs_of
@@ -29,6 +31,7 @@ from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
 FORGOTTEN = 1.0  #: A machine that has left its run for so long was reset or started again [s].
+SWITCHED = 0.1  #: The machine has told its new state so long after a call, at the latest [s].
 SAME = 1e-9  #: Within this, the machine stands where a line by hand starts [m, rad].
 #: Place of a start at the line of the first motion [m]: above 0, for it waits like any other.
 FIRST_MOTION = 5e-14
@@ -72,6 +75,7 @@ class ProgramRun:
         self.sent_before = 0  # blocks, the most of the attempts before
         self._changes_done = 0  # changes of the machine's setup that were executed
         self._known_by: set[str] = set()
+        self.answer: Any = None  # of the machine, to functions without motion
 
     def _change(self, step: Step, now: float) -> None:
         self.phase, self._since = TABLE[self.phase, step], now
@@ -87,12 +91,13 @@ class ProgramRun:
             if self.preparation.prepared is not None:
                 self._change(Step.CHECKED, now)
                 self.continue_at = self.start_at
-                if self.rests_throughout:
+                if self.rests_throughout and not self.switches:
                     outcome = Outcome(Code.SUCCEEDED, 'done, without motion')
         elif self.phase is Phase.WAITING:
             outcome = self._wait(peers, now, timeout)
         elif self.phase in SENDING:
-            outcome = self._watch(peers, now, timeout)
+            watch = self._switching if self.rests_throughout else self._watch
+            outcome = watch(peers, now, timeout)
         if outcome is not None:
             self._change(Step.END, now)
         return outcome
@@ -112,6 +117,29 @@ class ProgramRun:
                 return None
         patient = self.stands is None and now - self._since <= PATIENCE
         return None if patient else why_not(missing, machine)
+
+    @property
+    def switches(self) -> int:
+        """How many outputs a program sets."""
+        program = self.preparation.prepared
+        return 0 if program is None else len(program.functions)
+
+    def _switching(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
+        """Watch functions without motion: until the machine has set all, and has its answers."""
+        machine, answer = peers.machine, self.answer
+        if peers.missing(now, timeout) or answer is None or machine is None:
+            return why_not(MACHINE, None)
+        if not answer.done():
+            return None if now - self._since <= PATIENCE else why_not(MACHINE, None)
+        if (told := answer.result()) is None or not told.success:
+            return Outcome(Code.REFUSED, told.message if told else f'{MACHINE} does not answer')
+        if machine.state in (State.FAULT, State.STOPPING):
+            return Outcome(Code.STOPPED, machine.message)
+        if machine.state is not State.IDLE or now - self._since < SWITCHED:
+            return None
+        if machine.functions < self.switches:
+            return Outcome(Code.STOPPED, 'given up by reset')
+        return Outcome(Code.SUCCEEDED, 'done, without motion')
 
     def _watch(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         machine = peers.machine
@@ -267,8 +295,9 @@ MOST_TOGETHER = 64  #: Most blocks in one message.
 class BlockFeed:
     """Queue the rows of one program after the other, and make their messages."""
 
-    def __init__(self) -> None:
+    def __init__(self, signals: Signals) -> None:
         self._prepared: Prepared | None = None
+        self._signals = signals
         self._run_id, self._continue_at = NO_RUN, 0.0
         self._queued = 0
 
@@ -300,6 +329,11 @@ class BlockFeed:
             prepared[rows], self._run_id, first, prepared.settings.flank_height,
             end=rows.stop == len(blocks),
         )  # fmt: skip
+        functions = prepared.functions
+        after = len(functions) if rows.stop == len(blocks) else functions.until(rows.stop - 1)
+        begin = functions.until(rows.start - 1)
+        for message in function_messages(functions[begin:after], begin, self._signals):
+            made[min(message.sequence - first, len(made) - 1)].functions.append(message)
         if first == 0:
             made[0].continue_at = self._continue_at
             made[0].settings = pairs_of(prepared.settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
@@ -138,6 +139,52 @@ class Switch:
             )
 
 
+class SignalKeys:
+    """Outputs and inputs in one page: a key for each output that is on or off, the others as text.
+
+    ``command``: does what is asked for, or says why not.
+    """
+
+    def __init__(self, signals: Callable[[], Any], command: Command, nodes: Any):
+        self._signals, self._command, self._nodes, self._told = signals, command, nodes, None
+        with ui.element('div').classes('signals') as self._place:
+            self._text = ui.label().props('data-mark="signals"').classes('small')
+        self._keys: dict[str, Switch] = {}
+
+    def _is_on(self, name: str) -> bool:
+        signals = self._signals()
+        return bool(signals.output_values[list(signals.outputs).index(name)])
+
+    async def _turn(self, name: str, on: bool) -> None:
+        """Set an output by hand."""
+        await self._command(lambda: asyncio.wrap_future(self._nodes.set_output(name, float(on))))
+
+    def _make_keys(self, signals: Any) -> None:
+        with self._place:
+            for name, number in zip(signals.outputs, signals.output_is_number, strict=True):
+                if not number:
+                    self._keys[name] = Switch(
+                        name.replace('_', ' '), partial(self._is_on, name),
+                        partial(self._turn, name),
+                    )  # fmt: skip
+
+    def show(self) -> None:
+        """Show what the machine has told, where that is new."""
+        signals = self._signals()
+        if signals is None or signals is self._told:
+            return
+        self._told = signals
+        if not self._keys:
+            self._make_keys(signals)
+        for one in self._keys.values():
+            one.show()
+        outputs = zip(signals.outputs, signals.output_values, strict=True)
+        told = [f'{name} {value:g}' for name, value in outputs if name not in self._keys]
+        inputs = zip(signals.inputs, signals.input_values, strict=True)
+        told += [f'{name} {"on" if value else "off"}' for name, value in inputs]
+        self._text.set_text(', '.join(told).replace('_', ' '))
+
+
 class Keys:
     """All keys in one page; ``in_sight`` commands what must not come late."""
 
@@ -163,6 +210,7 @@ class Keys:
             lambda share: nodes.set_override(share, 'rapid_override'),
             may_set,
         )
+        self._signals = SignalKeys(lambda: nodes.signals, in_sight, nodes)
         switches = (one.key for one in self._switches)
         self._elements = (*keys, *switches, *self._override.elements, *self._rapids.keys.values())
         ui.context.client.on_connect(self._override.show_again)
@@ -196,3 +244,4 @@ class Keys:
             switch.show()
         self._override.show()
         self._rapids.show()
+        self._signals.show()

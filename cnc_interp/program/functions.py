@@ -51,6 +51,10 @@ class Functions(Table):
         kinds = (declared.kind for declared in Functions.declared.values())
         return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
 
+    def until(self, block: int) -> int:
+        """Return how many of them act at the begin of a block or before it."""
+        return int(np.searchsorted(self.block, block, side='right'))
+
     def counts(self, signals: Signals) -> dict[str, int]:
         """Return how often each word of the program acts."""
         first = {words.start: word for word, words in signals.words.items()}
@@ -66,7 +70,7 @@ class Functions(Table):
 
         Of the words before, those are kept that were the last to set one of their outputs.
         """
-        after = int(np.searchsorted(self.block, row, side='right'))
+        after = self.until(row)
         last, word = {}, 0
         starts = {words.start for words in signals.words.values()}
         kept: dict[int, list[int]] = {}

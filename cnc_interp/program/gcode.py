@@ -154,6 +154,8 @@ class GcodeReader:
             raise refused.error()
         self.splines.end()
         self.mover.end_corner()
+        if targets.empty and targets.switches:  # a program that moves nothing
+            self.mover.go(self.mover.point, self.mover.rotary, rapid=True)
         yield from targets.finish()
 
     def _goes_on(self, refused: Refusals) -> bool:

@@ -107,6 +107,11 @@ class TargetColumns:
         self._coming.append((self.changed, change, line_number))
 
     @property
+    def switches(self) -> bool:
+        """Whether functions wait for their place."""
+        return any(not isinstance(change, SetupChange) for _, change, _ in self._coming)
+
+    @property
     def functions(self) -> Functions:
         """The functions whose place is known."""
         return Functions.of_rows(self._functions)

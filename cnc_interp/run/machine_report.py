@@ -31,6 +31,7 @@ class MachineReport:
     must_home: tuple[str, ...] = ()  #: Axes that must be homed before a program may start.
     #: The axes were moved away from a hold by hand, and are not back on the path yet.
     away: bool = False
+    functions: int = 0  #: Functions of the run executed so far.
 
     @property
     def rests_on_path(self) -> bool:

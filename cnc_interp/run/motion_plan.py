@@ -18,7 +18,7 @@ from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, LegEnd, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.run.stop_tails import ChunkCutter, StopSearch, way_down
+from cnc_interp.run.stop_tails import ChunkCutter, FunctionQueue, StopSearch, way_down
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -51,6 +51,7 @@ class PlanContext:
     #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
     pause_blocks: dict[int, Wait] = field(default_factory=dict)
     tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
+    functions: FunctionQueue = field(default_factory=FunctionQueue)  #: What the program switches.
 
     def tool_on(self, path: AxisPath) -> ToolLimit | None:
         """Return the limit on a part of the path; a way to the path or back has none."""
@@ -70,7 +71,7 @@ class MotionPlan:
         self._legs: deque[Leg] = deque([] if leg is None else [leg])
         stays = () if before is None else before._history
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
-        self._cutter = ChunkCutter(context.chunk_size, number)
+        self._cutter = ChunkCutter(context.chunk_size, number, context.functions)
         joins_at = None if leg is None else number
         table = context.limits.limit_table
         self._search = StopSearch(context.course, table, context.period, joins_at)
@@ -161,7 +162,9 @@ class MotionPlan:
             block, following = int(before[k]), int(part.cell_block[k])
             moves = k > 0 or (bool(self._legs) and self._legs[-1].wait is None)
             single = self.settings.single_block and line_of(block) != line_of(following)
-            wait = self._context.pause_blocks.get(block, Wait.SINGLE_BLOCK if single else None)
+            wait = self._context.pause_blocks.get(block)
+            if single and wait in (None, Wait.FUNCTION):
+                wait = Wait.SINGLE_BLOCK
             if moves and wait is not None:
                 return int(k), wait
         return None
@@ -239,6 +242,11 @@ class MotionStream:
     def pause_after(self, blocks: dict[int, Wait]) -> None:
         """Add blocks after which the machine waits for cycle_start, with the reason."""
         self._context.pause_blocks.update(blocks)
+
+    @property
+    def functions(self) -> FunctionQueue:
+        """The functions of the run."""
+        return self._context.functions
 
     def end_leg(self, wait: Wait) -> None:
         """End the motion at rest at the end of the path pushed so far."""

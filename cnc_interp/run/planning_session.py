@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_id import NO_RUN, RunId
@@ -53,8 +54,8 @@ class SessionPort(Protocol):
     ) -> RunPlanner:
         """Make the planner of the run that begins with a segment message; see RunPlanner."""
 
-    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait]]:
-        """Read segment messages; returns also the blocks after which cycle_start is waited for."""
+    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait], Functions]:
+        """Read segment messages; returns also blocks after which cycle_start is waited for."""
 
     def join(self, run_id: RunId, first: int) -> None:
         """Send a plan that joins the plan being sent, from a number on."""
@@ -208,6 +209,8 @@ class PlanningSession:
         self._machine = report
         if self.run_id and report.run_id.same_attempt(self.run_id):
             self._executing = not report.completed
+        if self.planner is not None and report.run_id.program_id == self.run_id.program_id:
+            self.planner.stream.functions.done = report.functions
 
     def give_up(self, kind: Refusal, reason: str) -> None:
         """End the run for good; lost messages are not sent again."""
@@ -255,6 +258,8 @@ class PlanningSession:
         self.planner = self._port.make_planner(
             self._segments[0], report.stands, place, self.settings
         )
+        if report.run_id.program_id == self.run_id.program_id:
+            self.planner.stream.functions.done = report.functions
         self._change(Change.PLACE)
 
     def _next_task(self, planner: RunPlanner, now: float) -> PlanningTask | None:
@@ -381,9 +386,9 @@ class PlanningSession:
             return None  # more path is added when it is known which plan remains
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
-            segments, pauses = self._port.read([self._segments.popleft() for _ in range(count)])
+            read = self._port.read([self._segments.popleft() for _ in range(count)])
             return PlanningTask(
-                lambda: planner.push(segments, pauses), lambda _, __: self._port.consumed(count)
+                lambda: planner.push(*read), lambda _, __: self._port.consumed(count)
             )
         if self.path_end is PathEnd.KNOWN and not self._segments:
             self.path_end = PathEnd.PLANNED

@@ -13,9 +13,10 @@ from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
+from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Setpoints, Wait
 from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -66,10 +67,14 @@ class RunPlanner:
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
 
-    def push(self, segments: PathSegments, pauses: dict[int, Wait]) -> None:
-        """Take segments, and blocks after which M0 or M1 waits; InterpError names line, axis."""
+    def push(
+        self, segments: PathSegments, pauses: dict[int, Wait], functions: Functions = NO_FUNCTIONS
+    ) -> None:
+        """Take segments, blocks after which M0 or M1 waits, functions; InterpError: line, axis."""
         self._note_lines(segments)
-        self.stream.pause_after(pauses)
+        waits = functions.waits(self._transform.machine.signals)
+        self.stream.pause_after(dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses)
+        self.stream.functions.push(functions)
         path = self._builder.push(segments)
         if path is None:
             return

@@ -65,6 +65,7 @@ class Reason(IntEnum):
     STREAM_REFUSED = 10
     APPROACH = 11
     AWAY = 12
+    FUNCTION = 13
 
 
 class WaitsFor(IntEnum):
@@ -76,6 +77,7 @@ class WaitsFor(IntEnum):
     OVERRIDE = 3
     NEW_PLAN = 4
     RESET = 5
+    INPUT = 6
 
 
 #: Texts for the operator; ``{}`` is the detail.
@@ -101,6 +103,7 @@ TEXTS = {
         'the axes were moved away by hand; cycle_start leads back (retract along the tool, '
         'position, plunge) and goes on'
     ),
+    Reason.FUNCTION: '{}',
 }
 
 _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)
@@ -115,6 +118,8 @@ RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED}
 TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.INACTIVE, Event.ACTIVATE): State.IDLE,
     (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
+    (State.IDLE, Event.FILL): State.FILLING,
+    (State.IDLE, Event.WAIT): State.HELD,
     (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
     (State.IDLE, Event.START): State.RUNNING,
     (State.IDLE, Event.RESET): State.IDLE,
@@ -154,6 +159,9 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
     (State.AWAY, Event.FINISH): State.HELD,
     (State.AWAY, Event.REST): State.HELD,
     **{(state, Event.START): State.RUNNING for state in _ON_PATH_AT_REST},
+    **{(state, Event.FILL): State.FILLING for state in _ON_PATH_AT_REST},
+    **{(state, Event.WAIT): State.HELD for state in _ON_PATH_AT_REST},
+    **{(state, Event.FINISH): State.IDLE for state in _ON_PATH_AT_REST},
     **{(state, Event.BEGIN): State.IDLE for state in _ON_PATH_AT_REST},
     **{(state, Event.RESET): State.IDLE for state in _ON_PATH_AT_REST},
     **{(state, Event.REPLAN): state for state in _ON_PATH_AT_REST},
@@ -215,7 +223,8 @@ class RunState:
         if self.state is State.PAUSED:
             return WaitsFor.OVERRIDE
         if self.state is State.FILLING:
-            return WaitsFor.SETPOINTS
+            answers = self.reason is Reason.FUNCTION
+            return WaitsFor.INPUT if answers else WaitsFor.SETPOINTS
         if self.state is State.HELD and not self.start_wanted:
             return WaitsFor.CYCLE_START
         if self.state in (State.HELD, State.STARVED):
@@ -225,7 +234,7 @@ class RunState:
     @property
     def text(self) -> str:
         """Return the reason in words for the operator; empty when there is none."""
-        if self.state is State.FILLING:
+        if self.state is State.FILLING and self.reason is not Reason.FUNCTION:
             return 'setpoints are being planned; motion goes on by itself'
         if self.state is State.IDLE or self.by_hand:
             return ''

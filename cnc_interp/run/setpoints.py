@@ -14,6 +14,9 @@ from cnc_interp.core.columns import Table, column
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate_along
+from cnc_interp.program.functions import Functions
+
+NO_FUNCTIONS = Functions.none()
 
 
 class Setpoints(Table):
@@ -97,6 +100,7 @@ class Wait(IntEnum):
     OPTIONAL_STOP = 4  # rests until cycle_start (M1)
     SINGLE_BLOCK = 5  # rests until cycle_start
     APPROACH = 6  # rests until cycle_start; the way to the path follows
+    FUNCTION = 7  # rests until the functions there are answered
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,9 @@ class Chunk:
     #: From the last of them to rest on the path; empty where that is at rest already.
     tail: Setpoints
     wait: Wait  #: What the machine waits for after the last one.
+    #: What is switched at the begin of blocks of samples and tail; after the end of the program.
+    functions: Functions = NO_FUNCTIONS
+    first_function: int = 0  #: Number in the run of the first of them.
 
     @property
     def ends_approach(self) -> bool:
@@ -122,7 +129,8 @@ class Chunk:
         """Return a chunk of the first setpoints; its stop tail is the others and the old tail."""
         rest = self.samples[count:]
         tail = Setpoints.concatenate([rest, self.tail])
-        return Chunk(self.samples[:count], tail, Wait.NOTHING)
+        kept = self.functions, self.first_function
+        return Chunk(self.samples[:count], tail, Wait.NOTHING, *kept)
 
 
 BEFORE = 3  #: Setpoints that must be known before the first one whose differences are taken.

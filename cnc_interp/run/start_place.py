@@ -39,6 +39,7 @@ class StartPlace:
     line: int  #: Line of the first motion.
     s: float  #: Path length from the top of the program [m].
     position: FloatArray  #: (n_axes,): Axis positions [m, rad].
+    sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, in words.
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -47,7 +48,9 @@ class StartPlace:
         passes = f' (pass {block.which} of {block.passes})' if block.passes > 1 else ''
         told = [
             f'start at line {block.line}{passes}',
-            'load the tool, start spindle and coolant by hand; '
+            f'cycle start sets first: {", ".join(self.sets)}'
+            if self.sets
+            else 'load the tool, start spindle and coolant by hand; '
             f'state there: {" ".join(block.words)}',
         ]
         if self.line != block.line:

@@ -17,8 +17,9 @@ from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.course import STILL, Course, Leg
-from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
+from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
 
 STOP_EVERY = 0.005  #: Time between setpoints at which a stop is looked for [s].
 #: Begin of a plan that joins in motion, and the time between stops in it [s]: it must be early.
@@ -61,11 +62,31 @@ class StopSearch:
         return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])
 
 
+class FunctionQueue:
+    """The functions of a run that the machine may still need."""
+
+    def __init__(self) -> None:
+        self._kept, self._first, self.done = NO_FUNCTIONS, 0, 0  # done: by the machine
+
+    def push(self, functions: Functions) -> None:
+        """Add further functions, and forget those that are done."""
+        drop = min(max(self.done - self._first, 0), len(self._kept))
+        self._first += drop
+        self._kept = Functions.concatenate([self._kept[drop:], functions])
+
+    def between(self, before: int, last: int | None) -> tuple[Functions, int]:
+        """Return those of the blocks after one, to the last or all, and the first one's number."""
+        kept, done = self._kept, self.done - self._first
+        first = max(kept.until(before), min(max(done, 0), len(kept)))
+        after = len(kept) if last is None else max(kept.until(last), first)
+        return kept[first:after], self._first + first
+
+
 class ChunkCutter:
     """Cut the setpoints of one plan into chunks; those after the last known stop are kept."""
 
-    def __init__(self, size: int, number: int):
-        self._size = size
+    def __init__(self, size: int, number: int, functions: FunctionQueue):
+        self._size, self._functions, self._block = size, functions, -1  # the last block cut
         self._first = self.next_number = number
         self._kept: deque[Setpoints] = deque()  # from setpoint _first on
         self._stops: deque[tuple[int, Setpoints | None]] = deque()
@@ -104,12 +125,22 @@ class ChunkCutter:
             if stop is not None:
                 tail = Setpoints.concatenate([tail, stop])
             wait = self._waits.pop(end - 1, Wait.NOTHING)
-            chunks.append(Chunk(kept[begin - base : end - base], tail, wait))
+            chunks.append(self._chunk(kept[begin - base : end - base], tail, wait))
             begin = end
         self._first = begin
         rest = kept[begin - base :]
         self._kept = deque([rest] if len(rest) else [])
         return chunks
+
+    def _chunk(self, samples: Setpoints, tail: Setpoints, wait: Wait) -> Chunk:
+        """Return a chunk with its functions; the way to the path switches after cycle_start."""
+        if wait is Wait.APPROACH:
+            return Chunk(samples, tail, wait)
+        last = int(samples.block[-1])
+        until = int(tail.block[-1]) if len(tail) else last
+        found = self._functions.between(self._block, None if wait is Wait.END else until)
+        self._block = last
+        return Chunk(samples, tail, wait, *found)
 
 
 def way_down(

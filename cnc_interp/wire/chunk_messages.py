@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
+from cnc_interp.wire.function_messages import function_messages, functions_from
 from cnc_interp.wire.path_messages import packed
 from cnc_interp.wire.run_messages import run_id_of
 
@@ -18,12 +20,13 @@ FIELDS = {
     'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
     'jerks': 'jerk', 'path_positions': 's',
 }  # fmt: skip
+NO_SIGNALS = Signals()
 OF_AXES = tuple(FIELDS)[:4]  #: Those that have a value for each axis.
 
 
 def chunk_message(
     chunk: Chunk, lines: list[int], tail_lines: list[int], run_id: RunId, first: int,
-    period: float, joins: bool = False,
+    period: float, joins: bool = False, signals: Signals = NO_SIGNALS,
 ) -> SetpointChunk:  # fmt: skip
     """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
@@ -37,6 +40,7 @@ def chunk_message(
         tail_line_numbers=tail_lines,
         wait=int(chunk.wait),
         end_of_program=chunk.wait is Wait.END,
+        functions=function_messages(chunk.functions, chunk.first_function, signals),
         **setpoint_fields(samples),
         **setpoint_fields(chunk.tail, 'tail_'),
     )
@@ -56,7 +60,9 @@ def setpoints_from(message: SetpointChunk) -> Setpoints:
 def chunk_from(message: SetpointChunk) -> Chunk:
     samples = setpoints_from(message)
     tail = _setpoints(message, 'tail_', message.first_sample + len(samples))
-    return Chunk(samples, tail, Wait(message.wait))
+    first = message.functions[0].number if message.functions else 0
+    functions = functions_from(message.functions)
+    return Chunk(samples, tail, Wait(message.wait), functions, first)
 
 
 def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:

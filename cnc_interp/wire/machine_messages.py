@@ -14,6 +14,7 @@ from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.chunk_messages import setpoint_fields
+from cnc_interp.wire.function_messages import act_message
 from cnc_interp.wire.path_messages import packed
 from cnc_interp.wire.run_messages import NUMBERS
 
@@ -35,8 +36,21 @@ def executed_setpoints(
 ) -> list[tuple[SetpointChunk, AxisFeedback]]:
     """Return the setpoints executed since the last call, and feedback; numbered through a run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
+    switched = [playback.switched.popleft() for _ in range(len(playback.switched))]
     plans = groupby(stretches, key=lambda executed: executed.run_id)
-    return [_executed_of_plan(list(executed), period) for _, executed in plans]
+    found = [_executed_of_plan(list(executed), period) for _, executed in plans]
+    signals, axes = playback.axes.machine.signals, len(playback.axes.machine.axis_names)
+    for run_id, acts in groupby(switched, key=lambda act: act[0]):
+        same = (chunk for chunk, _ in found if chunk.program_id == run_id.program_id)
+        chunk = next(same, None)
+        if chunk is None:  # set at rest: no setpoint was executed
+            common = {**vars(run_id), 'period': period, 'axis_count': axes}
+            chunk = SetpointChunk(**common, first_sample=playback.played)
+            found.append((chunk, AxisFeedback(**common, first_sample=playback.played)))
+        chunk.functions = [
+            *chunk.functions, *(act_message(act, sample, signals) for _, act, sample in acts)
+        ]  # fmt: skip
+    return found
 
 
 def _executed_of_plan(
@@ -78,6 +92,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         interpolation_period=period,
         single_block=playback.single_block,
         samples=playback.played,
+        functions=playback.functions,
         approach_samples=playback.approach_samples,
         sequence=last.block if last else 0,
         line_number=last.line if last else 0,

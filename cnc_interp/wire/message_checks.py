@@ -12,16 +12,21 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import SettingsError, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
 from cnc_interp.wire.chunk_messages import OF_AXES
+from cnc_interp.wire.function_messages import check_functions
 from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE
 from cnc_interp.wire.settings_messages import settings_from
 
 UNIT = 1e-9  #: Largest difference of the length of a tool axis from 1.
 
 
-def check_block(message: G1Block, extra_count: int = 0) -> None:
+NO_SIGNALS = Signals()
+
+
+def check_block(message: G1Block, extra_count: int = 0, signals: Signals = NO_SIGNALS) -> None:
     """Refuse a block with values that no program can mean, or for another number of extra axes."""
     name = f'block {message.sequence} (line {message.line_number})'
     _check_pose(name, message.tip, message.axis, message.rotary)
@@ -36,6 +41,7 @@ def check_block(message: G1Block, extra_count: int = 0) -> None:
         raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
     if message.corner > G1Block.CORNER_STOP:
         raise StreamError(f'{name}: corner is {message.corner}; it must be 0, 1 or 2')
+    check_functions(name, message.functions, signals)
     if message.settings:
         _check_settings(name, message)
     if message.sequence == 0:
@@ -100,7 +106,9 @@ def _check_control_point(name: str, message: G1Block) -> None:
         raise StreamError(f'{name}: top must be a point on the tool axis above the tip')
 
 
-def check_segment(message: PathSegment, extra_count: int = 0) -> None:
+def check_segment(
+    message: PathSegment, extra_count: int = 0, signals: Signals = NO_SIGNALS
+) -> None:
     """Refuse a segment that does not fit its kind or the machine's number of extra axes."""
     name = f'segment {message.sequence} (line {message.line_number})'
     kind, curved = message.kind, message.kind in CURVES
@@ -114,6 +122,7 @@ def check_segment(message: PathSegment, extra_count: int = 0) -> None:
     if kind == CORNER:
         _check_parametrization(f'{name}: parametrization', message.parametrization)
     _check_extra(name, message.extra_axes, POINTS * extra_count)
+    check_functions(name, message.functions, signals)
     rotary = message.rotary.reshape(POINTS, 2)
     for place in rotary[:2]:
         _check_pose(name, np.zeros(3), message.axis, place)
@@ -189,7 +198,8 @@ def check_chunk(
     _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
     if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
         raise StreamError(f'{name}: each setpoint needs a line number')
-    if message.wait > SetpointChunk.APPROACH or message.end_of_program != (
+    check_functions(name, message.functions, machine.signals)
+    if message.wait > SetpointChunk.FUNCTION or message.end_of_program != (
         message.wait == SetpointChunk.END
     ):
         raise StreamError(f'{name}: wait {message.wait} does not fit end_of_program')

@@ -126,8 +126,8 @@ def state_of(message: MachineState) -> State:
     if message.state == MachineState.STARVED:
         return State.STARVED if message.resting else State.STARVING
     if message.state == MachineState.RUNNING and message.resting:
-        fills = message.waits_for == MachineState.WAITS_FOR_SETPOINTS
-        return State.FILLING if fills else State.PAUSED
+        pauses = message.waits_for == MachineState.WAITS_FOR_OVERRIDE
+        return State.PAUSED if pauses else State.FILLING
     if message.state == MachineState.JOGGING:
         return State.AWAY if len(message.resume_positions) else State.JOGGING
     found = (state for state, number in NUMBERS.items() if number == message.state)
@@ -148,4 +148,5 @@ def machine_report(message: MachineState) -> MachineReport:
         message=message.message,
         must_home=tuple(message.must_home),
         away=len(message.resume_positions) > 0,
+        functions=message.functions,
     )

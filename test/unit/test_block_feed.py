@@ -9,6 +9,7 @@ from cnc_interp_msgs.msg import G1Block
 
 from cnc_interp.core.errors import StreamError
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
@@ -29,7 +30,7 @@ TEXT = 'G21 G90 G94\nG0 X0 Y0 Z0\nF600\n' + ''.join(f'G1 X{k}\n' for k in range(
 def feed():
     transform, settings = Transform.of(Machine.load('xyz')), Settings()
     blocks = read_text(TEXT, 'line.ngc', transform, settings).blocks
-    feed, sender = BlockFeed(), WindowedSender(1.0)
+    feed, sender = BlockFeed(Signals()), WindowedSender(1.0)
     program = Prepared(
         blocks,
         (),

@@ -24,13 +24,16 @@ START, TARGET = np.array([0.01, 0.0, 0.0, 0.0, 0.5]), np.array([0.03, 0.01, 0.0,
 class RecordingDrives:
     """Ideal axes that stand somewhere and write down what they are told."""
 
-    lag = 0.0
-
+    lag, wired = 0.0, False
+    outputs = inputs = np.zeros(0)
     alarm = ''
 
     def __init__(self, position, fails_at=None, alarms_at=None):
         self.position, self.fails_at, self.alarms_at = position, fails_at, alarms_at
         self.told, self.on, self.stops = [], False, []
+
+    def exchange(self, seconds):
+        pass
 
     def switch_on(self):
         self.on, self.alarm = True, ''

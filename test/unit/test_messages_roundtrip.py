@@ -284,7 +284,7 @@ NAN, INF = float('nan'), float('inf')
         (SetpointChunk, 'tail_positions', [0.0] * 30 + [1e-7] + [0.0] * 4, 'X asked for'),
         (SetpointChunk, 'positions', [0.0] * 49 + [1e6], 'C asked'),
         (SetpointChunk, 'positions', [0.6] + [0.0] * 49, 'soft limit: X'),
-        (SetpointChunk, 'wait', 7, 'wait 7'),
+        (SetpointChunk, 'wait', 8, 'wait 8'),
         (SetpointChunk, 'end_of_program', True, 'wait 0 does not fit'),
         (MachineState, 'commanded_positions', [0.0] * 4, '4 values'),
         (MachineState, 'commanded_positions', [0.0] * 4 + [NAN], 'not finite'),

@@ -26,6 +26,7 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import State
 from cnc_interp.run.setpoints import Wait
+from cnc_interp.run.stop_tails import FunctionQueue
 from cnc_interp.wire.window_protocol import WindowedSender
 
 RUN = RunId('run')
@@ -50,6 +51,7 @@ class Stream:
 
     def __init__(self, settings):
         self.current, self.finds = Plan(settings), True
+        self.functions = FunctionQueue()
 
     def adopt(self, plan):
         before, self.current = self.current, plan

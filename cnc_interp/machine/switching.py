@@ -1,0 +1,173 @@
+"""The outputs that are set while the path rests, one after the other, and those of a stop."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.drives import Drives
+from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, Signals, Step
+from cnc_interp.run.setpoints import Chunk, Wait
+
+NO_FUNCTION = -1  #: Number of what no function of the program sets.
+LEAST_DELAY = 0.02  #: An input is looked at so long after the output, at the earliest [s].
+
+
+class Act(NamedTuple):
+    """An output that is set, and what is waited for then."""
+
+    step: Step
+    value: float
+    number: int = NO_FUNCTION  #: Of the function in the run.
+    place: int = 0  #: Number of the step in the machine file.
+    block: int = 0  #: At whose begin it acts.
+    line: int = 0  #: Of the source.
+    before_stop: bool = False  #: Whether it acts before the program stop that is there.
+
+
+class ActsOfChunk(NamedTuple):
+    """What is switched with the setpoints of a chunk."""
+
+    rows: list[tuple[int, Act]]  #: With a row of its setpoints.
+    tail: list[tuple[int, Act]]  #: With a row of its stop tail.
+    end: list[Act]  #: After the end of the program.
+    after: int  #: Number of the first function after its setpoints.
+
+    @staticmethod
+    def of(chunk: Chunk, signals: Signals, expected: int) -> ActsOfChunk:
+        """Find the rows of its functions from a number on; StreamError for what cannot be."""
+        functions, first = chunk.functions, chunk.first_function
+        if len(functions) and first > expected:
+            raise StreamError(f'functions {expected} to {first - 1} are missing')
+        new = functions[max(expected - first, 0) :]
+        acts = [
+            Act(signals.steps[place], value, number, place, block, line, before)
+            for number, (block, line, place, value, before) in enumerate(
+                zip(*(column.tolist() for column in new.columns().values()), strict=True), expected
+            )
+        ]
+        count, blocks = len(chunk.samples), np.array([act.block for act in acts], dtype=np.int64)
+        at = np.searchsorted(chunk.samples.block, blocks).tolist()
+        on_tail = np.searchsorted(chunk.tail.block, blocks).tolist()
+        rows = [(row, act) for row, act in zip(at, acts, strict=True) if row < count]
+        later = [(row, act) for row, act in zip(on_tail, acts, strict=True)][len(rows) :]
+        tail = [(row, act) for row, act in later if row < len(chunk.tail)]
+        if any(act.step.wait != NO_WAIT for row, act in rows if row) or any(
+            act.step.wait != NO_WAIT for _, act in tail
+        ):
+            raise StreamError('a function that waits must stand where the path rests')
+        end = [act for _, act in later] if chunk.wait is Wait.END else []
+        return ActsOfChunk(rows, tail, end, expected + len(rows) + len(end))
+
+    def head(self, count: int, length: int) -> ActsOfChunk:
+        """Return those of the first of ``length`` setpoints; the others become the tail."""
+        rows = [(row, act) for row, act in self.rows if row < count]
+        moved = [(row - count, act) for row, act in self.rows if row >= count]
+        moved += [(row + length - count, act) for row, act in self.tail]
+        return ActsOfChunk(
+            rows, moved, [], self.after - len(self.rows) - len(self.end) + len(rows)
+        )
+
+    @property
+    def switches(self) -> tuple[FloatArray, FloatArray]:
+        """Row, output and value of both parts, as the cycle takes them, (k, 3)."""
+        parts = ([(row, act.step.output, act.value) for row, act in acts]
+                 for acts in (self.rows, self.tail))  # fmt: skip
+        first, second = (np.array(part, dtype=float).reshape(-1, 3) for part in parts)
+        return first, second
+
+    @property
+    def waiting(self) -> int:
+        """How many of those of row 0 come before the path may go on, the last one waits."""
+        first = [act for row, act in self.rows if row == 0]
+        return max((k + 1 for k, act in enumerate(first) if act.step.wait != NO_WAIT), default=0)
+
+
+class Switching:
+    """Sets outputs one after the other, and waits for the answers."""
+
+    def __init__(self, signals: Signals, drives: Drives):
+        self._signals, self._drives = signals, drives
+        self._queue: deque[Act] = deque()
+        self._is_set = self._answered = False  # the first one of the queue
+        self._waited = 0.0  # since it was set [s]
+
+    @property
+    def busy(self) -> bool:
+        return bool(self._queue)
+
+    @property
+    def text(self) -> str:
+        """What is waited for, in words."""
+        if not self._queue:
+            return ''
+        step, value = self._queue[0].step, self._queue[0].value
+        told = self._signals.text(step.output, value)
+        if step.wait == NO_WAIT:
+            return told
+        return f'{told}: waits for {self._signals.waited(step)}'
+
+    @property
+    def asks(self) -> str:
+        """What the operator must see to before it goes on; empty for nothing."""
+        if not (self._queue and self._is_set) or self._answered:
+            return ''
+        step = self._queue[0].step
+        told = self._signals.text(step.output, self._queue[0].value)
+        if step.wait == ASK:
+            return f'{told}: cycle_start when that is done'
+        if step.wait == NO_WAIT or self._waited <= step.limit:
+            return ''
+        return (
+            f'{told}: {self._signals.waited(step)} has not come within {step.limit:g} s; see to '
+            'it, then cycle_start goes on without it, reset gives up'
+        )
+
+    def answer(self) -> None:
+        """Take the operator's cycle start as the answer."""
+        self._answered = True
+
+    def add(self, acts: Iterable[Act]) -> None:
+        self._queue.extend(acts)
+
+    def stop(self, word: str) -> None:
+        """Set what a word of ``signals.STOPS`` says, in the place of all that waits."""
+        self._queue.clear()
+        self._is_set = False
+        steps = [self._signals.steps[k] for k in self._signals.words.get(word, ())]
+        self.add(Act(step, float(step.value)) for step in steps)
+
+    def forget(self) -> None:
+        """Forget all but what a stop sets."""
+        self._queue = deque(act for act in self._queue if act.step.word in STOPS)
+        self._is_set = self._is_set and bool(self._queue)
+
+    def work(self, seconds: float, may_begin: Callable[[Act], bool]) -> list[Act]:
+        """Let time pass; return what was set."""
+        done = []
+        self._waited += seconds
+        while self._queue:
+            act = self._queue[0]
+            if not self._is_set:
+                if not may_begin(act):
+                    break
+                self._drives.outputs[act.step.output] = act.value
+                self._is_set, self._answered, self._waited = True, False, 0.0
+                done.append(act)
+            if not self._is_answered(act.step):
+                break
+            self._queue.popleft()
+            self._is_set = False
+        return done
+
+    def _is_answered(self, step: Step) -> bool:
+        if step.wait == NO_WAIT:
+            return self._waited >= step.delay
+        if self._answered or step.wait == ASK or self._waited < max(step.delay, LEAST_DELAY):
+            return self._answered
+        return bool(self._drives.inputs[abs(step.wait) - 1]) is (step.wait > 0)

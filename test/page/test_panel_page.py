@@ -191,7 +191,7 @@ def test_settings_of_the_dialog_are_planned_and_run(panel, long_program):
     panel.begin(tab)
     told = {pair.key: pair.value for pair in panel.loaded[-1].settings}
     assert float(told['contour_tolerance']) == pytest.approx(1e-4)
-    tab.wait(lambda: tab.text('programmed') == '2000')
+    tab.wait(lambda: tab.text('programmed') == '500')
     assert tab.text('status') == 'planned', 'the page knows the run as its own'
     stop_and_reset(panel, tab)
     tab.click('settings')

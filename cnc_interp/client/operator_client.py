@@ -33,6 +33,21 @@ from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
 
+__all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
+
+#: Commands without a value; each is a service of that name.
+TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
+#: Stop at the end of each line; stop at M1. Each is a service of that name.
+SWITCHES = ('single_block', 'optional_stop')
+#: Factors on the programmed feed and on the speed of rapids. Each is a topic of that name.
+OVERRIDES = ('feed_override', 'rapid_override')
+#: Commands that may arrive twice or late. They are sent again until they are answered.
+STOPS = ('feed_hold', 'emergency_stop')
+#: Silence after which a node counts as lost, and longest wait for an answer [s].
+SILENCE, ANSWER = 2.0, 3.0
+ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
+SPIN = 0.01  #: Longest wait for an event [s]. Commands of other threads are sent after it.
+
 
 class SharedValue:
     """The last value heard on a topic, and the values sent from here that have not come back yet.
@@ -69,22 +84,6 @@ class SharedValue:
     def at(self, now: float) -> float:
         """Return the value that counts at the time ``now`` [s]."""
         return self._wishes[-1] if self._wishes and now < self._until else self._heard
-
-
-__all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
-
-#: Commands without a value; each is a service of that name.
-TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
-#: Stop at the end of each line; stop at M1. Each is a service of that name.
-SWITCHES = ('single_block', 'optional_stop')
-#: Factors on the programmed feed and on the speed of rapids. Each is a topic of that name.
-OVERRIDES = ('feed_override', 'rapid_override')
-#: Commands that may arrive twice or late. They are sent again until they are answered.
-STOPS = ('feed_hold', 'emergency_stop')
-#: Silence after which a node counts as lost, and longest wait for an answer [s].
-SILENCE, ANSWER = 2.0, 3.0
-ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
-SPIN = 0.01  #: Longest wait for an event [s]. Commands of other threads are sent after it.
 
 
 @dataclass(frozen=True)

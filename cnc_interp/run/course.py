@@ -20,12 +20,21 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 from cnc_interp.program.subdivide import ragged
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 
+if TYPE_CHECKING:
+    from cnc_interp.feedrate.tool_limit import ToolLimit
+
 PORTION = 500  #: Cells of the path planned at a time.
 FINE = 64  #: Cells planned at a time where the drives wait for the first setpoint.
 AHEAD = 4000  #: Cells of the path that a stop may use.
 ENVELOPE = 24  #: Cells into which the way down to a lower feed is cut.
 ABOVE = 1.02  #: Feed allowed on the way down, as a multiple of the fastest stop [-].
 SAME = 1e-13  #: Places nearer than this are the same place; no cell is so short [m].
+#: Settings of the planner in a run, where nothing shows the least time.
+LIVE = PlanOptions(bound=False)
+#: Length of the slices in which motion is sampled [s]; a change of the override waits for one.
+SLICE = 0.1
+STILL = 1e-9  #: Speed below which the end of a law is rest [m/s].
+SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
 
 
 @dataclass(frozen=True)
@@ -172,17 +181,6 @@ def fastest_in_cells(law: MotionLaw, s: FloatArray) -> FloatArray:
     cell = np.clip(np.searchsorted(s, place, side='right') - 1, 0, len(s) - 2)
     np.maximum.at(fastest, cell, speed)
     return fastest
-
-
-if TYPE_CHECKING:
-    from cnc_interp.feedrate.tool_limit import ToolLimit
-
-#: Settings of the planner in a run, where nothing shows the least time.
-LIVE = PlanOptions(bound=False)
-#: Length of the slices in which motion is sampled [s]; a change of the override waits for one.
-SLICE = 0.1
-STILL = 1e-9  #: Speed below which the end of a law is rest [m/s].
-SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
 
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 from dataclasses import replace
@@ -207,5 +208,6 @@ def compile_kernels() -> None:
 
 
 if __name__ == '__main__':
+    gc.set_threshold(200_000, 20, 100)  # what numba makes lives on; looking takes a sixth
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the process beside ends, too
     compile_kernels()

@@ -64,7 +64,7 @@ def test_what_a_forked_process_compiles_counts_here(heard):
     assert heard.seconds > 0.0
 
 
-def test_an_array_that_does_not_fit_is_refused_and_no_text_is_compiled_for_it():
+def test_neither_text_of_errors_nor_an_entry_for_c_is_compiled():
     @numba.njit
     def put(part, into):
         into[1:4] = part
@@ -74,5 +74,6 @@ def test_an_array_that_does_not_fit_is_refused_and_no_text_is_compiled_for_it():
         assert put(np.ones(3), np.zeros(5)).tolist() == [0.0, 1.0, 1.0, 1.0, 0.0]
     with pytest.raises(ValueError, match='does not fit'):
         put(np.ones(2), np.zeros(5))
+    assert all('cfunc' not in code for code in put.inspect_llvm().values())
     compiled = {event.data['dispatcher'].py_func.__module__ for _, event in recorded.buffer}
     assert compiled and 'numba.cpython.unicode' not in compiled

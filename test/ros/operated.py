@@ -108,6 +108,10 @@ class Bench(NodesUnderTest):
         os.kill(self.children.nodes[node].process.pid, signal.SIGKILL)
         self.spin_until(lambda: self.children.nodes[node].process.exitcode is not None)
 
+    def start_again(self, node):
+        """Start a node that was told to end, which nothing else does."""
+        self.children.nodes[node] = self.children._start(node)
+
     def begin(self, text=PROGRAM):
         self.text = text
         self.executed.clear()

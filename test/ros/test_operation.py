@@ -229,25 +229,23 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
         bench.close()
 
 
-def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path():
-    bench = Bench()  # a node that was told to end is not started again
-    try:
-        bench.begin()
-        bench.until_at(0.01)
-        bench.watching = False
-        machine = bench.children.nodes['machine_node'].process
+def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path(bench):
+    handle = bench.begin()
+    bench.until_at(0.01)
+    bench.watching = False
+    machine = bench.children.nodes['machine_node'].process
 
-        def told():
-            return sum(len(m.sequences) for m in bench.executed)
+    def told():
+        return [m for m in bench.executed if m.program_id == bench.state.program_id]
 
-        machine.terminate()
-        bench.spin_until(lambda: machine.exitcode is not None)
-        bench.spin_until(lambda: bench.state.state == MachineState.HELD)
-        bench.spin_until(lambda: told() == bench.state.samples)
-    finally:
-        bench.close()
-    q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in bench.executed])
-    s = np.concatenate([m.path_positions for m in bench.executed])
+    machine.terminate()
+    bench.spin_until(lambda: machine.exitcode is not None)
+    bench.until_state(MachineState.HELD)
+    bench.spin_until(lambda: sum(len(m.sequences) for m in told()) == bench.state.samples)
+    q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
+    s = np.concatenate([m.path_positions for m in told()])
+    bench.start_again('machine_node')
+    assert bench.result_of(handle).code in (Result.STREAM_LOST, Result.STOPPED)
     path, on = path_of(PROGRAM), s >= 0.0
     assert machine.exitcode == 0
     assert 0.01 < s[-1] < path.s[-1] - 0.01

@@ -144,13 +144,9 @@ def check(
     except BaseException:
         blocks.close()
         raise
-    functions, signals = stream.functions, transform.machine.signals
-    if start is not None and len(functions):
-        first = functions[: functions.until(0)]
-        places = zip(first.step.tolist(), first.value.tolist(), strict=True)
-        acts = [(signals.steps[k].output, value) for k, value in places]
-        sets = {output: signals.text(output, value) for output, value in acts}
-        start = replace(start, sets=tuple(sets.values()))
+    functions = stream.functions
+    if start is not None:
+        start = start.after(functions, transform.machine.signals)
     return Prepared(
         blocks, (*stream.read_as, *stream.notices), text, settings, length, np.sort(chain.stops),
         setup, settings.setup is not None, stream.changes, stream.used, stream.modes,

@@ -149,6 +149,7 @@ class SignalKeys:
         self._signals, self._command, self._nodes, self._told = signals, command, nodes, None
         with ui.element('div').classes('signals') as self._place:
             self._text = ui.label().props('data-mark="signals"').classes('small')
+        self._place.set_visibility(False)  # until the machine has told some
         self._keys: dict[str, Switch] = {}
 
     def _is_on(self, name: str) -> bool:
@@ -176,6 +177,7 @@ class SignalKeys:
         self._told = signals
         if not self._keys:
             self._make_keys(signals)
+            self._place.set_visibility(True)
         for one in self._keys.values():
             one.show()
         outputs = zip(signals.outputs, signals.output_values, strict=True)

@@ -71,14 +71,21 @@ class Functions(Table):
         Of the words before, those are kept that were the last to set one of their outputs.
         """
         after = self.until(row)
-        last, word = {}, 0
         starts = {words.start for words in signals.words.values()}
-        kept: dict[int, list[int]] = {}
+        calls: list[list[int]] = []  # the rows of each word
         for k, step in enumerate(self.step[:after].tolist()):
-            word = k if step in starts else word
-            kept.setdefault(word, []).append(k)
-            last[signals.steps[step].output] = word
-        rows = [k for word in sorted(set(last.values())) for k in kept[word]]
+            if step in starts or not calls:
+                calls.append([])
+            calls[-1].append(k)
+        sets = [{signals.steps[self.step[k]].output for k in call} for call in calls]
+        words = [int(self.step[call[0]]) for call in calls]
+        last = {output: at for at, outputs in enumerate(sets) for output in outputs}
+        places: dict[int, int] = {}
+        for at in sorted(set(last.values())):
+            # S comes before M3, though it was changed after it: where the word stood at first.
+            bound = max((k for k in places if sets[k] & sets[at]), default=-1)
+            places[at] = words.index(words[at], bound + 1)
+        rows = [k for at in sorted(places, key=lambda at: places[at]) for k in calls[at]]
         before = self[np.array(rows, dtype=np.int64)]
         return Functions.concatenate(
             [replace(before, block=np.zeros_like(before.block)), self[after:]]

@@ -135,7 +135,7 @@ def plan_to_files(
             stream.note(chain.notice)
             writer.functions = stream.functions
             if start is not None:
-                writer.figures.start = start.found()
+                writer.figures.start = start.found().after(writer.functions, machine.signals)
                 writer.functions = start.functions(writer.functions)
         if not chain.moved:
             raise no_motion(stream.source)

@@ -18,6 +18,7 @@ from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.path_checks import check_travel
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import ToolLine, Transform, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.functions import Functions
@@ -40,6 +41,14 @@ class StartPlace:
     s: float  #: Path length from the top of the program [m].
     position: FloatArray  #: (n_axes,): Axis positions [m, rad].
     sets: tuple[str, ...] = ()  #: Outputs that are set before the way there, in words.
+
+    def after(self, functions: Functions, signals: Signals) -> StartPlace:
+        """Return the place with what the functions of the run set before the way there."""
+        first = functions[: functions.until(0)]
+        acts = zip(first.step.tolist(), first.value.tolist(), strict=True)
+        outputs = [(signals.steps[step].output, value) for step, value in acts]
+        sets = {output: signals.text(output, value) for output, value in outputs}
+        return replace(self, sets=tuple(sets.values()))
 
     @property
     def texts(self) -> tuple[str, ...]:

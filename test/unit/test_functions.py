@@ -110,10 +110,21 @@ def test_a_start_inside_keeps_what_still_counts() -> None:
     found, _ = functions_of(text, settings=Settings(from_line=15))
     before = [name for block, name in found if block == 0]
     assert 'tool_number 6' in before and 'tool_number 5' not in before
-    assert before[-1] == 'spindle_forward on' and 'coolant_mist on' in before
+    assert 'coolant_mist on' in before
     assert before.count('spindle_forward on') == 1 and 'coolant_flood on' not in before
     assert before.index('tool_change on') < before.index('spindle_forward on')
     assert 'spindle_speed 500 rev/min' in before and 'spindle_speed 9000 rev/min' not in before
+
+
+def test_a_speed_that_was_changed_later_is_set_before_the_spindle_starts() -> None:
+    text = 'T5 M6\nS8000 M3\nG0 X0 Y0\nG1 X1 F100\nS9000 X2\nX3\nM3 T6 M6\nM3\nX4\nX5\nM30'
+    found, _ = functions_of(text, settings=Settings(from_line=6))
+    before = [name for block, name in found if block == 0]
+    assert before.index('spindle_speed 9000 rev/min') < before.index('spindle_forward on')
+    found, _ = functions_of(text, settings=Settings(from_line=10))
+    before = [name for block, name in found if block == 0]
+    assert before.index('tool_number 6') < before.index('spindle_forward on')
+    assert before[-1] == 'spindle_forward on' and 'tool_number 5' not in before
 
 
 def test_cl_data_switch_the_same() -> None:

@@ -108,10 +108,12 @@ def describe(summary: dict[str, Any]) -> str:
     from cnc_interp.run.plan_figures import bound_text, tool_error_text, windows_text
 
     notes = summary['start']['notes'] if summary['start'] else []
+    switched = [(word, count) for word, count in summary['functions'].items() if count]
     lines = [
         f'program        {summary["program"]} on {summary["machine"]}',
         f'blocks         {summary["blocks"]} in {summary["segments"]} segments, '
         f'{summary["path_length"] / MM:.1f} mm',
+        *(['functions      ' + '  '.join(f'{n} x {f}' for f, n in switched)] if switched else []),
         *(f'start          {text}' for text in notes),
         f'cycle time     {summary["cycle_time"]:.3f} s',
         f'planning time  {summary["planning_time"]:.3f} s '

@@ -21,7 +21,7 @@ from cnc_interp.core.vectors import norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
-from cnc_interp.program.writer import Move, cl_data, siemens
+from cnc_interp.program.writer import WrittenMove, cl_data, siemens
 from cnc_interp.settings.options import Settings
 
 Linking = Literal['zigzag', 'one-way']
@@ -175,21 +175,21 @@ def write_tool_path(
     return path
 
 
-def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iterator[Move]:
+def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iterator[WrittenMove]:
     """Yield lines, and the control points of passes; the first is the end of the previous line."""
     for step in steps:
         if isinstance(step, Link):
             second = step.tip + ARM * step.axis
-            yield Move(step.tip, feedrate, step.rapid, False, second=second)
+            yield WrittenMove(step.tip, feedrate, step.rapid, False, second=second)
             continue
         knots, points = step.spline.t, step.spline.c
         for i in range(1, len(points)):
             # Block i holds t(i+3) - t(i+2).
             gap = float(knots[i + 3] - knots[i + 2])
-            yield Move(points[i, :3], feedrate, False, False, second=points[i, 3:],
+            yield WrittenMove(points[i, :3], feedrate, False, False, second=points[i, 3:],
                        knot_interval=gap)  # fmt: skip
 
 
-def _points(path: ToolPath, feedrate: float) -> Iterator[Move]:
+def _points(path: ToolPath, feedrate: float) -> Iterator[WrittenMove]:
     for i, (tip, axis) in enumerate(zip(path.tip, path.axis, strict=True)):
-        yield Move(tip, feedrate, i > 0 and bool(path.rapid[i]), False, axis=axis)
+        yield WrittenMove(tip, feedrate, i > 0 and bool(path.rapid[i]), False, axis=axis)

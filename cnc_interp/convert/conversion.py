@@ -22,7 +22,7 @@ from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.subdivide import piece_counts, ragged
 from cnc_interp.program.writer import (
-    Move,
+    WrittenMove,
     cl_data,
     gcode,
     siemens,
@@ -171,7 +171,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
     if rotary is not None and other.any():
         notes.append('G64 P holds the contour tolerance only; the orientation tolerance differs')
     moves = (
-        Move(
+        WrittenMove(
             tip=blocks.tip[i],
             rotary=None if rotary is None else rotary[i],
             feedrate=float(blocks.feedrate[i]),
@@ -236,7 +236,7 @@ def _cl(blocks: Blocks, source: str, height: float) -> Converted:
     if np.isfinite(blocks.duration).any():
         notes.append('inverse-time feeds (G93) are written as feedrates')
     moves = (
-        Move(
+        WrittenMove(
             tip=blocks.tip[i],
             axis=blocks.axis[i],
             feedrate=float(feed[i]),

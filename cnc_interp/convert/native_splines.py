@@ -22,7 +22,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.writer import Move
+from cnc_interp.program.writer import WrittenMove
 from cnc_interp.smoothing.native.joining import Jets, line_jets, span_jets
 from cnc_interp.smoothing.orientation import turned_by
 from cnc_interp.smoothing.segments import (
@@ -211,7 +211,7 @@ class SplineMoves:
         self.deviation = 0.0
         self.rate_jump = self.bend_jump = 0.0  # [rad/m], [rad/m2]
 
-    def moves(self, blocks: Blocks) -> Iterator[Move]:
+    def moves(self, blocks: Blocks) -> Iterator[WrittenMove]:
         """Yield the blocks of the path, the start pose first."""
         segments = self.segments
         start = 0
@@ -237,7 +237,7 @@ class SplineMoves:
             if segments.stop[start - 1]:
                 arrives = None
 
-    def _curve(self, first: int, last: int, arrives: Jets | None) -> Iterator[Move]:
+    def _curve(self, first: int, last: int, arrives: Jets | None) -> Iterator[WrittenMove]:
         """Yield the control points of successive curves as one curve."""
         segments, constant = self.segments, self._constant_height(first, last)
         for i in range(first, last):
@@ -247,11 +247,11 @@ class SplineMoves:
             arrives = self._last = curve.jets(at_end=True)
             yield from self._control_points(curve, i)
 
-    def _control_points(self, curve: CubicCurve, i: int) -> Iterator[Move]:
+    def _control_points(self, curve: CubicCurve, i: int) -> Iterator[WrittenMove]:
         count = len(curve.bottom)
         feed = self.segments.feed[i]
         for k in range(1, count):
-            yield Move(
+            yield WrittenMove(
                 tip=curve.bottom[k],
                 second=curve.top[k] if self.transform.machine.has_rotary else None,
                 feedrate=float(feed[0] if k < curve.late else feed[1]),
@@ -285,7 +285,7 @@ class SplineMoves:
             return None
         return np.asarray(segments.top[i, 0])
 
-    def _line(self, i: int) -> Move:
+    def _line(self, i: int) -> WrittenMove:
         segments = self.segments
         resting = segments.kind[i] == ROTATION
         words = segments.rotary[i, 1]
@@ -300,12 +300,12 @@ class SplineMoves:
 
     def _pose(
         self, tip: FloatArray, axis: FloatArray, feed: float, stop: bool, second: FloatArray | None
-    ) -> Move:
+    ) -> WrittenMove:
         if not self.transform.machine.has_rotary:
             second = None
         elif second is None:
             second = tip + self.height * axis
-        return Move(tip, feed, bool(np.isinf(feed)), stop, second=second)
+        return WrittenMove(tip, feed, bool(np.isinf(feed)), stop, second=second)
 
     def _line_jets(self, i: int, at_end: bool) -> Jets | None:
         segments = self.segments

@@ -21,7 +21,7 @@ from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, Step, refused
+from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, PhaseChange, refused
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.function_messages import function_messages
 from cnc_interp.wire.path_messages import block_messages
@@ -77,19 +77,19 @@ class ProgramRun:
         self._known_by: set[str] = set()
         self.answer: Any = None  # of the machine, to functions without motion
 
-    def _change(self, step: Step, now: float) -> None:
+    def _change(self, step: PhaseChange, now: float) -> None:
         self.phase, self._since = TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:
         """Leave the queue, because the programs before this one have ended."""
-        self._change(Step.TURN, now)
+        self._change(PhaseChange.TURN, now)
 
     def step(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
         outcome = None
         if self.phase is Phase.CHECKING:
             outcome = self.preparation.look()
             if self.preparation.prepared is not None:
-                self._change(Step.CHECKED, now)
+                self._change(PhaseChange.CHECKED, now)
                 self.continue_at = self.start_at
                 if self.rests_throughout and not self.switches:
                     outcome = Outcome(Code.SUCCEEDED, 'done, without motion')
@@ -99,7 +99,7 @@ class ProgramRun:
             watch = self._switching if self.rests_throughout else self._watch
             outcome = watch(peers, now, timeout)
         if outcome is not None:
-            self._change(Step.END, now)
+            self._change(PhaseChange.END, now)
         return outcome
 
     def _wait(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
@@ -113,7 +113,7 @@ class ProgramRun:
                 if self.stands is not None and np.abs(machine.stands - self.stands).max() > SAME:
                     text = 'the axes have moved since the line was given; give it again'
                     return Outcome(Code.BUSY, text)
-                self._change(Step.START, now)
+                self._change(PhaseChange.START, now)
                 return None
         patient = self.stands is None and now - self._since <= PATIENCE
         return None if patient else why_not(missing, machine)
@@ -169,7 +169,7 @@ class ProgramRun:
             return None
         if self.run_id.attempt:  # a node was lost again before it was seen on the run
             self.recovery.node = min(PLANNERS - self._known_by)
-            self._change(Step.LOSE, now)
+            self._change(PhaseChange.LOSE, now)
             return None
         return Outcome(
             Code.BUSY, 'the look-ahead is in a run that is not over; reset, or else restart '
@@ -195,9 +195,9 @@ class ProgramRun:
             elif node in self._known_by:
                 self.recovery.node = node
         if self.recovery.node and self.phase is not Phase.LOST:
-            self._change(Step.LOSE, now)
+            self._change(PhaseChange.LOSE, now)
         elif self.phase is Phase.OFFERED and self._known_by >= PLANNERS:
-            self._change(Step.TAKEN, now)
+            self._change(PhaseChange.TAKEN, now)
 
     @property
     def rests_throughout(self) -> bool:
@@ -232,7 +232,7 @@ class ProgramRun:
         self.run_id = self.run_id.next_attempt()
         self._known_by.clear()
         self.recovery.begin_again()
-        self._change(Step.BEGIN_AGAIN, now)
+        self._change(PhaseChange.BEGIN_AGAIN, now)
 
     @property
     def start_at(self) -> float:
@@ -254,7 +254,7 @@ class ProgramRun:
 
     def check_again(self, future: Future[Prepared], now: float) -> None:
         self.preparation.again(future)
-        self._change(Step.STALE, now)
+        self._change(PhaseChange.STALE, now)
 
     def take_changes(self, block: int, ended: bool) -> list[ProgramChange]:
         """Return what the program has changed of the machine's setup since the last call."""

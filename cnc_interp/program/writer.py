@@ -50,7 +50,7 @@ class Modal:
 
 
 @dataclass(frozen=True)
-class Move:
+class WrittenMove:
     """One block; a writer takes of it what its format has."""
 
     tip: FloatArray  #: (3,): Tool tip or control point [m].
@@ -69,7 +69,7 @@ class Move:
     knot_interval: float = nan  #: Knot interval of a control point [m]; NaN on lines.
 
 
-def gcode(moves: Iterable[Move], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
+def gcode(moves: Iterable[WrittenMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
     """Return G-code with rotary words, ORIVECT or ORIAXES, and tool-tip programming."""
     state = Modal.empty()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
@@ -109,7 +109,7 @@ def gcode(moves: Iterable[Move], rotary_letters: tuple[str, ...], notes: list[st
     return '\n'.join([*filter(None, lines), 'M30', ''])
 
 
-def siemens(moves: Iterable[Move], notes: list[str]) -> str:
+def siemens(moves: Iterable[WrittenMove], notes: list[str]) -> str:
     """Return a Siemens 840D program with lines and cubic B-splines [B2013, section 4.1]."""
     state = Modal.empty()
     moves = list(moves)
@@ -139,7 +139,7 @@ def siemens(moves: Iterable[Move], notes: list[str]) -> str:
     return '\n'.join([*lines, 'M30', ''])
 
 
-def cl_data(moves: Iterable[Move], name: str, notes: list[str]) -> str:
+def cl_data(moves: Iterable[WrittenMove], name: str, notes: list[str]) -> str:
     """Return a CL file with GOTO points and tool axis vectors."""
     lines = [f'PARTNO {name}', *(f'$$ {note}' for note in notes), 'UNITS/MM', 'MULTAX/ON']
     feed = ''

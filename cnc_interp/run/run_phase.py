@@ -20,7 +20,7 @@ class Phase(Enum):
     ENDED = 'has its result'
 
 
-class Step(Enum):
+class PhaseChange(Enum):
     """What changes the phase."""
 
     TURN = 'the programs before it have ended'
@@ -33,8 +33,8 @@ class Step(Enum):
     END = 'there is a result'
 
 
-P, S = Phase, Step
-TABLE: dict[tuple[Phase, Step], Phase] = {
+P, S = Phase, PhaseChange
+TABLE: dict[tuple[Phase, PhaseChange], Phase] = {
     (P.QUEUED, S.TURN): P.CHECKING,
     (P.CHECKING, S.CHECKED): P.WAITING,
     (P.WAITING, S.STALE): P.CHECKING,

@@ -14,7 +14,7 @@ from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, ProgramRun
 from cnc_interp.run.machine_report import FILLED, SETTLED
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_phase import TABLE, Code, Phase, Step
+from cnc_interp.run.run_phase import TABLE, Code, Phase, PhaseChange
 from cnc_interp.run.run_state import AT_REST, State
 from cnc_interp.wire.run_messages import machine_report
 
@@ -284,4 +284,4 @@ def test_codes_and_phases_are_complete():
     assert all(getattr(RunProgram.Result, code.name) == code for code in Code)
     assert all(getattr(StreamStatus, kind.name) == kind for kind in Refusal if kind < Refusal.GAP)
     assert set(TABLE.values()) == set(Phase) - {Phase.QUEUED}
-    assert {step for _, step in TABLE} == set(Step)
+    assert {step for _, step in TABLE} == set(PhaseChange)

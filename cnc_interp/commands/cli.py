@@ -48,6 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return FINE
         print(f'cnc-interp: {_told(problem, options)}', file=sys.stderr)
         return BAD_INPUT
+    except ModuleNotFoundError as problem:
+        package = str(problem.name).partition('.')[0]
+        if package == 'cnc_interp':
+            raise
+        told = f'{package} is not installed; ./cnc of a clone installs what each command needs'
+        print(f'cnc-interp: {told}', file=sys.stderr)
+        return BAD_INPUT
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):  # the terminal may be closed
             print('cnc-interp: interrupted', file=sys.stderr)

@@ -3,6 +3,8 @@
 import errno
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -223,3 +225,12 @@ def test_missing_things_get_one_line(tmp_path, capsys):
         assert main(arguments) == BAD_INPUT
         error = capsys.readouterr().err
         assert says in error and error.count('\n') == 1
+
+
+def test_a_package_that_is_missing_is_named_in_one_line():
+    """A wheel without ROS plans and checks; what needs ROS said so in a traceback."""
+    without = "import sys; sys.modules['rclpy'] = None; from cnc_interp.commands.cli import main; "
+    run = [sys.executable, '-c', without + "sys.exit(main(['jog', 'X', '1']))"]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.count('\n') == 1
+    assert done.stderr.startswith('cnc-interp: rclpy is not installed')

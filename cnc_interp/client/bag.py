@@ -282,7 +282,7 @@ class Bag:
         except StreamError:
             raise
         except Exception as fault:
-            reason = f'a message of {topic} cannot be read ({why(fault)})'
+            reason = f'a message of {topic} cannot be read, of another version? ({why(fault)})'
             raise InterpError(f'{self.path}: {reason}') from None
 
     def close(self) -> None:

@@ -78,6 +78,11 @@ class MotionPlan:
         self._last = rests  # the last setpoint
         self._block_before = -1
 
+    def follow(self, settings: OperatorSettings) -> None:
+        """Take other settings as long as nothing is planned, as at an override of 0."""
+        if not self._legs and not self._history:
+            self.settings = settings
+
     def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:
         self._todo.extend(items)
 

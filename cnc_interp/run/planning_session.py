@@ -268,6 +268,7 @@ class PlanningSession:
             return self._plan_ahead_task(planner, report)
         if report is not None and report.left(self.run_id):
             return self._resume(planner, report)
+        planner.stream.current.follow(self.settings)
         if self._must_revise(planner, now):
             return self._revise(planner, now)
         return self._plan_ahead_task(planner, report)

@@ -48,6 +48,17 @@ def test_hold_and_resume(bench):
     bench.finish(handle)
 
 
+def test_a_program_started_at_an_override_of_0_begins_when_it_is_raised(bench):
+    bench.override.publish(Float64(data=0.0))
+    bench.spin_until(lambda: bench.state.feed_override == 0.0)
+    bench.text = PROGRAM
+    handle = bench.start(text=PROGRAM)
+    bench.spin_until(lambda: dict(bench.diagnostics).get('feedrate_node: planning') == 'at work')
+    bench.spin_for(0.5)
+    bench.override.publish(Float64(data=1.0))
+    bench.finish(handle)
+
+
 @pytest.mark.thorough
 def test_override_up_and_down_and_zero(bench):
     handle = bench.begin()

@@ -139,7 +139,7 @@ def test_cl_data_switch_the_same() -> None:
 
 @pytest.mark.parametrize(
     ('line', 'told'),
-    [('S30000 M3', 'spindle_speed 30000 is outside 0 ... 24000 rev/min'),
+    [('S70000 M3', 'spindle_speed 70000 is outside 0 ... 60000 rev/min'),
      ('M6 T100000', 'tool_number 100000 is outside')],
 )  # fmt: skip
 def test_a_value_beyond_its_range_is_refused(line: str, told: str) -> None:

@@ -45,6 +45,9 @@ class Plan:
     def can_sample(self):
         return self.left > 0
 
+    def follow(self, settings):
+        """Something is planned already: other settings need a revision."""
+
 
 class Stream:
     """A stream with a plan."""

@@ -66,6 +66,19 @@ def _chunks(target, wait, start):
     return chunks
 
 
+def test_a_plan_takes_other_settings_until_something_is_planned():
+    """A program started at an override of 0 never began: there was nothing to revise."""
+    stream = MotionStream(MACHINE, T, settings=OperatorSettings(0.0))
+    stream.push(approach(TRANSFORM, 0.03, HOME, np.array(POSES[0])))
+    stream.end_leg(Wait.END)
+    plan = stream.current
+    assert not plan.can_plan
+    plan.follow(OperatorSettings(0.5))
+    plan.plan()
+    plan.follow(OperatorSettings(1.0))
+    assert plan.settings.override == 0.5, 'what is planned is revised'
+
+
 def samples_to(target):
     return Setpoints.concatenate([chunk.samples for chunk in chunks_to(target)])
 

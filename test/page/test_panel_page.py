@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(
 IMPELLER = Path(__file__).parents[3] / 'shared/programs/linuxcnc-impeller-xyzac'
 #: Lines of a program that runs to its end, and of one that outlasts every test.
 SHORT, LONG = 4, 24
-TABS = 4
+TABS = 3
 
 
 def zigzag(name, lines, after_first='', feed=2000):

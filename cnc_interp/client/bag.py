@@ -22,8 +22,6 @@ from cnc_interp_msgs.msg import (
     StreamStatus,
 )
 from diagnostic_msgs.msg import DiagnosticArray
-from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosbags.interfaces import (
@@ -314,6 +312,8 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
     InterpError
         If there is no message, or ``out`` exists.
     """
+    from mcap.records import Channel, Message
+
     files = sorted(path.glob('*.mcap'))
     if not files:
         raise InterpError(f'{path}: no bag; it has no .mcap file')
@@ -337,6 +337,8 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
 
 def _whole_records(file: Path) -> Iterator[Any]:
     """Yield the records of a file up to its end, or to the first that is not whole."""
+    from mcap.stream_reader import StreamReader
+
     with file.open('rb') as stream:
         records = iter(StreamReader(stream, validate_crcs=True).records)
         while True:

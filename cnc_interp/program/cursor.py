@@ -26,7 +26,7 @@ class Structure:
 
     label: str = ''  #: Tells it from others, as the number of an O word; empty: they nest.
     before: str = ''
-    behind: str = r'(?![A-Z_])'
+    after: str = r'(?![A-Z_])'
     #: Patterns of its first and last word where they are not those of ``structures.py``.
     head: str = ''
     end: str = ''

@@ -127,7 +127,7 @@ class Structures(Cursor):
         """Return the line with the end of a structure, or with a word between, after a place."""
         end = what.end or ENDS[head]
         words = f'(?:(?P<head>{what.head or head})|(?P<between>{between or "(?!)"})|{end})'
-        pattern = re.compile(f'(?mi)^{_NUMBER}{what.before}{words}{what.behind}')
+        pattern = re.compile(f'(?mi)^{_NUMBER}{what.before}{words}{what.after}')
         find, depth = re.compile(pattern.pattern.encode()), 0
         found = self.source.find(find, self.source.after(place or self.window.place(self.row)))
         while found is not None:

@@ -72,7 +72,7 @@ def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     assert f'machine_state is published by {node.get_name()} too' in result.message
     node.destroy_subscription(heard)
     node.destroy_publisher(forger)
-    nodes.spin_until(lambda: nodes.result_of(nodes.start(text=PROGRAM)).code == Result.SUCCEEDED)
+    nodes.spin_until(lambda: node.count_publishers('machine_state') == 1)
 
 
 def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_path):

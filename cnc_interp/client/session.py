@@ -71,7 +71,8 @@ class RunRequest:
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
         given |= self.drives
-        given['program_folders'] = json.dumps([str(path.resolve()) for path in self.programs])
+        named = [*self.programs, *([self.settings.setup] if self.settings.setup else [])]
+        given['program_folders'] = json.dumps([str(path.resolve()) for path in named])
         return {
             node: {p.name: given[p.name] for p in declared if p.name in given}
             for node, declared in NODES.items()

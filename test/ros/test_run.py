@@ -68,8 +68,13 @@ def nodes(shared_nodes):
 
 def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path):
     program, out = tmp_path / 'part.apt', tmp_path / 'received'
+    setup = tmp_path / 'kept' / 'setup.yaml'  # in a folder of its own: the command line names it
+    setup.parent.mkdir()
+    setup.write_text('work_offset: G54\n')
     program.write_text(PROGRAM)
-    (result,) = run_session(RunRequest(program, out=out, quiet=True))
+    (result,) = run_session(
+        RunRequest(program, settings=Settings(setup=setup), out=out, quiet=True)
+    )
     assert result.ok, result.message
     assert result.blocks_sent == result.blocks_executed == 3
     assert_at_the_last_pose(list(result.position.values()))

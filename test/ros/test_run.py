@@ -70,7 +70,7 @@ def test_session_runs_a_program_and_what_the_machine_received_is_proven(tmp_path
     program, out = tmp_path / 'part.apt', tmp_path / 'received'
     setup = tmp_path / 'kept' / 'setup.yaml'  # in a folder of its own: the command line names it
     setup.parent.mkdir()
-    setup.write_text('work_offset: G54\n')
+    setup.write_text('active: G54\n')
     program.write_text(PROGRAM)
     (result,) = run_session(
         RunRequest(program, settings=Settings(setup=setup), out=out, quiet=True)

@@ -83,7 +83,6 @@ def _csv(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def _parquet(rows: list[dict[str, Any]], file: Path) -> list[Path]:
-    """Write Parquet; return its path, if pyarrow is installed."""
     try:
         import pyarrow
         from pyarrow import parquet

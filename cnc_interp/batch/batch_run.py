@@ -27,7 +27,6 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
 
     def find(self, key: str) -> TaskOutcome | None:
-        """Return a result that is final; None if there is none."""
         try:
             found = TaskOutcome.of_json(read_json(self._file(key)))
         except (OSError, UnreadableError, ValueError, TypeError, KeyError):
@@ -72,7 +71,6 @@ def run_batch(
     jobs: Jobs, workers: Workers, store: Store, progress: Callable[[Progress], None],
     processes: int = 1,
 ) -> list[tuple[BatchEntry, TaskOutcome]]:  # fmt: skip
-    """Carry out all jobs; ``store`` keeps each result, ``processes`` plan one program together."""
     keys: dict[int, str] = {}
     found: dict[int, TaskOutcome] = {}
     listed = list(jobs)

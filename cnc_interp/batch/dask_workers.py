@@ -48,7 +48,6 @@ class DaskWorkers:
     def run(
         self, function: Callable[[A], R], arguments: Iterator[Callable[[], A]]
     ) -> Iterator[EndedCall[R]]:
-        """Call a function with each task; see ``Processes.run``."""
         numbers: dict[Future, int] = {}
         coming = enumerate(arguments)
         ended = as_completed(loop=self._client.loop)
@@ -72,7 +71,6 @@ class DaskWorkers:
 
     @property
     def _ahead(self) -> int:
-        """How many tasks are given out at a time; the cluster may grow."""
         return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
 
 

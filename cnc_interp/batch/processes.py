@@ -102,7 +102,6 @@ class Processes:
     def run(
         self, function: Callable[[A], R], arguments: Iterable[Callable[[], A]]
     ) -> Iterator[EndedCall[R]]:
-        """Call a function with each argument; yield what has ended, in the order of the ends."""
         killed: deque[_Attempt[A]] = deque()
         coming = (_Attempt(n, make, self._longest) for n, make in enumerate(arguments))
         running: dict[Connection, _Running[A]] = {}

@@ -68,7 +68,6 @@ class Point:
 
     @property
     def command(self) -> tuple[str, ...]:
-        """The words with the values."""
         return (*self.words, *(f'--{option}={value}' for option, value in self.values))
 
     @property
@@ -167,7 +166,6 @@ class Sweep:
         (folder / 'points').mkdir(parents=True, exist_ok=True)
 
     def grid(self, ranges: Sequence[Range]) -> None:
-        """Run all combinations, and the command as it is."""
         names = [one.option for one in ranges]
         all_values = itertools.product(*(one.values for one in ranges))
         self.run([(), *(tuple(zip(names, values, strict=True)) for values in all_values)])
@@ -215,7 +213,6 @@ class Sweep:
         return Call(self._main, point.command, str(Path.cwd()), str(self.folder_of(point)))
 
     def folder_of(self, point: Point) -> Path:
-        """Return the folder of the files of a point."""
         return self._folder / 'points' / point.key
 
     def keep(self, point: Point) -> Path:
@@ -281,17 +278,14 @@ LOCAL_STYLE = 'td, th { text-align: left; } code { font-size: 12px; }'
 
 
 def as_it_is(found: dict[Point, Found]) -> Point:
-    """Return the point of the command without other values."""
     return next(point for point in found if not point.values)
 
 
 def values_text(point: Point) -> str:
-    """Return the values of a point in words."""
     return ', '.join(f'{name} {value}' for name, value in point.values) or 'as it is'
 
 
 def lengths_text(one: Found) -> str:
-    """Return scallop and error of a point in words."""
     told = (('scallop', one.scallop), ('error', one.error))
     return ', '.join(f'{name} {value / UM:.3f} um' for name, value in told if value is not None)
 

@@ -176,7 +176,6 @@ class Jobs:
         return iter(self._jobs)
 
     def task(self, job: BatchEntry) -> Task:
-        """Return the task of a job; its files are read now."""
         text = job.path.read_bytes()
         files = ((job.path.name, text), *called_files(job.path, text).items())
         plans = ''

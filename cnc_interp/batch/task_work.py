@@ -62,7 +62,6 @@ def _usages() -> list[resource.struct_rusage]:
 
 
 def _processor_time() -> float:
-    """Return the processor time of this process and its ended children [s]."""
     return sum(usage.ru_utime + usage.ru_stime for usage in _usages())
 
 

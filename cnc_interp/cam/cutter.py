@@ -36,7 +36,6 @@ class Cutter:
 
     @staticmethod
     def of_diameter(diameter: float, corner_radius: float) -> Cutter:
-        """Return the cutter with an outer diameter."""
         if not 0.0 <= corner_radius <= 0.5 * diameter:
             raise InterpError(
                 f'a corner radius of {corner_radius / MM:g} mm does not fit a diameter of '

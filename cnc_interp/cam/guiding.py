@@ -136,7 +136,6 @@ class GuidingPlanes:
         return self._fit(lines[longest], plane)
 
     def _length(self, line: FloatArray) -> float:
-        """Return the length of a line of parameters, shape (n, 2), on the surface [m]."""
         position = self.surface.derivatives(line[:, 0], line[:, 1])[0]
         return float(norm(np.diff(position, axis=0)).sum())
 

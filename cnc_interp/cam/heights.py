@@ -101,7 +101,6 @@ class Figures:
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))
 
     def statistics(self, deviations: int) -> dict[str, float]:
-        """Return the roughness figures of the needles that were cut."""
         mean = self.mean
         assert self.lowest and self.highest
         low, high = self.lowest.height, -self.highest.height
@@ -138,12 +137,10 @@ class Figures:
 
 
 def is_cut(height: FloatArray) -> BoolArray:
-    """Return True for needles that the mill has reached; same shape."""
     return np.asarray(height < 0.999 * TOP)
 
 
 def deviations(height: FloatArray, mean: float) -> int:
-    """Return the sum of |h - mean| over the needles that were cut, as ``exact_sum`` does."""
     return exact_sum(np.abs(height[is_cut(height)] - mean), HEIGHT_BITS)
 
 
@@ -217,7 +214,6 @@ class HeightStore:
         return found is not None and found.get('key') == key
 
     def keep(self, row: int, column: int, key: str, height: FloatArray, figures: Figures) -> None:
-        """Write a tile, and then its record."""
         rows, columns = height.shape
         self._height[row : row + rows, column : column + columns] = np.where(
             is_cut(height), height, np.nan
@@ -231,7 +227,6 @@ class HeightStore:
         return np.asarray(array[row : row + TILE, column : column + TILE])
 
     def figures(self) -> Figures:
-        """Return the figures of all tiles together."""
         total = Figures()
         for place in patches(*self.shape, TILE, TILE):
             try:

@@ -81,7 +81,6 @@ class PassRecursion:
         return 2.0 * float(half.max()) + self.options.overrun
 
     def all_passes(self, progress: Callable[[float], None] | None) -> list[Pass]:
-        """Add passes from one border to the other."""
         first, last = self.planes.span
         passes = [self.first_pass()]
         while passes[-1].plane + float(passes[-1].kept_reach.min()) < last:
@@ -127,13 +126,11 @@ class PassRecursion:
         return float(np.nanmin(reach[kept]))
 
     def reach(self, curve: GuidingCurve, angles: Angles, side: float = 1.0) -> FloatArray:
-        """Return half widths at the places of angles, shape (n,), NaN without a scallop [m]."""
         postures = angles.postures(curve, self.cutter, angles.s)
         scallops = scallop_points(self.surface, postures, self.options.scallop_height, side)
         return plane_distance(postures, scallops, self.normal)
 
     def count(self, curve: GuidingCurve) -> int:
-        """Return the number of scallop points along a pass."""
         return self.options.points or max(25, int(np.ceil(curve.length / SPACING)))
 
     def fresh_pass(self, plane: float, number: int, tilted: bool = False) -> Pass:

@@ -38,7 +38,6 @@ def kept_ranges(
 def kept_places(
     curve: GuidingCurve, s: FloatArray, reach: FloatArray, overrun: float
 ) -> BoolArray:
-    """Tell which places of a pass are milled."""
     kept = np.zeros(len(s), bool)
     for first, last in kept_ranges(curve, s, reach, overrun):
         kept |= (s >= first) & (s <= last)
@@ -46,7 +45,6 @@ def kept_places(
 
 
 def runs(true: BoolArray) -> list[slice]:
-    """Return the unbroken runs of true values."""
     bounds = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]])))
     return [slice(int(a), int(b)) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
 

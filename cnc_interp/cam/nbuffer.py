@@ -35,7 +35,6 @@ class Heights:
 
     @property
     def cut(self) -> BoolArray:
-        """True for needles on the face that the mill has reached, shape (rows, columns)."""
         return is_cut(self.on_face)
 
     @property

@@ -96,7 +96,6 @@ class TileCutter:
         self._places = list(patches(*grid.shape, TILE, TILE))
 
     def task(self, row: int, column: int) -> TileTask:
-        """Return the task of the tile that begins at a needle."""
         rows, columns = self._grid.shape
         needles = self._grid.needles(
             slice(row, min(row + TILE, rows)), slice(column, min(column + TILE, columns))

@@ -169,7 +169,6 @@ class MotionPieces:
 
     @staticmethod
     def of(cutter: Cutter, tip: FloatArray, axis: FloatArray) -> MotionPieces:
-        """Divide a motion into pieces."""
         if len(tip) < 2 or not (np.isfinite(tip).all() and np.isfinite(axis).all()):
             raise InterpError('a simulation needs two finite poses or more')
         R, r = cutter.tool_radius, cutter.corner_radius

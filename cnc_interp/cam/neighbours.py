@@ -30,12 +30,10 @@ class Neighbours:
     face: IntArray  #: (n,): Number of the face of each point.
 
     def without(self, face: int) -> Neighbours | None:
-        """Return the points of all other faces; None if there are none."""
         others = self.face != face
         return Neighbours(self.points[others], self.face[others]) if others.any() else None
 
     def turned(self, rotation: FloatArray) -> Neighbours:
-        """Return the points turned by a rotation matrix, shape (3, 3) [-]."""
         return Neighbours(np.ascontiguousarray(self.points @ rotation.T), self.face)
 
     def depth(self, cutter: Cutter, tip: FloatArray, axis: FloatArray) -> FloatArray:

@@ -100,7 +100,6 @@ def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -
 
 
 def evenly(curve: GuidingCurve, count: int) -> FloatArray:
-    """Return places at equal distances along a whole curve."""
     return np.linspace(0.0, curve.length, count)
 
 

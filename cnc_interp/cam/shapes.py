@@ -185,7 +185,6 @@ class BSplineSurface(Surface):
 
     @staticmethod
     def through(points: FloatArray, flip: bool = False) -> BSplineSurface:
-        """Interpolate a grid of points by a bicubic surface."""
         points = np.asarray(points, float)
         if points.ndim != 3 or min(points.shape[:2]) < 4 or points.shape[2] != 3:
             raise SurfaceError('a surface through points needs a grid of at least 4 x 4 points')

@@ -59,7 +59,6 @@ def thinned(motion: Motion) -> Motion:
 
 
 def programmed(program: Program) -> Motion:
-    """Return the motion of a part program; native splines become chords."""
     blocks = with_chords(program.blocks, ARM)
     return Motion('programmed', np.asarray(blocks.tip), np.asarray(blocks.axis))
 

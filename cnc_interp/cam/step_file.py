@@ -85,7 +85,6 @@ class StepFace:
         self.bounds: tuple[float, float, float, float] = BRepTools.UVBounds_s(self.shape)
 
     def description(self) -> str:
-        """Return the name of the kind and the size, or why the face cannot be used."""
         name = NAMES.get(self.kind, self.kind)
         try:
             return f'{name}, {extent(self.surface())}'

@@ -16,7 +16,6 @@ from cnc_interp.core.units import DEG, MM, UM
 
 
 def facts_of(faces: Sequence[MachinedFace]) -> dict[str, Any]:
-    """Return the figures of the passes for summary.json."""
     found = [_facts_of(face) for face in faces]
     if len(faces) == 1:
         return found[0]
@@ -53,12 +52,10 @@ def _facts_of(face: MachinedFace) -> dict[str, Any]:
 
 
 def results(heights: Heights, section: Section) -> dict[str, Any]:
-    """Return the figures of a simulated surface for summary.json."""
     return heights.statistics() | ridges_of(section)
 
 
 def ridges_of(section: Section) -> dict[str, Any]:
-    """Return the figures of the scallop ridges for summary.json; none if there are no ridges."""
     if not len(section.ridges):
         return {}
     low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()

@@ -56,11 +56,9 @@ class SurfacePoint:
         return scaled(a, self.n_u) + scaled(b, self.n_v)
 
     def curvature(self, tangent: FloatArray) -> FloatArray:
-        """Return the normal curvature along tangents."""
         return dot(self.normal_rate(tangent), tangent)
 
     def principal_curvatures(self) -> tuple[FloatArray, FloatArray]:
-        """Return the principal curvatures."""
         e, f, g = dot(self.d_u, self.d_u), dot(self.d_u, self.d_v), dot(self.d_v, self.d_v)
         l, m, n = dot(self.n_u, self.d_u), dot(self.n_u, self.d_v), dot(self.n_v, self.d_v)
         area = e * g - f * f
@@ -207,7 +205,6 @@ def _place(point: SurfacePoint, where: BoolArray) -> str:
 
 
 def place(point: FloatArray) -> str:
-    """Write a point in mm."""
     x, y, z = point / MM
     return f'({x:.2f}, {y:.2f}, {z:.2f}) mm'
 

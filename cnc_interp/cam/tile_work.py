@@ -39,7 +39,6 @@ Pool = Callable[[str | None, int], TileWorkers]
 
 
 def refuse_options(options: argparse.Namespace) -> None:
-    """Refuse options that do not belong together."""
     if options.tiles is None:
         for name in ('workers', 'scheduler'):
             if getattr(options, name) is not None:

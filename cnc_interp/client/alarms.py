@@ -32,7 +32,6 @@ class Alarm:
     count: int = 1  #: How often it came.
 
     def repeats(self, other: Alarm) -> bool:
-        """Tell whether both alarms are the same, apart from numbers in the text."""
         one, two = (NUMBER.sub('#', alarm.message) for alarm in (self, other))
         return (self.level, self.source, one) == (other.level, other.source, two)
 
@@ -53,13 +52,11 @@ class AlarmList:
 
     @property
     def history(self) -> list[Alarm]:
-        """All alarms, the newest first."""
         with self._lock:
             return list(self._alarms)[::-1]
 
     @property
     def newest_first(self) -> list[Alarm]:
-        """Alarms that are not cleared, the newest first."""
         return [alarm for alarm in self.history if alarm not in self._cleared]
 
     def clear(self) -> None:
@@ -72,7 +69,6 @@ class AlarmList:
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def add(self, level: str, source: str, message: str) -> None:
-        """Add an alarm with the time of day, unless it is serious and was just told by another."""
         alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
         with self._lock:
             self._add(alarm, message)

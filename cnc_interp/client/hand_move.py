@@ -51,7 +51,6 @@ class Ended:
         return f'{self.message}: {place_text(self.axes, self.position)}'
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result for machines to read, in SI."""
         names = [axis.name for axis in self.axes]
         return {
             'arrived': self.arrived,
@@ -126,7 +125,6 @@ def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[s
 
 
 def _homed(client: OperatorClient) -> Any:
-    """Wait until homing has ended; return the state after it."""
     begun, rests, states = False, 0, _states(client)
     while True:
         state = next(states)
@@ -160,7 +158,6 @@ def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
 
 
 def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
-    """Send the request and watch the machine until it rests."""
     answer = client.granted(client.move_axes(request))
     target, moved, states = np.array(answer.response.positions), False, _states(client)
     while True:

@@ -23,24 +23,19 @@ class LengthUnit:
     steps: tuple[str, ...]  #: Its steps in this unit or degrees.
 
     def of(self, letter: str) -> float:
-        """Return the unit of an axis [m or rad]."""
         return self.size if letter in LINEAR else DEG
 
     def shown(self, letter: str, value: float) -> str:
-        """Return a position [m or rad] without its unit."""
         digits = self.digits if letter in LINEAR else 4
         return f'{value / self.of(letter):z.{digits}f}'
 
     def length(self, value: float) -> str:
-        """Return a length [m] without its unit."""
         return self.shown('X', value)
 
     def per_minute(self, speed: float) -> float:
-        """Return a speed [m/s] in this unit per minute."""
         return speed * MINUTE / self.size
 
     def feed(self, speed: float) -> str:
-        """Return a speed [m/s] per minute, without its unit."""
         return f'{self.per_minute(speed):.{self.feed_digits}f}'
 
     def named(self, text: str) -> str:

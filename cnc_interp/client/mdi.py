@@ -23,7 +23,6 @@ class LineHistory:
         self._lines: deque[str] = deque(maxlen=MOST)
 
     def add(self, line: str) -> None:
-        """Add a line, unless it is the last one."""
         if not self._lines or self._lines[0] != line:
             self._lines.appendleft(line)
 
@@ -97,12 +96,10 @@ def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iter
 
 
 def _rests(state: Any, program_id: str) -> bool:
-    """Tell whether the machine has reported its rest after a run."""
     return bool(state.program_id == program_id and state.resting)
 
 
 def _end(client: OperatorClient, machine: Machine, line: str, answer: Answer) -> LineEnd:
-    """Return the end of a line by what the nodes have told."""
     assert client.state is not None
     position = client.state.commanded_positions
     place = place_text(machine.axes, position)

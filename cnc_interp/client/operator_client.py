@@ -183,17 +183,14 @@ class OperatorClient:
 
     @property
     def silent(self) -> str:
-        """Name of a node that counts as lost; empty when all answer."""
         return self.silent_for(SILENCE)
 
     @property
     def override(self) -> float:
-        """The feed override [-]: the value sent last until it is reported, then that."""
         return self._overrides['feed_override'].at(time.monotonic())
 
     @property
     def rapid_override(self) -> float:
-        """The rapid override [-], as ``override``."""
         return self._overrides['rapid_override'].at(time.monotonic())
 
     def _see_state(self, state: MachineState) -> None:
@@ -216,7 +213,6 @@ class OperatorClient:
                 self.uncompensated = float(values[WITHOUT])
 
     def _knows_machine(self) -> bool:
-        """Ask machine_node for the machine that it simulates."""
         answer = self._simulated.answer()
         if answer is not None and answer.values:
             self.machine = answer.values[0].string_value
@@ -231,7 +227,6 @@ class OperatorClient:
         return self.ask(self._switches[name], SetBool.Request(data=on), name)
 
     def set_output(self, name: str, value: float) -> Future[Answer]:
-        """Set an output of the machine by hand."""
         request = SwitchOutputs.Request(names=[name], values=[value])
         return self.ask(self._switch_outputs, request, 'switch_outputs')
 
@@ -240,7 +235,6 @@ class OperatorClient:
         return bool(self._move_axes.service_is_ready())
 
     def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
-        """Move axes by hand; the answer carries the response of the service."""
         return self.ask(self._move_axes, request, 'move_axes')
 
     def home(self, axes: Sequence[str] = ()) -> Future[Answer]:
@@ -251,7 +245,6 @@ class OperatorClient:
         self._commands.append(lambda: self._beats.publish(message))
 
     def set_override(self, share: float, topic: str = 'feed_override') -> None:
-        """Set one of ``OVERRIDES`` [-]."""
         self._overrides[topic].wish(share, time.monotonic())
         self._commands.append(lambda: self._set_overrides[topic].publish(Float64(data=share)))
 
@@ -323,7 +316,6 @@ class OperatorClient:
         return wanted
 
     def cancel_lines(self) -> None:
-        """Stop what was begun by ``give_line``."""
         self._commands.extend(sent.cancel for sent in list(self._sent) if sent.goal.mdi)
 
     def cancel_waiting(self) -> int:
@@ -360,7 +352,6 @@ class OperatorClient:
     # Serving ------------------------------------------------------------------------------------
 
     def serve(self, timeout: float = SPIN) -> None:
-        """Send the commands, look for answers, and wait for an event up to the timeout [s]."""
         while self._commands:
             self._commands.popleft()()
         self._pending = [ended for ended in self._pending if not ended()]
@@ -368,7 +359,6 @@ class OperatorClient:
             self._executor.spin_once(timeout_sec=timeout)
 
     def wait_for(self, answer: Future[Answer]) -> Answer:
-        """Serve until there is an answer; return it."""
         while not answer.done():
             self.serve()
         return answer.result()
@@ -389,7 +379,6 @@ class OperatorClient:
             self.serve()
 
     def close(self) -> None:
-        """Close the client. The machine continues."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join()

@@ -45,7 +45,6 @@ class Question:
         return None
 
     def drop(self) -> None:
-        """Wait no longer for answers."""
         for future in self._sent:
             self._client.remove_pending_request(future)
 
@@ -107,12 +106,10 @@ class SentProgram:
 
     @property
     def result(self) -> RunProgram.Result | None:
-        """The result; None while the program waits or runs."""
         return next((one.result().result for one in self._results if one.done()), None)
 
     @property
     def programs_ahead(self) -> int:
-        """Number of programs that run before this one."""
         return self._ahead if self.feedback is None else int(self.feedback.programs_ahead)
 
     def cancel(self) -> None:

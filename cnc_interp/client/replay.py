@@ -95,7 +95,6 @@ def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
 def _compare_run(
     bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, dict[int, SetpointChunk]]
 ) -> Iterator[Comparison]:
-    """Compute the plans of one attempt at a run again."""
     # A plan that joins in motion follows settings whose moment is not in the bag.
     compared = list(takewhile(lambda plan: 0 in plans[plan], sorted(plans)))
     told = [joined(bag, plans[plan]) for plan in compared]
@@ -182,7 +181,6 @@ def _settings(state: MachineState) -> OperatorSettings:
 
 
 def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
-    """Plan and sample until so many setpoints are there, or all."""
     parts: list[Setpoints] = []
     count = 0
     plan = planner.stream.current
@@ -194,7 +192,6 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
 
 
 def _same(samples: Setpoints, again: Setpoints) -> int:
-    """Count the leading setpoints that are equal bit for bit."""
     n = min(len(samples), len(again))
     same = np.ones(n, dtype=bool)
     for name in COLUMNS:
@@ -204,7 +201,6 @@ def _same(samples: Setpoints, again: Setpoints) -> int:
 
 
 def _difference(samples: Setpoints, again: Setpoints) -> float:
-    """Return the largest difference of a position."""
     if len(again) < len(samples):
         return float('inf')
     return float(np.abs(samples.position - again.position[: len(samples)]).max(initial=0.0))

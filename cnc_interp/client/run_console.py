@@ -168,15 +168,12 @@ class RunConsole:
             raise InterpError('not all topics of the run can be heard; run it again')
 
     def _send(self, program: Path) -> SentProgram:
-        """Send a program. It starts when the programs before it have ended."""
         request = self._request
         sent = self._client.run(goal_of(program, request.settings))
         self._spin(lambda: sent.accepted)
         return sent
 
     def _result_of(self, sent: SentProgram) -> RunProgram.Result:
-        """Wait for the result of a program; cancel it when interrupted."""
-
         def done() -> bool:
             if self._interrupted and not self._cancelling:
                 self._cancelling = True
@@ -205,7 +202,6 @@ class RunConsole:
         return result
 
     def _tell_warnings(self) -> None:
-        """Tell what somebody must do before the tool cuts."""
         program = self._client.program
         if program is not None and program.program_id != self._warned:
             self._warned = program.program_id
@@ -296,7 +292,6 @@ class RunConsole:
         )
 
     def _see_motion(self) -> None:
-        """Record when the machine executed its first setpoint."""
         state = self._client.state
         if self._first_motion != self._first_motion and state is not None and state.samples:
             past = state.samples * state.interpolation_period
@@ -329,7 +324,6 @@ def at_terminal() -> bool:
 
 
 def enter_pressed() -> bool:
-    """Read a line from the terminal if there is one; the end of the input is no Enter."""
     ready = select.select([sys.stdin], [], [], 0.0)[0]
     return bool(ready) and sys.stdin.readline().endswith('\n')
 

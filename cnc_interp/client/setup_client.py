@@ -52,7 +52,6 @@ class SetupClient:
         return self.table is not None and ready
 
     def ask(self, service: str, **request: Any) -> Future[Answer]:
-        """Call one of ``SERVICES``, with the fields of its request in SI."""
         message = SERVICES[service].Request(client=self._who, **request)
         return self._nodes.ask(self._clients[service], message, service)
 
@@ -137,7 +136,6 @@ class SetupConsole:
         return table, self._setup.setup, state
 
     def values(self, words: dict[str, float]) -> dict[str, Any]:
-        """Return values by axis letter [mm, deg] as the fields of a request [m, rad]."""
         return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
     def ask(self, service: str, **request: Any) -> str:
@@ -188,7 +186,6 @@ class SetupConsole:
         return '\n'.join([*lines, self._file_text()])
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything for machines to read, in SI."""
         table, setup, state = self._now
         return {
             'file': table.file,
@@ -204,7 +201,6 @@ class SetupConsole:
         }
 
     def _work(self) -> dict[str, float]:
-        """Return the work coordinates [m, rad]."""
         table, setup, state = self._now
         return work_coordinates(table, setup, state.positions)
 

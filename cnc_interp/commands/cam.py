@@ -131,7 +131,6 @@ def _face(added: argparse.ArgumentParser, several: bool = False) -> None:
 
 
 def _cutting(added: argparse.ArgumentParser) -> None:
-    """Add the feed direction and the options of the N-buffer and of the machine."""
     option(
         added, '--direction',
         'feed direction on the surface, from its u lines (0 deg)', float, 'DEG', default=0.0,

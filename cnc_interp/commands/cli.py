@@ -80,7 +80,6 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands. Each module declares its own command."""
     top = CommandParser(
         prog='cnc-interp',
         description='5-axis CNC interpolator: smooth, plan and run part programs, every setpoint '

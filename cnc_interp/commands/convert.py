@@ -90,7 +90,6 @@ def add_hal_command(commands: Any) -> None:
 
 
 def hal_command(options: argparse.Namespace) -> int:
-    """Write the HAL file; say what it does not connect any more."""
     from cnc_interp.machine.hal_file import hal_file
     from cnc_interp.machine_model.machine import Machine
 

@@ -50,7 +50,6 @@ def add_jog_command(commands: Any) -> None:
 
 
 def pairs(words: list[str]) -> dict[str, float]:
-    """Return the value of each axis named."""
     found: dict[str, float] = {}
     for name, value in zip(words[::2], words[1::2], strict=False):
         try:

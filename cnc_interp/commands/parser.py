@@ -28,7 +28,6 @@ class CommandParser(argparse.ArgumentParser):
         return found, rest
 
     def unknown_option(self, name: str) -> str:
-        """Return why an option is refused; empty if the command has it, also shortened."""
         if any(option.startswith(name) for option in self._option_string_actions):
             return ''
         near = difflib.get_close_matches(name, self._option_string_actions, 1)
@@ -36,7 +35,6 @@ class CommandParser(argparse.ArgumentParser):
         return f'unknown option {name}; {hint}'
 
     def of(self, command: str) -> CommandParser:
-        """Return the parser of one of its commands, or itself."""
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
                 found: CommandParser = action.choices.get(command, self)
@@ -50,7 +48,6 @@ class CommandParser(argparse.ArgumentParser):
 def command(
     commands: Any, name: str, function: Any, purpose: str, example: str
 ) -> argparse.ArgumentParser:
-    """Add one command with an example in its help."""
     added: argparse.ArgumentParser = commands.add_parser(
         name,
         help=purpose,
@@ -80,7 +77,6 @@ def machine_option(added: argparse.ArgumentParser) -> None:
 
 
 def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
-    """Add the options that `run` and `plan` share; ``live`` for `run`."""
     option(added, 'program', 'G-code or CL data file', Path, 'PROGRAM')
     machine_option(added)
     add_settings(added, live)
@@ -93,7 +89,6 @@ def nodes_options(added: argparse.ArgumentParser) -> None:
 
 
 def drives_option(added: argparse.ArgumentParser) -> None:
-    """Add the option that names the drives of the nodes that are started."""
     added.add_argument(
         '--drives',
         type=drives,

@@ -98,7 +98,6 @@ def machine_of(options: argparse.Namespace) -> Machine:
 
 
 def excesses_of(summary: dict[str, Any]) -> list[str]:
-    """Name the limits and tolerances that a plan exceeds."""
     from cnc_interp.run.plan_figures import excesses
 
     return excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])

@@ -52,7 +52,6 @@ class Shape:
 
 
 def vector(values: FloatArray) -> Vector:
-    """Return three numbers as floats, without negative zeros."""
     x, y, z = (float(value) + 0.0 for value in values)
     return x, y, z
 
@@ -190,7 +189,6 @@ class Description:
 
 
 def describe_machine(machine: Machine) -> Description:
-    """Return links, joints and shapes of a machine; ``Machine`` has the kinematic formula."""
     links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
     joints: list[Joint] = []
 

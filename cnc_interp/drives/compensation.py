@@ -146,7 +146,6 @@ def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
 def compensate_all(
     words: FloatArray, known: int, setpoints: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Compensate rows of setpoints, shape (K, n_axes); return positions and feed-forwards."""
     sent, rates = np.empty_like(setpoints), np.empty_like(setpoints)
     for j in range(setpoints.shape[1]):
         for i in range(len(setpoints)):
@@ -200,7 +199,6 @@ class Compensation:
         return np.concatenate([head.view(float), self.words.ravel(), np.zeros(2 * axes)])
 
     def newest(self, memory: FloatArray) -> FloatArray:
-        """Return the last setpoint in that memory, shape (n_axes,) [m, rad]."""
         axes, count = self.words.shape
         return memory[HEAD + FIRST + STATE * self.known :: count][:axes].copy()
 

@@ -57,7 +57,6 @@ def room_of_delay(delay: float, period: float) -> int:
 
 
 def lag_of(machine: Machine) -> float:
-    """Return how much later than their setpoints the axes are there, about [s]."""
     return max(machine.drives.get(j, IDEAL).lag for j in range(len(machine.axis_names)))
 
 

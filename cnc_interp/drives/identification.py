@@ -227,7 +227,6 @@ class _Fit:
     def _search(
         self, parameters: tuple[Parameter, ...], start: Mapping[str, float], steps: int
     ) -> tuple[dict[str, float], float, FloatArray, FloatArray]:
-        """Return fitted values, cost, Jacobian and residual; each value in units of its scale."""
         from scipy.optimize import least_squares
 
         scale = np.array([each.start for each in parameters])

@@ -56,12 +56,10 @@ class Axis:
 
     @property
     def unit(self) -> str:
-        """Unit of positions inside and on the wire."""
         return 'm' if self.linear else 'rad'
 
     @property
     def shown_unit(self) -> str:
-        """Unit in which people read positions of the axis."""
         return 'mm' if self.linear else 'deg'
 
     @property
@@ -140,7 +138,6 @@ class Machine:
 
     @cached_property
     def is_linear(self) -> BoolArray:
-        """True for linear axes, False for rotary ones, shape (n_axes,)."""
         linear = np.ones(len(self.axis_names), dtype=np.bool_)
         linear[3 : len(linear) - len(self.extra_direction)] = False
         linear.flags.writeable = False
@@ -184,7 +181,6 @@ class Machine:
 
     @property
     def extra_names(self) -> tuple[str, ...]:
-        """Letters of the extra axes, the last ones of ``axis_names``."""
         return self.axis_names[len(self.axis_names) - len(self.extra_direction) :]
 
     @property

@@ -73,23 +73,19 @@ class Signals:
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
 
     def waited(self, step: Step) -> str:
-        """Return what a step waits for, in words."""
         if step.wait == ASK:
             return OPERATOR
         return ('not ' if step.wait < 0 else '') + self.inputs[abs(step.wait) - 1].name
 
     def letters(self, words: Iterable[str]) -> set[str]:
-        """Return the letters whose values some words take."""
         numbers = (number for word in words for number in self.words.get(word, ()))
         values = (self.steps[number].value for number in numbers)
         return {value for value in values if isinstance(value, str)}
 
     def uses(self, letter: str) -> bool:
-        """Tell whether a word of the program has a meaning for a function."""
         return letter in self.words or letter in self.letters(self.words)
 
     def text(self, output: int, value: float) -> str:
-        """Return an output with its value in words."""
         signal = self.outputs[output]
         if not signal.is_number:
             return f'{signal.name} {"on" if value else "off"}'

@@ -53,7 +53,6 @@ class Transform:
 
     @staticmethod
     def of(machine: Machine) -> Transform:
-        """Pack the geometry of a machine."""
         first_on_head, second_on_head = machine.rotary_on_head
         if first_on_head == second_on_head:
             outer = 0 if first_on_head else 1
@@ -137,7 +136,6 @@ class Transform:
         return np.asarray(forward(self.packed, q)[1])
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tips [m] and axes in W, (n, 3), of q (n, n_axes); extra axes may be left out."""
         q = np.asarray(q, float)
         own = 5 if self.machine.has_rotary else 3
         if q.shape[1] > own:

@@ -70,7 +70,6 @@ class Access:
         self._pages: Counter[str] = Counter()
 
     def knows(self, token: str) -> bool:
-        """Tell whether a token is the right one, in the same time for all wrong ones."""
         return hmac.compare_digest(token.encode(), self.token.encode())
 
     def enter(self, tab: str, trusted: bool) -> None:

@@ -107,7 +107,6 @@ class NodeWatch:
 
 
 def token_of(file: Path | None) -> str:
-    """Read the token from a file, because every user of a computer sees the command line."""
     if file is None:
         return ''
     try:

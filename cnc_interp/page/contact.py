@@ -59,7 +59,6 @@ class Contact:
 
     @property
     def is_followed(self) -> bool:
-        """Tell whether somebody sees the page and it keeps up with what it is shown."""
         return self._seen and self.age <= LAGS
 
     def _beat(self) -> None:
@@ -67,7 +66,6 @@ class Contact:
         ui.run_javascript(f'contact.hear({self._sent[-1]!r}, {self.age!r})')
 
     def _hear(self, event: events.GenericEventArguments) -> None:
-        """Only what was sent counts: nobody can answer it before."""
         beat, seen = event.args
         if beat in self._sent:
             self._heard, self._seen = max(self._heard, beat), bool(seen)

@@ -44,7 +44,6 @@ def in_program(state: MachineState | None) -> bool:
 
 
 def is_text(text: str) -> bool:
-    """Tell whether a file that was read as text is one."""
     strange = sum(text.count(mark) for mark in ('\0', '\ufffd'))
     return '\0' not in text and strange <= len(text) / 50
 
@@ -97,7 +96,6 @@ class Job:
         self.fault_lines = tuple(sorted(set(map(int, numbers))))
 
     def goal(self, start: StartChoice) -> RunProgram.Goal:
-        """Return the goal that runs it, with its text and the choices that are not defaults."""
         text = self.path.read_text(encoding='utf-8')
         settings = replace(self.settings, from_line=start.line, line_pass=start.which)
         return goal_of(Path(self.name), settings, changed(settings), text)
@@ -155,11 +153,9 @@ class Desk:
         return job.plan if same else None
 
     def shows_run(self, state: MachineState) -> bool:
-        """Tell whether the program on the desk is what the machine executes or has executed."""
         return self.job is self._running and state.program_id == self._adopted
 
     def shown_plan(self, state: MachineState) -> Preview | None:
-        """Return the plan on the desk where ``shows_run``."""
         return self.plan_of(state) if self.shows_run(state) else None
 
     def drawn_until(self, s: float) -> int:
@@ -221,7 +217,6 @@ class Desk:
         return Answer(True, f'{name} loaded')
 
     async def queue(self, name: str, text: str) -> Answer:
-        """Let a program wait for the end of the one that runs; it is laid here when it begins."""
         state = self.nodes.state
         if self._planner is None or not in_program(state):
             return Answer(False, 'no program is running: load this one and press cycle start')
@@ -262,7 +257,6 @@ class Desk:
         return '' if settings.setup is not None or table is None else str(table.text)
 
     def _plan_with_new_setup(self) -> None:
-        """Plan the loaded program again after a change of offsets or tools."""
         job = self.job
         if job is None or self._planner is None or in_program(self.nodes.state):
             return
@@ -279,7 +273,6 @@ class Desk:
         return self._set_job(planner, job)
 
     def _set_job(self, planner: Planner, job: Job) -> Job:
-        """Make a job the loaded one and plan it."""
         self._jobs += 1
         # What others than the machine told was about the program before.
         self.nodes.alarms.hide(lambda alarm: 'machine_node' not in alarm.source)
@@ -320,7 +313,6 @@ class Desk:
             self.nodes.alarms.add('error' if notice in warnings else 'notice', job.name, notice)
 
     def check(self) -> Answer:
-        """Prove the plan of the loaded program."""
         job, planner = self.job, self._planner
         if planner is None or job is None:
             return Answer(False, 'no program is loaded: press load')
@@ -343,7 +335,6 @@ class Desk:
     # Commands -----------------------------------------------------------------------------------
 
     async def cycle_start(self) -> Answer:
-        """Start the loaded program, or go on where the machine rests on its path."""
         state = self.nodes.state
         if state is not None and state.may_resume:
             return await self.trigger('cycle_start')
@@ -380,14 +371,12 @@ class Desk:
             self.start = replace(self.start, refused=str(result.message))
 
     def way_ahead(self) -> WayThere | None:
-        """Return the way to the path that the machine waits to take, or takes."""
         state = self.nodes.state
         if state is None or self._ways is None:
             return None
         return self._ways.at(state, self.nodes.program)
 
     def start_line(self) -> int:
-        """Return the line at which the next run starts, or this run did; 0 for the top."""
         run = self._shown_run()
         return int(run.start_line) if run and in_program(self.nodes.state) else self.start.line
 
@@ -397,7 +386,6 @@ class Desk:
         return float(run.start_at) if run else 0.0
 
     def _shown_run(self) -> LoadedProgram | None:
-        """Return what program_node has told of the run on the desk, where ``shows_run``."""
         state = self.nodes.state
         return self.nodes.program if state is not None and self.shows_run(state) else None
 
@@ -410,12 +398,10 @@ class Desk:
         return 'executed', active if mine else None
 
     def codes(self) -> tuple[str, ...]:
-        """Return the modal codes that count now; none where they are not known."""
         modes = self.modes()[1]
         return tuple(modes.codes) if modes is not None else ()
 
     def offset(self) -> str:
-        """Return the name of the work offset that counts now."""
         named = [code for code in self.codes() if code in WORK_OFFSETS]
         return named[0] if named else self.setup.setup.offset
 
@@ -459,6 +445,5 @@ class Desk:
         self._planner = None
 
     def close(self) -> None:
-        """Close. The machine continues."""
         self.end_planning()
         self.nodes.close()

@@ -91,7 +91,6 @@ class SettingsDialog:
 
     @staticmethod
     def _field(choice: Choice, text: str) -> Any:
-        """Make the field of a choice, its sentence before it."""
         ui.label(choice.sentence).classes('name')
         field: Any
         if choice.kind is bool:
@@ -103,7 +102,6 @@ class SettingsDialog:
         return field.props(f'dense data-mark="setting {choice.name}"')
 
     async def _accept(self) -> None:
-        """Hand the settings over, or say which field is wrong."""
         values = {name: field.value for name, field in self._fields.items()}
         texts = {k: str(v).lower() if isinstance(v, bool) else v or '' for k, v in values.items()}
         try:
@@ -129,7 +127,6 @@ class SetupDialog:
         self._known: dict[str, tuple[str, float]] = {}  # text of a field, and its value in SI
 
     def open(self) -> None:
-        """Show the table as it is now, in fields that are made anew."""
         table = self._setup.table
         if table is None:
             ui.notify('program_node does not answer yet', type='warning')
@@ -175,11 +172,9 @@ class SetupDialog:
             self._known[mark] = text, value
 
     def _reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
-        """Make a key that reads fields of the dialog."""
         act_on_shown(key(text, mark), 'click', self._fields.values(), act)
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
-        """Make the row of one offset; what is not set is empty."""
         setup = self._setup.setup
         position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
@@ -202,7 +197,6 @@ class SetupDialog:
             key('use', f'use {name}', use)
 
     def _tool_row(self, number: int | None) -> None:
-        """Make the row of one tool, or the one for a new tool."""
         setup = self._setup.setup
         mark = 'new tool' if number is None else f'tool {number}'
         if number is None:
@@ -225,7 +219,6 @@ class SetupDialog:
     # Commands -----------------------------------------------------------------------------------
 
     async def _ask(self, service: str, **request: Any) -> None:
-        """Ask for a change, and show the table after it."""
         before = self._setup.table
 
         async def asked() -> Answer:
@@ -242,7 +235,6 @@ class SetupDialog:
         await self._command(asked)
 
     def _value(self, mark: str, unit: float) -> float | None:
-        """Return the value of a field [SI]; None if it is empty; ValueError for other text."""
         text = (self._fields[mark].value or '').strip()
         if not text:
             return None

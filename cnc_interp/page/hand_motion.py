@@ -129,7 +129,6 @@ class JogPad:
         return keys
 
     async def _home(self, axes: tuple[str, ...]) -> None:
-        """Home axes, all where none is named."""
         await self._command(asked(self._nodes.home, axes))
 
     def show(self, state: Any) -> None:
@@ -149,7 +148,6 @@ class JogPad:
 
     @property
     def speed(self) -> float:
-        """The share of the largest velocities with which no axis passes the chosen speed [-]."""
         return min(map(self._share, self._names))
 
     def _size(self, name: str, text: str) -> float:
@@ -166,7 +164,6 @@ class JogPad:
         return min(max(speed / most, LEAST_SHARE), 1.0)
 
     def _along_tool(self) -> Slides:
-        """Return the motion along the tool from where the axes stand."""
         state = self._nodes.state
         stands = np.zeros(len(self._names)) if state is None else np.array(state.positions)
         return Slides.along_tool(self._machine, stands)
@@ -233,8 +230,6 @@ class NumberFields:
         return field.props(f'prefix={name} data-mark="{mark} {name}"')
 
     def _reading_key(self, text: str, act: Callable[[dict[str, float]], Awaitable[None]]) -> Any:
-        """Make a key that acts on the numbers in the fields."""
-
         async def read() -> None:
             try:
                 values = numbers({name: field.value for name, field in self._fields.items()})
@@ -249,7 +244,6 @@ class NumberFields:
         return made
 
     def toggle(self, other: NumberFields) -> None:
-        """Show the fields in the place of others, or hide them."""
         self._box.set_visibility(not self._box.visible)
         other._box.set_visibility(False)
 

@@ -104,7 +104,6 @@ class RapidKeys:
         return key(f'{percent}%', f'rapid {percent}%', press, 'blue-grey-9')
 
     def show(self) -> None:
-        """Light the key of the value that counts; another value stands beside."""
         value = self._value()
         if self._shown == value:
             return
@@ -157,7 +156,6 @@ class SignalKeys:
         return bool(signals.output_values[list(signals.outputs).index(name)])
 
     async def _turn(self, name: str, on: bool) -> None:
-        """Set an output by hand."""
         await self._command(lambda: asyncio.wrap_future(self._nodes.set_output(name, float(on))))
 
     def _make_keys(self, signals: Any) -> None:
@@ -170,7 +168,6 @@ class SignalKeys:
                     )  # fmt: skip
 
     def show(self) -> None:
-        """Show what the machine has told, where that is new."""
         signals = self._signals()
         if signals is None or signals is self._told:
             return
@@ -241,7 +238,6 @@ class Keys:
         self._stop.set_enabled(trusted)
 
     def show(self) -> None:
-        """Show what others have set."""
         for switch in self._switches:
             switch.show()
         self._override.show()

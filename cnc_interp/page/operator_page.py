@@ -142,7 +142,6 @@ class Page:
         self._compensation.set_visibility(False)
 
     def _zero_keys(self, letter: str) -> None:
-        """Make the keys that set a coordinate to zero here, and that go to its zero."""
         desk = self._desk
         for text, mark, act, hint in (
             ('0', f'zero {letter}', lambda: desk.zero(letter), 'reads 0 here from now on'),
@@ -222,7 +221,6 @@ class Page:
         self._messages = Messages(self._desk.nodes.alarms)
 
     def _may_set(self) -> bool:
-        """Tell whether this page may set an override now; say so where it may not."""
         return self._allowed() and self._in_sight()
 
     # Commands: every one is allowed or refused here, on the server ----------------------------
@@ -232,12 +230,10 @@ class Page:
         return self._trusted and self._access.is_in_charge(self._tab)
 
     async def _command(self, act: Act) -> None:
-        """Do what was asked for, or say why not."""
         if self._allowed():
             await self._do(act)
 
     async def _command_in_sight(self, act: Act) -> None:
-        """Do what must not come late."""
         if self._in_sight():
             await self._command(act)
 
@@ -261,7 +257,6 @@ class Page:
             ui.notify(answer.message, type='negative')
 
     def _allowed(self) -> bool:
-        """Tell whether this page may command; say so where it may not."""
         if not self._in_charge:
             ui.notify(VIEW_ONLY, type='warning')
         return self._in_charge
@@ -277,7 +272,6 @@ class Page:
         return done
 
     def _pick(self, waits: bool) -> None:
-        """Let the user choose a file, to be loaded, or to run after the one that runs."""
         self._waits = waits
         self._upload.run_method('pickFiles')
 
@@ -318,7 +312,6 @@ class Page:
     # Showing ------------------------------------------------------------------------------------
 
     def _changed(self, what: str, value: Any) -> bool:
-        """Tell whether something must be sent to the browser."""
         if self._shown.get(what) == value:
             return False
         self._shown[what] = value

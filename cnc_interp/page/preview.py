@@ -69,7 +69,6 @@ class Preview:
 
     @property
     def length(self) -> float:
-        """Length of the path [m]."""
         return float(self.s[-1])
 
     @cached_property
@@ -79,7 +78,6 @@ class Preview:
         return float((cutting if cutting.max(initial=0.0) > 0.0 else self.feed).max(initial=0.0))
 
     def at(self, s: float) -> Place:
-        """Return what is planned at a path length [m]."""
         k = int(np.searchsorted(self.s, s, side='right').clip(1, len(self.s) - 1))
         return Place(
             programmed_feed=float(self.programmed_feed[k - 1]),
@@ -162,7 +160,6 @@ class Planner:
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))
 
     async def check(self) -> dict[str, Any]:
-        """Prove the plan; returns the proof as `check --json` prints it."""
         out, _ = await self._run(['check', str(self._plan), '--json'], lambda _: None, fine=(0, 1))
         proof: dict[str, Any] = json.loads(out)
         return proof

@@ -31,7 +31,6 @@ class Listing:
         follow.on('click', js_handler='() => listing.follow()')
 
     def show(self, job: Job | None, line: int, start: int) -> None:
-        """Show a program, the line that is executed and the one at which the run starts, or 0."""
         number = job.number if job is not None else 0
         marked = line, job.fault_lines if job is not None else (), start
         if number != self._number:
@@ -41,7 +40,6 @@ class Listing:
         self._number, self._marked = number, marked
 
     def show_again(self) -> None:
-        """Show everything anew: the page has come back."""
         self._number = -1
 
 
@@ -72,7 +70,6 @@ class StartField:
         self._pass.set_value(which)
 
     def _pick(self, event: events.GenericEventArguments) -> None:
-        """Take the line that was pressed in the text."""
         self._fill(str(event.args['line']), '')
 
     async def _take(self) -> None:
@@ -112,7 +109,6 @@ class MdiField:
             self._told = ui.label().classes('small').props('data-mark="mdi answer"')
 
     def show(self, whose: str, modes: Any) -> None:
-        """Show whose modal state it is, and the ``ModalState``; None where it is not known."""
         text = f'{whose}: {NOTHING if modes is None or not modes.codes else modes_text(modes)}'
         if self._modes.text != text:
             self._modes.set_text(text)

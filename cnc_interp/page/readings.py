@@ -111,19 +111,16 @@ def words_before_start(plan: Preview | None, override: float) -> dict[str, str]:
 
 
 def time_at(seconds: float, override: float) -> str:
-    """Write the time that a motion takes if the override stays as it is."""
     return clock(seconds / override) if override > 0.0 else NOTHING
 
 
 def progress(state: MachineState, plan: Preview | None) -> float:
-    """Return the share of the path that is executed."""
     if plan is None:
         return 0.0
     return 1.0 if state.completed else min(1.0, max(0.0, state.path_position / plan.length))
 
 
 def clock(seconds: float) -> str:
-    """Write a time as minutes and seconds, with hours where there are any."""
     minutes, rest = divmod(max(0.0, seconds), 60.0)
     hours, minutes = divmod(int(minutes), 60)
     return f'{hours}:{minutes:02d}:{rest:04.1f}' if hours else f'{minutes}:{rest:04.1f}'

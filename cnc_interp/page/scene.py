@@ -86,7 +86,6 @@ def colours_of(values: FloatArray, top: float) -> Any:
 
 
 def rings(points: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
-    """Return vertices and normals of the rings around the points, shape (N * SIDES, 3)."""
     chord = np.diff(points, axis=0)
     chord /= np.linalg.norm(chord, axis=1, keepdims=True)
     before = np.concatenate([chord[:1], chord])
@@ -120,7 +119,6 @@ def carried(tangent: FloatArray) -> FloatArray:
 
 
 def faces(count: int) -> Any:
-    """Return the triangles between neighbouring rings, outward."""
     ring = np.arange(count - 1)[:, None] * SIDES
     here, following = np.arange(SIDES), (np.arange(SIDES) + 1) % SIDES
     a, b = ring + here, ring + following
@@ -231,7 +229,6 @@ class MachineView:
         self._look(np.zeros(3), 0.25)
 
     def _build(self, link: str) -> None:
-        """Add the shapes of a link, then the links attached to it."""
         for shape in self._description.links[link]:
             found = self._add(shape)
             if link in MACHINE_LINKS:
@@ -279,7 +276,6 @@ class MachineView:
         self._root.move(*(round(float(x), 6) for x in place))
 
     def show_path(self, number: int, plan: Preview | None) -> None:
-        """Show the path with this number; it is fetched by the browser once."""
         if number == self._shown or plan is None:
             return
         self._shown = number
@@ -295,7 +291,6 @@ class MachineView:
         self.look_at_part(self._of_part)
 
     def clear_path(self) -> None:
-        """Show no path: the program was refused."""
         if self._path is not None:
             self._path.delete()
             self._path = None
@@ -354,7 +349,6 @@ class MachineView:
     def _bar(
         self, radius: float, length: float, centre: FloatArray, along: FloatArray, colour: str
     ) -> Any:
-        """Add a cylinder; those of the browser's library stand along y."""
         turn, _ = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])
         found = self._scene.cylinder(radius, radius, length, 12)
         found.move(*map(float, centre)).rotate_R(turn.as_matrix().tolist()).material(colour)
@@ -388,7 +382,6 @@ class MachineView:
         self.look_at_part(self._of_part)
 
     def look_at_part(self, of_part: bool) -> None:
-        """Show the part at rest, or the whole machine."""
         self._of_part = of_part
         for shape in self._hidden:
             shape.visible(not of_part)

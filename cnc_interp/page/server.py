@@ -166,7 +166,6 @@ async def shown_when_known(desk: Desk) -> None:
 
 
 async def announce(host: str, port: int, token: str) -> None:
-    """Print where the page is, once it is there."""
     while True:
         try:
             _, connection = await asyncio.open_connection(host, port)

@@ -21,7 +21,6 @@ class ShownUnit:
         self._followers.append(act)
 
     def label(self, text: str) -> Any:
-        """Make a label whose text may name mm."""
         label = ui.label(self.now.named(text))
         self.follow(lambda unit: label.set_text(unit.named(text)))
         return label

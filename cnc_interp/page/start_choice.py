@@ -62,7 +62,6 @@ class WayAhead:
         self._way: WayThere | None = None
 
     def at(self, state: MachineState, program: LoadedProgram | None) -> WayThere | None:
-        """Return the way; None where the machine neither waits for it nor is on it."""
         if program is None or program.program_id != state.program_id:
             return None
         if state.reason not in WAITS:

@@ -45,7 +45,6 @@ Figure = Callable[[ExaminedPlan], float]
 
 
 def comparison_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
-    """Write cycle times, path and deviations of both runs as a table."""
     proven = ['yes' if run.proof.ok else 'no' for run in (first, second)]
     lines = [('proven', *proven, '')]
     for label, unit, pattern, figure in rows_of():
@@ -58,7 +57,6 @@ def comparison_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
 
 
 def rows_of() -> list[tuple[str, str, str, Figure]]:
-    """List the rows of the table: label, unit, number format and the function of a run."""
     rows: list[tuple[str, str, str, Figure]] = [
         ('cycle time', ' s', '.3f', lambda run: run.proof.cycle_time),
         ('planning time', ' s', '.3g', _planning_time),
@@ -73,7 +71,6 @@ def rows_of() -> list[tuple[str, str, str, Figure]]:
 
 
 def use_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
-    """Write the largest use of every axis limit in both runs as a table."""
     kinds = max(first.proof.kinds, second.proof.kinds, key=len)
     names = dict.fromkeys(first.series.axis_names + second.series.axis_names)
     lines = []

@@ -52,7 +52,6 @@ window.drawMore = function () {
 
 
 def space_figure(view: CornerView) -> Any:
-    """Draw both curves with control polygons, the programmed corner and tool axes."""
     lowering = shift(view)
     moved = f', moved down {np.linalg.norm(lowering):.3g} mm' if lowering.any() else ''
     size = _size(view)
@@ -176,7 +175,6 @@ def _dots(colour: str) -> dict[str, Any]:
 
 
 def _size(view: CornerView) -> float:
-    """Return the extent of the larger of both curves [mm]."""
     both = (view.bottom_polygon, view.top_polygon)
     return max(float(np.ptp(points, axis=0).max()) for points in both)
 

@@ -63,7 +63,6 @@ class CornerView:
 
     @property
     def in_step(self) -> bool:
-        """True if u_top = u_bottom everywhere."""
         return bool(np.abs(self.top_u - self.u).max() < 1e-9)
 
     @property
@@ -77,7 +76,6 @@ class CornerView:
 
 
 def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
-    """Select the corners that use most of their tolerance or are slowest, and prepare them."""
     ends = np.cumsum(lengths(segments, plan.flank_height))
     total = float(plan.path['s'][-1] - plan.path['s'][0])
     rows = segments.block
@@ -113,7 +111,6 @@ def _tolerances(plan: PlanFiles, segments: PathSegments, rows: IntArray) -> Floa
 
 
 def _speeds(plan: PlanFiles, start: float, end: float) -> tuple[float, float]:
-    """Return the least planned and programmed speed between two path lengths [m/s]."""
     first, last = _grid_rows(plan, start, end)
     at = slice(first, last + 1)
     return float(plan.path['feed'][at].min()), float(plan.path['programmed_feed'][at].min())

@@ -117,7 +117,6 @@ def bounds_figure(view: CurvesView) -> Any:
 
 
 def close_figure(view: CurvesView) -> Any:
-    """Draw the curve and the blocks that it replaces."""
     figure = go.Figure()
     figure.add_scatter(
         x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',
@@ -158,7 +157,6 @@ def read_segments(directory: Path) -> PathSegments | None:
 
 
 def lengths(segments: PathSegments, height: float) -> FloatArray:
-    """Return the path lengths of segments, flank height as lever."""
     shapes, beside = shapes_of(segments), beside_of(segments)
     motion = np.where(segments.interpolation == POSES, FOLLOWING, LINEAR)
     rows = zip(segments.kind, motion, shapes, beside, segments.length, strict=True)

@@ -58,7 +58,6 @@ def values_of(
 
 
 def identified_lines(machine: Machine, found: Mapping[int, IdentifiedAxis]) -> list[str]:
-    """Return the fitted values in words."""
     lines = []
     for axis, each in found.items():
         lines.append(f'{machine.axis_names[axis]}: {_residual(machine, each)}')

@@ -209,7 +209,6 @@ def _every(count: int, most: int) -> Any:
 
 
 def _tool_lines(series: Series) -> FloatArray:
-    """Return short lines along the tool axis, separated by NaN rows, shape (3 m, 3) [mm]."""
     way = np.linspace(series.way[0], series.way[-1], TOOL_LINES)
     rows = np.unique(np.searchsorted(series.way, way).clip(0, len(series.way) - 1))
     length = 0.09 * float(np.ptp(series.tip, axis=0).max(initial=0.0)) or 10.0

@@ -54,7 +54,6 @@ class Series:
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
-    """Compute the values to draw from the files of a plan."""
     plan = with_chords(plan, machine).in_memory()
     program = ProgramShapes.of(plan, machine)
     tip, axis = program.transform.forward(plan.position)
@@ -90,7 +89,6 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
 
 
 def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
-    """Divide derivatives of the positions by the limits of ``table`` (7, n_axes, m) [-]."""
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = limit_shares(held, table, plan.period)
     # Velocity belongs to its later sample, acceleration and jerk to the sample before that.

@@ -75,7 +75,6 @@ def time_lost(series: Series, tool_error: FloatArray | None = None) -> TimeLost:
 
 
 def time_section(series: Series, tool_error: FloatArray | None = None) -> str:
-    """Write the section: a row for each limit that is reached, and the lines that lose most."""
     found = time_lost(series, tool_error)
     limits = sorted(found.by_limit.items(), key=lambda item: -item[1][1])
     rows = [(name, f'{held:.3f}', f'{lost:.3f}') for name, (held, lost) in limits if held > 0.0]

@@ -70,7 +70,6 @@ class WindowedSender(Generic[Item]):
 
     @property
     def all_acknowledged(self) -> bool:
-        """Tell whether the receiver has everything."""
         return not self._items
 
     def due(self, now: float) -> list[Numbered[Item]]:

@@ -53,11 +53,9 @@ def convert(
 ) -> Converted:  # fmt: skip
     """Write a program in another dialect.
 
-    ``machine``: the machine that gives rotary words their meaning; ``settings``: flank height, and
-    the rounding of corners for ``siemens-bspline``; ``fit_tolerance``: largest distance of cubic
-    curves from the smooth path [m]; ``slide``: whether native curves are first joined by
-    parametrization splines (``native_joins.py``). Raises InterpError if the dialect cannot express
-    the program.
+    ``fit_tolerance``: largest distance of cubic curves from the smooth path [m]; ``slide``:
+    whether native curves are first joined (``native_joins.py``). Raises InterpError if the dialect
+    cannot express the program.
     """
     transform = Transform.of(machine)
     program = replace(program, blocks=with_poses(program.blocks, transform, settings.flank_height))

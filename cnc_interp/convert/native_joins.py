@@ -82,10 +82,7 @@ def linked(
     portion: Portion, before: Jets | None, after: Jets | None, height: float,
     tolerance: float = 1e-8, septic: bool = False,
 ) -> Linked:  # fmt: skip
-    """Join a portion with the paths before and after it, if any, by a parametrization spline.
-
-    Raises InterpError if no increasing f has these derivatives.
-    """
+    """Join a portion with the paths before and after it, if any; InterpError if no f increases."""
     from scipy.interpolate import BPoly
 
     length = float(portion.knots[-1])
@@ -187,7 +184,6 @@ class Joins:
         return Blocks.concatenate(parts)
 
     def notes(self) -> list[str]:
-        """Return one line for the user."""
         before, after = self.before / DEG * MM, self.after / DEG * MM
         return [
             f'{self.count} curves joined by a parametrization spline: jumps of the orientation '
@@ -261,14 +257,12 @@ def _rate_jump(jets: Jets, other: Jets) -> float:
 
 
 def _line_before(blocks: Blocks, first: int) -> Jets | None:
-    """Return the jets of the line that leads to row ``first``; None without one."""
     if first < 2 or blocks.exact_stop[first - 1] or blocks.on_spline[first - 1]:
         return None
     return line_between(blocks[first - 2 : first - 1], blocks[first - 1 : first], at_end=True)
 
 
 def _line_after(blocks: Blocks, last: int) -> Jets | None:
-    """Return the jets of the line that begins at the end of a curve; None without one."""
     if last >= len(blocks) or blocks.exact_stop[last - 1] or blocks.on_spline[last]:
         return None
     return line_between(blocks[last - 1 : last], blocks[last : last + 1], at_end=False)

@@ -170,7 +170,6 @@ def _points(
 
 
 def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
-    """Return points of one Bezier curve at the parameters u, shape (n, 3) [m]."""
     return bezier_values(points.T[None], u[:, None])
 
 
@@ -212,7 +211,6 @@ class SplineMoves:
         self.rate_jump = self.bend_jump = 0.0  # [rad/m], [rad/m2]
 
     def moves(self, blocks: Blocks) -> Iterator[WrittenMove]:
-        """Yield the blocks of the path, the start pose first."""
         segments = self.segments
         start = 0
         yield self._pose(blocks.tip[0], blocks.axis[0], np.inf, False, self._second_before(0))
@@ -238,7 +236,6 @@ class SplineMoves:
                 arrives = None
 
     def _curve(self, first: int, last: int, arrives: Jets | None) -> Iterator[WrittenMove]:
-        """Yield the control points of successive curves as one curve."""
         segments, constant = self.segments, self._constant_height(first, last)
         for i in range(first, last):
             curve = cubic_curve(segments, i, self.height, self.tolerance, constant)

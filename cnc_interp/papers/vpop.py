@@ -300,7 +300,6 @@ def _drive(
 
 @numba.njit(cache=True, nogil=True)
 def _all_septics(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the coefficients of all cells, shape (n, n_axes, 8)."""
     out = np.empty((len(h), left.shape[2], 8))
     for i in range(len(h)):
         for k in range(left.shape[2]):

@@ -44,16 +44,11 @@ class ActiveModes:
 def modes_without_motion(
     codes: tuple[str, ...], contour: float, orientation: float, spindle: float = 0.0, tool: int = 0
 ) -> ActiveModes:
-    """Return a modal state that has neither motion code nor feed."""
     return ActiveModes(codes, nan, nan, spindle, tool, contour, orientation)
 
 
 class ModesOfBlocks:
-    """The modal states of a program: each one once, and the blocks at which they change.
-
-    A program with very many changes is followed up to the last one that is kept. Then nothing is
-    known, so that the memory is bounded.
-    """
+    """The modal states of a program: each one once, and the blocks at which they change."""
 
     def __init__(self) -> None:
         self._numbers: dict[Hashable, int] = {}

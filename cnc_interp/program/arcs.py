@@ -65,7 +65,6 @@ def arcs_of(
     offset: FloatArray, radius: FloatArray, absolute: BoolArray | bool = False,
     turns: FloatArray | float = 1.0, unit: float = MM,
 ) -> Arcs:  # fmt: skip
-    """Compute centre and sweep of arcs."""
     a, b, normal = PLANES[plane]
     chord = end - start
     by_radius = np.isfinite(radius)
@@ -114,7 +113,6 @@ def arcs_of(
 
 
 def allowed_mismatch(radius: FloatArray, unit: float = MM) -> FloatArray:
-    """Return the largest accepted rounding error of a radius."""
     least = RADIUS_LEAST[unit]
     return np.asarray(np.clip(RADIUS_SHARE * radius, least, LEAST_TO_MOST * least))
 
@@ -123,7 +121,6 @@ def points_on(
     start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray,
     u: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Return points on arcs."""
     arm, other = start - centre, end - centre
     level = np.sum(arm * normal, axis=1)
     rise = np.sum(other * normal, axis=1) - level
@@ -139,7 +136,6 @@ def points_on(
 def lengths(
     start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray
 ) -> FloatArray:
-    """Return the lengths of arcs and helices."""
     rise = np.sum((end - start) * normal, axis=1)
     arm, other = start - centre, end - centre
     radius = 0.5 * sum(

@@ -19,10 +19,7 @@ MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].
 
 
 class AxisCodes:
-    """The codes G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3.
-
-    All but G52 change the setup, which outlives the program on the machine.
-    """
+    """G10, G28, G28.1, G30, G30.1, G52 and G92 to G92.3; all but G52 change the setup."""
 
     def __init__(self, mover: Mover):
         self._mover, self.fault = mover, mover.fault

@@ -80,11 +80,7 @@ class Blocks(Table):
 
 
 class BlockSpool:
-    """A program of any length in a temporary file, with length and slices like ``Blocks``.
-
-    The file has no name. It lies in the system folder for temporary files (``TMPDIR``) and
-    vanishes with the process.
-    """
+    """A program of any length in a temporary file without a name, sliced like ``Blocks``."""
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile()  # noqa: SIM115 (closed by close)
@@ -104,11 +100,9 @@ class BlockSpool:
         self._rows += len(blocks)
 
     def __len__(self) -> int:
-        """Return the number of rows, start pose included."""
         return self._rows
 
     def __getitem__(self, rows: slice) -> Blocks:
-        """Read consecutive rows from the file."""
         first, last, _ = rows.indices(self._rows)
         size = self._record.itemsize
         self._file.seek(first * size)
@@ -116,7 +110,6 @@ class BlockSpool:
         return Blocks(*(np.ascontiguousarray(records[name]) for name in Blocks.declared))
 
     def close(self) -> None:
-        """Close and delete the file."""
         self._file.close()
 
     def __enter__(self) -> BlockSpool:

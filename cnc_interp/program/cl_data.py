@@ -55,8 +55,6 @@ _SAME_ANGLE = 1e-9  #: Directions with a smaller difference are equal [rad].
 
 @dataclass
 class _Circle:
-    """A circle that the tool follows; with the turn so far [rad], and the rise per angle."""
-
     centre: FloatArray
     normal: FloatArray
     radius: float
@@ -93,11 +91,9 @@ class ClReader:
 
     @property
     def share(self) -> float:
-        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
         return self.source.share(self.place) * self.targets.share
 
     def blocks(self) -> Iterator[Blocks]:
-        """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         if self.settings.interpolation == 'axes':
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         refused, start = Refusals(), self.targets.start
@@ -137,7 +133,6 @@ class ClReader:
             self._other(statement)
 
     def _state_words(self) -> tuple[str, ...]:
-        """Return the state of the program as the statements that have set it."""
         unit = 'MM' if self.unit == MM else 'INCHES'
         feed = () if self.feedrate is None else (f'FEDRAT/{self.feedrate / MM_PER_MIN:g},MMPM',)
         return (f'UNITS/{unit}', *feed, *self._outputs.values())
@@ -177,14 +172,12 @@ class ClReader:
             yield begun, _UNENDED
 
     def _fault(self, message: str, word: str = '') -> ProgramError:
-        """Return an error with file and line."""
         return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')
 
     def _goto(self, words: tuple[str | None, ...]) -> None:
-        """Process the numbers of a GOTO statement."""
         unit = self.unit
         x, y, z = (float(word or nan) * unit for word in words[:3])
         if self._frames.is_moved:
@@ -197,7 +190,6 @@ class ClReader:
             self._drill(self._cycle, np.array([x, y, z]))
 
     def _drill(self, hole: Hole, place: FloatArray) -> None:
-        """Drill at a point along the tool axis."""
         axis, kept = np.array(self.axis), self.feedrate
         self.feedrate = hole.feed or kept
         higher = way_to(np.array(self._point), place, axis, hole.clear)
@@ -236,7 +228,6 @@ class ClReader:
         )  # fmt: skip
 
     def _state(self, rapid: bool) -> tuple[float, float, float]:
-        """Return the modal state of the next target, as ``ModesOfBlocks.see`` takes it."""
         unit = 'UNITS/MM' if self.unit == MM else 'UNITS/INCHES'
         words = (*(['RAPID'] if rapid else []), unit, *self._outputs.values())
         tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
@@ -244,7 +235,6 @@ class ClReader:
         return number, NONE, NONE if self.feedrate is None else self.feedrate
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
-        """Return three numbers as a unit vector; raise if they are far from one."""
         i, j, k = self._frames.direction(numbers) if self._frames.is_moved else numbers
         what = 'normal' if word == 'CIRCLE' else 'tool axis'
         length = sqrt(i * i + j * j + k * k)
@@ -256,7 +246,6 @@ class ClReader:
         return i / length, j / length, k / length
 
     def _other(self, statement: str) -> None:
-        """Process a statement other than GOTO with numbers."""
         if statement == _UNENDED:
             raise self._fault('the file ends inside a continued statement ($)')
         match = _STATEMENT.fullmatch(statement)
@@ -378,13 +367,11 @@ class ClReader:
         return system_of([float(w) for w in minor.split(',')] if _NUMBERS.fullmatch(minor) else [])
 
     def _moves(self, minor: str) -> bool:
-        """Tell whether a shift is not zero."""
         if not _NUMBERS.fullmatch(minor):
             return True
         return any(float(word) for word in minor.split(','))
 
     def _numbers(self, minor: str, count: int, remedy: str) -> list[float]:
-        """Return the numbers of a statement; raise if their count is wrong."""
         words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
         if len(words) != count:
             raise self._fault(remedy, minor)
@@ -440,7 +427,6 @@ class ClReader:
         self._circle = self._heading = None
 
     def _leave_circle(self) -> None:
-        """Leave the circle if at least one point was reached along it."""
         if self._circle is not None and self._circle.turned > 0.0:
             self._circle = None
 
@@ -480,7 +466,6 @@ class ClReader:
             self._goto(match.groups())
 
     def _feed(self, minor: str, statement: str) -> None:
-        """Process FEDRAT/value[,unit], in either order."""
         words = minor.replace(',', ' ').split()
         numbers = [word for word in words if re.fullmatch(_NUMBER, word)]
         units = [word for word in words if word not in numbers]

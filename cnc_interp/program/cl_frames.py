@@ -80,7 +80,6 @@ class ClFrames:
         return found
 
     def direction(self, direction: Sequence[float]) -> FloatArray:
-        """Return a direction in the frame of the workpiece, shape (3,)."""
         found = np.array(direction)
         return self._system[0] @ self._copied[0] @ self._cut[0] @ found if self.is_moved else found
 
@@ -89,7 +88,6 @@ class ClFrames:
         self._marks[number] = len(self.kept)
 
     def keep(self, line_number: int, statement: str) -> None:
-        """Keep a statement that COPY may repeat."""
         if self._marks:
             self.kept.append((line_number, statement))
 

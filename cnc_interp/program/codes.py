@@ -209,7 +209,6 @@ _CYCLE = re.compile(r'CYCLE(?:8\d|840|800|832)')
 
 
 def refused_key(key: str) -> str:
-    """Return the reason why a word of several letters is refused; empty if it is not."""
     if key in RADIUS_KEYS or key in ('ROT', 'AROT', 'HOLES1', 'HOLES2') or _CYCLE.fullmatch(key):
         return ''
     return next((why for head, why in REFUSED_KEYS.items() if key.startswith(head)), '')

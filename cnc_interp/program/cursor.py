@@ -78,7 +78,6 @@ class Cursor:
         self.row, self.window, self._window_of = 0, source.window(source.start), source
 
     def go(self, place: LineStart) -> None:
-        """Continue at a place of the present text."""
         row = self.window.row_of(place) if self._window_of is self.source else None
         if row is None:
             self.window, self._window_of, row = self.source.window(place), self.source, 0
@@ -100,7 +99,6 @@ class Cursor:
 
     @property
     def line_number(self) -> int:
-        """Return the number of the present line in its file."""
         return self.window.start.line + self.row
 
     @property
@@ -120,11 +118,9 @@ class Cursor:
         return self.main.share(self.window.place(self.row))
 
     def fault(self, message: str, word: str = '') -> ProgramError:
-        """Return an error with file and line."""
         return ProgramError(message, self.source.name, self.line_number, word[:40])
 
     def close(self) -> None:
-        """Close all files of the program."""
         for call in self._calls:
             call.source.close()
         self.source.close()
@@ -137,7 +133,6 @@ class Cursor:
         self.go(place)
 
     def _count_jump(self) -> None:
-        """Count a backward jump or a call; raise if there are too many."""
         self._jumps += 1
         control = (
             self.source.name, self.line_number, [(loop.begin, loop.rounds) for loop in self.loops],
@@ -199,20 +194,16 @@ class Cursor:
 
     @property
     def saved_state(self) -> Any:
-        """What M70 or M73 saved in this subprogram."""
         return self._calls[-1].saved if self._calls else self.saved
 
     @property
     def folder(self) -> Path:
-        """The folder of the program."""
         return Path(self.main.name).parent
 
     def call_file(self, stem: str, rounds: int) -> None:
-        """Run the whole of a file beside the program."""
         self.call(stem, rb'(?!)', rounds, {}, own_variables=False)
 
     def _file_beside(self, stem: str) -> Source:
-        """Open the separate file of a subprogram."""
         path = subprogram_file(self.folder, stem)
         if path is None:
             raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it',
@@ -243,5 +234,4 @@ class Cursor:
 
     @property
     def depth(self) -> int:
-        """Number of subprograms that are running."""
         return len(self._calls)

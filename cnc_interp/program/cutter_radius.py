@@ -57,12 +57,10 @@ class Element:
 
     @staticmethod
     def line(start: complex, end: complex) -> Element:
-        """Return a line between two different points."""
         return Element(start, end, along=(end - start) / abs(end - start))
 
     @property
     def is_arc(self) -> bool:
-        """Whether this is an arc."""
         return isfinite(self.sweep)
 
     @property
@@ -76,20 +74,17 @@ class Element:
         return float(np.copysign(1.0 / self.radius, self.sweep)) if self.is_arc else 0.0
 
     def direction(self, point: complex) -> complex:
-        """Return the direction of motion at a point of the element, of length 1."""
         if not self.is_arc:
             return self.along
         away = (point - self.centre) * (1j if self.sweep > 0.0 else -1j)
         return away / abs(away)
 
     def at(self, share: float) -> complex:
-        """Return the point at a share of the element, 0 to 1."""
         if not self.is_arc:
             return self.start + share * (self.end - self.start)
         return self.centre + (self.start - self.centre) * exp(1j * share * self.sweep)
 
     def distance(self, point: complex) -> float:
-        """Return the distance of a point [m]."""
         nearest = [abs(point - self.start), abs(point - self.end)]
         if self.is_arc:
             angle = np.angle((point - self.centre) / (self.start - self.centre))
@@ -147,7 +142,6 @@ def crossings(first: Element, second: Element) -> list[complex]:
 
 
 def _of_circles(centre: complex, radius: float, second: complex, other: float) -> list[complex]:
-    """Return the points in which two circles meet."""
     apart = abs(second - centre)
     if apart < SHORTEST:
         return []
@@ -187,7 +181,6 @@ class CutterRadius:
         return complex(point @ self._frame[:, 0], point @ self._frame[:, 1])
 
     def _moved(self, row: FloatArray, place: complex) -> FloatArray:
-        """Return a row whose point has another place in the plane."""
         change = place - self._flat(row[col.POINT])
         moved = row.copy()
         moved[col.POINT] += change.real * self._frame[:, 0] + change.imag * self._frame[:, 1]
@@ -198,7 +191,6 @@ class CutterRadius:
 
     @property
     def waits(self) -> bool:
-        """Whether a row waits for the next one."""
         return bool(self._rows)
 
     def stop_here(self, kind: float) -> None:
@@ -272,7 +264,6 @@ class CutterRadius:
         return Element(self._here, end, self._flat(row[col.CENTRE]), sweep)
 
     def _corner(self, element: Element, offset: Element, row: FloatArray) -> list[FloatArray]:
-        """Join the last element with the next; return the rows up to there."""
         if self._last is None:
             # The line to the contour ends beside its first element.
             self._last = offset

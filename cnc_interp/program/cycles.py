@@ -38,7 +38,6 @@ class CannedCycle:
         self._sticky: dict[str, float] = {}
 
     def drill(self, mover: Mover, words: BlockWords, feed_given: bool) -> None:
-        """Drill the holes of one block."""
         axis = PLANES[mover.plane][2]
         drilling = 'XYZ'[axis]
         values = words.values
@@ -63,7 +62,6 @@ class CannedCycle:
             values.pop(letter, None)
 
     def _refuse(self, mover: Mover, words: BlockWords) -> None:
-        """Raise for a cycle that this control does not have, or that is not sure."""
         if mover.by_axes and mover.rotary.any() and mover.frames.rotated:
             raise mover.fault('a cycle in a rotated frame without tool-tip programming', self.code)
         turns = not words.values.keys().isdisjoint(mover.rotary_letters)

@@ -41,7 +41,6 @@ class NamedWords:
         self._assign(words)
 
     def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
-        """Execute a word of several letters."""
         mover = self._mover
         if key in codes.INTERPOLATION_KEYS:
             if mover.settings.interpolation == 'auto' and mover.rotary_letters:
@@ -83,7 +82,6 @@ class NamedWords:
             raise self.fault(codes.refused_key(key) or unknown, key)
 
     def _assign(self, words: BlockWords) -> None:
-        """Execute the assignments of a block; some names are words with a meaning."""
         mover = self._mover
         others = bool(words.values or words.g or words.m or words.keys)
         for name, value in words.sets:

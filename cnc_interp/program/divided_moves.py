@@ -39,7 +39,6 @@ def portions(moves: Moves) -> list[slice]:
 def blocks_of(
     moves: Moves, settings: Settings, extra: list[int], source: str
 ) -> tuple[Blocks, IntArray]:
-    """Divide motions into blocks."""
     rows = moves.rows
     counts = _piece_counts(moves, settings, source)
     row, piece = ragged(counts)
@@ -78,7 +77,6 @@ def blocks_of(
 
 
 def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
-    """Return the number of pieces of each motion, shape (n,)."""
     rows = moves.rows
 
     def fault(row: FloatArray, message: str) -> ProgramError:
@@ -148,5 +146,4 @@ def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
 
 
 def waits_at(rows: FloatArray) -> IntArray:
-    """Return whether the program waits for the operator after each target, shape (n,)."""
     return np.asarray(_WAITS[rows[:, col.EXACT_STOP].astype(np.int64)])

@@ -122,8 +122,6 @@ class Variables(Protocol):
 
 
 class _Nodes(Transformer):  # type: ignore[type-arg]
-    """Converts the parse tree to nested tuples."""
-
     def __default__(self, data: Any, children: list[Any], meta: Any) -> Node:
         return (str(data), *children)
 
@@ -157,7 +155,6 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
 
 
 def formula(text: str, variables: Variables) -> float:
-    """Return the value of a formula of Heidenhain."""
     try:
         return float(text)
     except ValueError:
@@ -165,7 +162,6 @@ def formula(text: str, variables: Variables) -> float:
 
 
 def evaluate(node: Node, variables: Variables) -> float:
-    """Return the value of a node of the parse tree."""
     try:
         value = _value(node, variables)
     except RecursionError:
@@ -212,7 +208,6 @@ _EQUAL = ('EQ', 'NE', '==', '<>')
 
 
 def _parameter(index: Node, variables: Variables) -> float:
-    """Return the value of a parameter with a name or a number."""
     if index[0] == 'own_name':
         return variables.named(str(index[1]))
     return variables.number(parameter_index(index, variables))
@@ -338,16 +333,13 @@ class ProgramVariables:
         self._vacant.append(vacant)
 
     def leave(self) -> None:
-        """Return to the local variables of the caller."""
         self._locals.pop()
         self._vacant.pop()
 
     def state(self) -> tuple[Any, ...]:
-        """Return a copy of all values, for ``stands_as``."""
         return deepcopy((self._numbers, self._names, self._locals)) + (dict(self._system()),)
 
     def stands_as(self, before: tuple[Any, ...]) -> bool:
-        """Tell whether all values, those of the system too, are again as they were."""
         now = self._numbers, self._names, self._locals
         return now == before[:3] and dict(self._system()) == before[3]
 
@@ -364,7 +356,6 @@ class ProgramVariables:
         raise ExpressionError(f'#{index} {UNSET}')
 
     def is_vacant(self, index: int) -> bool:
-        """Tell whether ``#index`` has no value."""
         if self._locals and 1 <= index <= MOST_LOCAL:
             return index not in self._locals[-1][0]
         return index not in self._numbers and (index < 5000 or index not in self._system())
@@ -382,7 +373,6 @@ class ProgramVariables:
         self._numbers[index] = value
 
     def named(self, name: str) -> float:
-        """Return the value of a named variable."""
         names = self._table(name)
         if name in names:
             return names[name]
@@ -394,14 +384,12 @@ class ProgramVariables:
         raise ExpressionError(f'{shown} {UNSET}')
 
     def set_name(self, name: str, value: float) -> None:
-        """Set a named variable to a value."""
         names = self._table(name)
         if len(names) >= _MOST_VARIABLES:
             raise ExpressionError(f'more than {_MOST_VARIABLES:,} variables; use fewer names')
         names[name] = value
 
     def exists(self, name: str) -> bool:
-        """Tell whether a name is known."""
         return name in self._table(name) or (name.startswith('<_') and name in self._predefined())
 
     def _table(self, name: str) -> dict[str, float]:

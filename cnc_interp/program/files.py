@@ -20,7 +20,6 @@ _COMPUTED = re.compile(rb'[OoPp]\s*[#\[]')
 
 
 def subprogram_file(folder: Path, stem: str) -> Path | None:
-    """Return the file of a subprogram in a folder, None if there is none."""
     if not re.fullmatch(r'[\w-]+', stem):
         return None
     paths = (folder / (stem + suffix) for suffix in SUBPROGRAM_SUFFIXES)
@@ -41,7 +40,6 @@ def called_files(path: Path, text: bytes) -> dict[str, bytes]:
 
 
 def _stems(text: bytes, folder: Path) -> set[str]:
-    """Return the names that the files of subprograms of a text can have."""
     stems = {name.decode().lower() for name in _NAME.findall(text)}
     if _COMPUTED.search(text):
         stems |= {path.stem for path in folder.glob('O[0-9]*')}

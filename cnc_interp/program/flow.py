@@ -82,7 +82,6 @@ class Flow(Structures):
         return None if named and self._siemens(line) else line
 
     def _values(self, text: str) -> list[float]:
-        """Return the values of ``[...] [...]``."""
         try:
             return [evaluate(node, self.variables) for node in parse(text, 'values')]
         except ExpressionError as problem:
@@ -189,7 +188,6 @@ class Flow(Structures):
                 self._define_array(name, sizes, value)
 
     def _define_array(self, name: str, sizes: str, value: str | None) -> None:
-        """Set all elements of an array, in their order, to values or to 0."""
         counts = [int(self.condition(size)) for size in sizes.split(',')]
         indices = ['']
         for count in counts:
@@ -223,7 +221,6 @@ class Flow(Structures):
     # --- subprograms ---------------------------------------------------------------------------
 
     def _call_o_word(self, label: str, rest: str) -> None:
-        """Call a subprogram of LinuxCNC with positional arguments."""
         if label.startswith('<'):
             pattern, stem = re.escape(label.encode()), label[1:-1].lower().replace(' ', '')
         else:
@@ -264,5 +261,4 @@ class Flow(Structures):
 
 
 def _numbered(number: str) -> Structure:
-    """Return how Fanuc writes WHILE [...] DO1 and END1."""
     return Structure(f'DO{number}', '', r'(?!\d)', rf'WHILE.*DO\s*{number}', rf'END\s*{number}')

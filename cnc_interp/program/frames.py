@@ -19,11 +19,7 @@ Vector = FloatArray
 
 
 class Frames:
-    """The active frames at one moment of the program.
-
-    ``setup``: work offsets and G92 at the start; ``zero`` (3,): machine coordinates of the
-    workpiece zero in the machine file [m].
-    """
+    """The active frames at one moment; ``zero`` (3,): workpiece zero of the machine file [m]."""
 
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
         self._zero = np.concatenate([zero, np.zeros(2)])
@@ -38,7 +34,6 @@ class Frames:
         self.take(setup)
 
     def take(self, setup: JobSetup) -> None:
-        """Use the work offsets and G92 of a setup from here on."""
         self._setup = setup
         self._work, self._base = self.work(setup.offset), self.base(setup.offset)
         self.g92 = np.zeros(5)
@@ -67,7 +62,6 @@ class Frames:
         self.update()
 
     def known(self, name: str) -> bool:
-        """Tell whether a work offset is set."""
         return name in self._setup.work_offsets
 
     def work_change(
@@ -104,11 +98,9 @@ class Frames:
         return {i: float(origin[i]) for i in sorted(changed)}
 
     def g92_of(self, amounts: Vector) -> Position:
-        """Return the amounts of G92, shape (5,), by axis letter."""
         return dict(zip(self._letters, amounts.tolist(), strict=False))
 
     def update(self) -> None:
-        """Recompute the sum of the offsets."""
         added = self.local + self.g92
         work, length = self._work[:3], self.length * self.along
         self.origin = work + self._base @ (self.shift + added[:3]) + length
@@ -140,7 +132,6 @@ class Frames:
         return coordinate - float(self._zero[axis])
 
     def reset_frame(self) -> None:
-        """Cancel the programmed shift and rotation."""
         self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''
 
     def tilt(self, code: str, shift: Vector, turn: FloatArray) -> None:

@@ -46,7 +46,6 @@ class Functions(Table):
 
     @staticmethod
     def of_rows(rows: Iterable[float]) -> Functions:
-        """Return the table of rows of five numbers, one after the other."""
         columns = np.asarray(rows, dtype=float).reshape(-1, 5).T
         kinds = (declared.kind for declared in Functions.declared.values())
         return Functions(*(c.astype(kind) for c, kind in zip(columns, kinds, strict=True)))
@@ -56,7 +55,6 @@ class Functions(Table):
         return int(np.searchsorted(self.block, block, side='right'))
 
     def counts(self, signals: Signals) -> dict[str, int]:
-        """Return how often each word of the program acts."""
         first = {words.start: word for word, words in signals.words.items()}
         return dict(Counter(first[k] for k in self.step.tolist() if k in first))
 

@@ -83,12 +83,10 @@ class GcodeReader:
 
     @property
     def used(self) -> set[str]:
-        """Return what the program has used of the setup so far."""
         return self.mover.used | {'G92', self.mover.last_offset}
 
     @property
     def share(self) -> float:
-        """Return the part of the text whose blocks have been returned, about, 0 to 1."""
         return self.flow.share * self.targets.share
 
     def follow(self, before: GcodeReader) -> None:
@@ -110,7 +108,6 @@ class GcodeReader:
         return float(self.mover.here()[PLANES[self.mover.plane][2]])
 
     def active_modes(self, offset: str, tool: int) -> ActiveModes:
-        """Return the modal state; work offset and tool are given."""
         _, motion, feed = self._state()
         return self.mover.modes(self._cycle_code, offset, tool, self._outputs).moving(motion, feed)
 
@@ -195,7 +192,6 @@ class GcodeReader:
         return min(end, row + ahead)
 
     def _state_words(self) -> tuple[str, ...]:
-        """Return the state of the program as words that would set it."""
         words = modal_words(self.mover)
         if self._tool:
             words.insert(0, f'T{self._tool}')
@@ -204,7 +200,6 @@ class GcodeReader:
         return (*words, *(code for code in self._outputs.values() if code))
 
     def _run(self, first: int, end: int) -> None:
-        """Execute lines that contain no rare line."""
         window = self.flow.window
         rows = first + np.flatnonzero(window.kind[first:end] == scan.PLAIN)
         in_main = self.flow.source is self.flow.main
@@ -229,7 +224,6 @@ class GcodeReader:
         self.flow.row = end
 
     def _line(self, raw: str) -> None:
-        """Execute one line with the general reader."""
         if self.flow.main_line <= self._leader:
             self.notice('text before %', 'it does not belong to the program')
             return
@@ -364,7 +358,6 @@ class GcodeReader:
         return found
 
     def _drill_pattern(self, key: str, given: Sequence[float | None]) -> None:
-        """Run the modal cycle at the holes of a row or a circle."""
         mover = self.mover
         if self._called is None:
             raise self.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) before', key)
@@ -375,7 +368,6 @@ class GcodeReader:
             self._called.make()
 
     def _settings(self, words: BlockWords) -> None:
-        """Apply the G codes of a block that are settings."""
         mover = self.mover
         was = mover.feed_mode
         set_here: dict[str, str] = {}
@@ -455,7 +447,6 @@ class GcodeReader:
             mover.feed_changed = True
 
     def _machine_function(self, code: str) -> None:
-        """Execute an M code that does not stop, call or end the program."""
         if code in codes.REFUSED_M:
             raise self.fault(codes.REFUSED_M[code], code)
         if code in codes.STATE_M:
@@ -527,7 +518,6 @@ class GcodeReader:
     # --- motion --------------------------------------------------------------------------------
 
     def _move(self, words: BlockWords, feed_given: bool) -> None:
-        """Move to the axis words of a block; raise for words without a meaning."""
         mover, values = self.mover, words.values
         machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
         axes = any(letter in values for letter in ('X', 'Y', 'Z', *mover.rotary_letters))

@@ -113,7 +113,6 @@ class HeidenhainReader(GcodeReader):
         return match is not None
 
     def _flow(self, line: str) -> bool:
-        """Execute labels, calls, jumps and assignments."""
         flow = self.flow
         if match := _LABEL.fullmatch(line):
             if match[1] == '0' and flow.depth:
@@ -179,7 +178,6 @@ class HeidenhainReader(GcodeReader):
     # --- statements ----------------------------------------------------------------------------
 
     def _statement(self, line: str) -> None:
-        """Execute a line that is not flow."""
         if line.startswith('BEGIN PGM'):
             self.mover.unit = INCH if re.search(r'\bIN(?:CH)?$', line) else MM
         elif match := _CYCLE.fullmatch(line):
@@ -213,7 +211,6 @@ class HeidenhainReader(GcodeReader):
                              line[:20])  # fmt: skip
 
     def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
-        """Return the values of a line, its M codes, and R0 RL RR or FMAX among the codes."""
         values: dict[str, float] = {}
         found: list[str] = []
         turn, at = '', 0
@@ -233,7 +230,6 @@ class HeidenhainReader(GcodeReader):
         return values, found, turn
 
     def _motion(self, kind: str, text: str, stop: str = '') -> None:
-        """Execute a motion, or M codes alone."""
         values, found, turn = self._words(text)
         if kind == 'CC':
             self._set_centre(values)
@@ -317,7 +313,6 @@ class HeidenhainReader(GcodeReader):
     # --- circles -------------------------------------------------------------------------------
 
     def _flat(self, point: FloatArray) -> complex:
-        """Return a place in the plane [m]."""
         a, b, _ = PLANES[self.mover.plane]
         return complex(point[a], point[b])
 
@@ -355,7 +350,6 @@ class HeidenhainReader(GcodeReader):
         place['XYZ'[a]], place['XYZ'[b]] = end.real / unit, end.imag / unit
 
     def _arc(self, kind: str, values: dict[str, float], words: BlockWords, turn: str) -> str:
-        """Give an arc its centre or radius; return G2 or G3."""
         a, b, _ = PLANES[self.mover.plane]
         unit, start = self.mover.unit, self._flat(self.mover.here())
         if kind == 'CR':
@@ -413,7 +407,6 @@ class HeidenhainReader(GcodeReader):
         self._execute(words)
 
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
-        """Process CYCL DEF."""
         if number in (7, 10, 19) and part == '0':
             if number == 19:
                 self._frames.begin_angles()
@@ -453,7 +446,6 @@ class HeidenhainReader(GcodeReader):
                 self.variables.set_name(name, self._value(found[1]))
 
     def _drill(self) -> None:
-        """Run the cycle where the tool stands in the plane."""
         mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
         if not self.cycle or self.cycle == 247:
             raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')

@@ -45,7 +45,6 @@ class HeidenhainFrames:
         self._frame()
 
     def begin_angles(self) -> None:
-        """Begin with the lines of cycle 19."""
         self._angles = {}
 
     def add_angles(self, values: Mapping[str, float]) -> None:
@@ -95,8 +94,6 @@ class HeidenhainFrames:
         frames.update()
 
     def _plane_of(self, kind: str, values: Mapping[str, float]) -> FloatArray:
-        """Return the rotation of a plane, shape (3, 3)."""
-
         def angle(name: str) -> float:
             return values.get(name, 0.0) * DEG
 
@@ -155,5 +152,4 @@ class HeidenhainFrames:
 
 
 def _along(axis: FloatArray) -> bool:
-    """Tell whether a direction is that of X, Y or Z."""
     return bool(np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis))

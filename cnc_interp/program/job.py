@@ -89,7 +89,6 @@ class JobSetup:
 
     @property
     def offset(self) -> str:
-        """Name of the active work offset."""
         return self.active or WORK_OFFSETS[0]
 
     @property
@@ -102,7 +101,6 @@ class JobSetup:
         return self.work_offsets.get(name, {}).get(ROTATION, 0.0)
 
     def changed(self, change: SetupChange) -> JobSetup:
-        """Return the setup after a change."""
         if change.key is None:
             return replace(self, **{change.field: change.value})
         entries: dict[Any, Any] = dict(getattr(self, change.field))
@@ -137,10 +135,7 @@ class JobSetup:
 
     @staticmethod
     def load(path: Path) -> JobSetup:
-        """Read a setup from a YAML file in mm and deg.
-
-        Raises ProgramError if the file is missing or not YAML, or a key or value is wrong.
-        """
+        """Read a setup file, in mm and deg; ProgramError names what cannot be read in it."""
         try:
             content = read_yaml(path)
         except OSError as problem:
@@ -215,19 +210,15 @@ def _tool_shown(tool: Tool) -> dict[str, Any]:
 
 
 class _Reading:
-    """The content of a setup file, read into a setup."""
-
     KEYS = ('work_offsets', 'active', 'g92', 'g92_on', 'tools', 'tool', 'reference_points')
 
     def __init__(self, source: str):
         self._source = source
 
     def fault(self, message: str) -> ProgramError:
-        """Return an error that names the file."""
         return ProgramError(message, self._source)
 
     def setup(self, content: Any) -> JobSetup:
-        """Return the setup; raise ProgramError for a wrong key or value."""
         whole = self._mapping(content, 'the file')
         for key in whole:
             if key not in self.KEYS:
@@ -252,13 +243,11 @@ class _Reading:
         )
 
     def _mapping(self, content: Any, what: str) -> dict[Any, Any]:
-        """Return a mapping of keys to values; raise if the content is not one."""
         if not isinstance(content, dict):
             raise self.fault(f'{what}: must be a mapping; give keys with values')
         return content
 
     def _number(self, value: Any, key: str) -> float:
-        """Return a finite number; raise if the value is not one."""
         if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
             raise self.fault(f'{key}: must be a number, not {value!r}')
         return float(value)
@@ -279,13 +268,11 @@ class _Reading:
         }
 
     def _number_of(self, key: Any, what: str) -> int:
-        """Return a tool number; raise if it is not a whole number."""
         if isinstance(key, bool) or not isinstance(key, int):
             raise self.fault(f'{what}.{key}: the tool number must be a whole number')
         return key
 
     def _tool(self, content: Any, key: Any) -> Tool:
-        """Return a tool [m], from mm."""
         words = dict(self._mapping(content, f'tools.{key}'))
         if 'length' not in words or not set(words) <= _TOOL_KEYS:
             raise self.fault(

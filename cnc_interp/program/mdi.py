@@ -33,22 +33,14 @@ class MdiLine(ProgramStream):
 
 
 class MdiReader:
-    """Reads lines by hand, one after the other.
-
-    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the lines do
-    not give, and choices of the user.
-    """
+    """Reads lines by hand, one after the other."""
 
     def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
-        """Begin to read a line; the modal state changes with ``keep``.
-
-        ``stands`` (n_axes,): axis positions of the machine [m, rad]. Raises ProgramError if the
-        text is not one line.
-        """
+        """Begin to read a line; the machine ``stands`` there, (n_axes,) [m, rad]."""
         if len(text.splitlines()) != 1:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)
         notices = Notices()
@@ -71,5 +63,4 @@ class MdiReader:
         return reader
 
     def modes(self, setup: JobSetup) -> ActiveModes:
-        """Return the modal state with which the next line starts, with these offsets and tools."""
         return self._last.active_modes(setup.offset, setup.tool)

@@ -93,13 +93,7 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 
 
 class ModalState:
-    """The position and the modal settings of a program, and the targets so far.
-
-    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the program
-    does not give, and choices of the user; ``setup``: work offsets, tool lengths and reference
-    points; ``flow``: position of the reader, for line numbers and errors; ``notices``: collects
-    notices about harmless words.
-    """
+    """The position and the modal settings of a program, and the targets so far."""
 
     def __init__(
         self, geometry: Transform, settings: Settings, setup: JobSetup, flow: Flow,
@@ -212,7 +206,6 @@ class ModalState:
         return NONE if value is None else value
 
     def codes_of_settings(self) -> dict[str, str]:
-        """Return the first code of each setting of ``codes.SETTINGS``, by its attribute."""
         found: dict[str, str] = {}
         for code, (attribute, value) in codes.SETTINGS.items():
             if getattr(self, attribute) == value:
@@ -220,11 +213,9 @@ class ModalState:
         return found
 
     def fault(self, message: str, word: str = '') -> ProgramError:
-        """Return an error for the present line."""
         return self.flow.fault(message, word)
 
     def notice(self, key: str, text: str) -> None:
-        """Record a notice about something harmless, once."""
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')
 
     # --- setup ---------------------------------------------------------------------------------
@@ -325,7 +316,6 @@ class ModalState:
         self.vector = None
 
     def check_point(self, point: FloatArray) -> None:
-        """Raise ProgramError for a point that no machine can reach."""
         farthest = int(np.argmax(np.abs(point)))
         if not abs(point[farthest]) <= FARTHEST:
             raise self.fault('a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
@@ -366,7 +356,6 @@ class ModalState:
         return nan, MINUTE / self.blocks_per_minute, nan
 
     def set_feed(self, value: float, word: str, unit: float) -> None:
-        """Set the feed from an F word in a unit of length [m]."""
         if not 0.0 < value < inf:
             raise self.fault('the feedrate must be greater than zero', word)
         if self.feed_mode == 'G93':
@@ -441,7 +430,6 @@ class ModalState:
         return {f'<_{name}>': float(value) for name, value in found.items()}
 
     def why_not(self, letter: str) -> str:
-        """Return why an axis word cannot be executed."""
         if letter in self.extra_letters:
             return f'{letter} moves in G0 and G1 blocks only; give it a block of its own'
         return f'the machine has no axis {letter}; remove the word'

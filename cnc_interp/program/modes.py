@@ -112,13 +112,11 @@ class Modes:
         mover.begin_contact(code, cutter)
 
     def _demand_corner(self, cutter: ToolShape, word: str) -> None:
-        """Raise if a corner is larger than its tool."""
         if not 0.0 <= cutter.corner_radius <= cutter.radius < FARTHEST:
             radius = cutter.radius / self._mover.unit
             raise self.fault(f'the corner radius must be from 0 to the radius, {radius:g}', word)
 
     def stay_beside_contour(self, words: BlockWords) -> None:
-        """Raise for words that cannot stand between G41 or G42 and G40."""
         mover = self._mover
         named = {*words.g, *words.m, *(key for key, _ in words.keys)}
         if other := sorted(named & codes.NOT_BESIDE_CONTOUR):
@@ -128,7 +126,6 @@ class Modes:
                              mover.plane)  # fmt: skip
 
     def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on, by a word of any dialect."""
         if not self._mover.rotary_letters:
             raise self.fault('tool-tip programming needs a machine with rotary axes', word)
         self._mover.switch_tcp(word)
@@ -149,7 +146,6 @@ class Modes:
         self._shift(before)
 
     def choose_extended_offset(self, code: str, words: BlockWords) -> None:
-        """Process G54.1 P and G154 P: select a work offset beyond G59.3."""
         number = words.values.pop('P', 0.0)
         if f'G54.1 P{number:g}' not in ALL_OFFSETS:
             raise self.fault('P must be the number of the offset, 1 to 300', code)

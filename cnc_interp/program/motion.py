@@ -160,7 +160,6 @@ class Mover(ModalState):
                              'it before, or put the length into the machine file')  # fmt: skip
 
     def _has_axes(self, words: BlockWords) -> bool:
-        """Tell whether the block has axis words; raise for an axis that does not exist."""
         for letter in 'ABC':
             if letter in words.values and letter not in self.rotary_letters:
                 axes = ' '.join(self.geometry.machine.axis_names)
@@ -258,7 +257,6 @@ class Mover(ModalState):
         return ''
 
     def machine_target(self, words: BlockWords) -> FloatArray:
-        """Remove X Y Z as machine coordinates and return their point."""
         point = self.point.copy()
         for i, letter in enumerate('XYZ'):
             if (value := words.values.pop(letter, None)) is not None:
@@ -267,7 +265,6 @@ class Mover(ModalState):
         return point
 
     def _rotary_target(self, words: BlockWords, target: FloatArray, machine: bool) -> FloatArray:
-        """Return the rotary positions of a target [rad]; record that words named them."""
         if not self.rotary_letters:
             return self.rotary
         rotary = target[3:] + self.frames.rotary_origin
@@ -351,7 +348,6 @@ class Mover(ModalState):
         return last
 
     def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on or off, after a line that waits."""
         self.end_corner()
         super().switch_tcp(word)
 
@@ -364,7 +360,6 @@ class Mover(ModalState):
     # --- arcs and tool vectors -----------------------------------------------------------------
 
     def _take_arc(self, words: BlockWords) -> BlockWords | None:
-        """Remove I J K, R (or CR) and P of an arc, and return them as words."""
         if self.motion is None or self.motion < 2:
             return None
         taken = BlockWords(g=[code for code in words.g if code in ('G2', 'G3')])
@@ -375,7 +370,6 @@ class Mover(ModalState):
         return taken if taken.values or self._has_axes(words) else None
 
     def _arc(self, target: FloatArray, words: BlockWords) -> tuple[float, ...]:
-        """Return centre, normal and sweep of an arc from the present position."""
         offset, absolute = np.full((1, 3), nan), np.zeros((1, 3), dtype=bool)
         for i, letter in enumerate('IJK'):
             if letter in words.values:
@@ -454,7 +448,6 @@ class Mover(ModalState):
         return not arcs.fault[0]
 
     def arc_fault(self, kind: int, mismatch: float) -> ProgramError:
-        """Return the error for an arc that does not exist."""
         amount = f' (by {mismatch / self.unit:.4g})' if kind in (3, 4) else ''
         return self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
 

@@ -68,7 +68,6 @@ class Moves:
         self.beside_arcs = self._beside_arcs(np.isfinite(coming[:, col.SWEEP]), settings)
 
     def __getitem__(self, part: slice) -> Moves:
-        """Return some of the motions."""
         some = copy(self)
         for name in ('_before', 'rows', 'sweep', 'axis_before', '_start', '_arc', '_by_axes',
                      'interpolation', 'beside', 'rests', 'beside_arcs'):  # fmt: skip
@@ -182,7 +181,6 @@ class Moves:
         return points
 
     def _tips(self, points: FloatArray, rotary: FloatArray, extra: FloatArray) -> FloatArray:
-        """Tool tips of axis positions, of the rotary axes and of U V W [m], shape (m, 3)."""
         stands = points + extra @ self._along
         if np.isnan(rotary).all():  # a machine without rotary axes
             return np.asarray(stands)
@@ -269,14 +267,12 @@ class Moves:
         return np.asarray(self._arc | near)
 
     def speeds(self) -> tuple[FloatArray, FloatArray]:
-        """Return feedrate and duration of the motions; one of both is NaN.
+        """Return feedrate [m/s] and duration [s] of the motions, (n,); one of both is NaN.
 
         If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
         rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary
         axes run linearly beside the tip, the duration follows from its speed. So it does where
         extra axes move; F is the speed of the faster one of tip and extra axis.
-
-        Returns ``feedrate``, ``duration`` (n,): speed of the tip [m/s], and time [s].
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
@@ -314,7 +310,6 @@ def merge_repeated(rows: FloatArray) -> FloatArray:
 
 
 def _moves_nothing(rows: FloatArray, following: FloatArray) -> BoolArray:
-    """Return which following rows do not move from the row before, shape (n,)."""
     change = np.abs(following[:, : col.ROTARY.stop] - rows[:, : col.ROTARY.stop])
     still = (change[:, col.POINT].max(axis=1) <= SAME) & (change[:, col.AXIS].max(axis=1) <= SAME)
     on_circle = following[:, col.GREAT_CIRCLE] != 0.0

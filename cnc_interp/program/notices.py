@@ -14,7 +14,6 @@ WARNING = 'WARNING: '
 
 
 def warnings_of(notices: Iterable[str]) -> list[str]:
-    """Return the notices that warn."""
     return [notice for notice in notices if WARNING in notice]
 
 
@@ -36,12 +35,10 @@ class Notices:
         self._texts: dict[str, str] = {}
 
     def once(self, key: str, line_number: int, text: str) -> None:
-        """Record a notice, unless there already is one with this key."""
         if key not in self._texts:
             self._texts[key] = f'line {line_number}: {text}'
 
     def texts(self) -> tuple[str, ...]:
-        """Return all notices in the order of the program."""
         return tuple(self._texts.values())
 
 
@@ -67,7 +64,6 @@ class Refusals:
         self._is_lost = False  # whether the position is unknown
 
     def __bool__(self) -> bool:
-        """Tell whether a line was refused."""
         return self._count > 0
 
     def add(self, problem: ProgramError, of_place: bool, of_state: bool = False) -> None:
@@ -89,11 +85,9 @@ class Refusals:
             raise self.error(ended=True)
 
     def arrive(self) -> None:
-        """Note that a line has led to a known position."""
         self._is_lost = False
 
     def _table(self) -> str:
-        """Return how many lines each word stands in, the most frequent first."""
         counts: Counter[str] = Counter()
         for key, problem in self._first.items():
             head = _HEAD.match(problem.word)

@@ -36,13 +36,9 @@ class Program:
 class ProgramStream:
     """A part program that is read while its blocks are taken, whatever its length.
 
-    Iteration yields batches of blocks in order. The first row of the first batch is the start
-    pose. All batches together are the blocks of ``Program``.
-
-    ``geometry``: axis names and kinematics of the machine; ``settings``: values that the program
-    does not give, and choices of the user; ``setup``: work offsets, tool lengths and reference
-    points. Without it, the file that the settings name is read. Raises ProgramError if the setup
-    file cannot be read, and during iteration as soon as something cannot be read.
+    Iteration yields batches of blocks; the first row of all is the start pose. Without ``setup``
+    the file that the settings name is read. Raises ProgramError for that file, and during
+    iteration.
     """
 
     def __init__(
@@ -77,7 +73,6 @@ class ProgramStream:
             self._reader = kind(geometry, settings, setup, source, self._notices, profile)
 
     def __iter__(self) -> Iterator[Blocks]:
-        """Yield the blocks in batches; the text is closed at the end."""
         try:
             yield from self._reader.blocks()
         finally:
@@ -85,7 +80,6 @@ class ProgramStream:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Return the notices so far: words that had no effect or were simplified."""
         return self._notices.texts()
 
     def note(self, notice: tuple[int, str] | None) -> None:
@@ -118,7 +112,6 @@ class ProgramStream:
 
     @property
     def modes(self) -> ModesOfBlocks:
-        """Return the modal state of each block so far."""
         return self._reader.targets.modes
 
     @property
@@ -132,7 +125,6 @@ class ProgramStream:
         return self._reader.share
 
     def read(self) -> Program:
-        """Read the program to its end."""
         blocks = Blocks.concatenate(list(self))
         return Program(blocks, self.notices, self.source, self.dialect)
 
@@ -148,7 +140,6 @@ def open_program(
 def read_program(
     path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None
 ) -> Program:
-    """Read a part program from a file."""
     return open_program(path, geometry, settings, setup).read()
 
 

@@ -27,7 +27,7 @@ def _filled(values: FloatArray, first: float) -> FloatArray:
 
 
 def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: IntArray) -> bool:
-    """Execute plain lines."""
+    """Execute plain lines; False, with nothing changed, where the general reader must do it."""
     if (
         mover.targets.empty
         or mover.stop_once
@@ -97,7 +97,6 @@ def _set_state(
     mover: Mover, motion: FloatArray, feed_words: FloatArray, points: FloatArray,
     rotary: FloatArray, named: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Set the state of the program to that after the last line."""
     if np.isfinite(motion[-1]):
         mover.motion = int(motion[-1])
     given = feed_words[np.isfinite(feed_words)]

@@ -119,5 +119,4 @@ def scan_lines(
 
 
 def empty_columns(lines: int) -> tuple[NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]:
-    """Return empty arrays for ``scan_lines``."""
     return np.empty(lines, np.int8), np.empty(lines, np.int8), np.empty((lines, len(COLUMNS)))

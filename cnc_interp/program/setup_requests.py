@@ -30,10 +30,7 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 def values_by_axis(
     letters: Sequence[str], values: Sequence[float], axes: Sequence[str]
 ) -> dict[str, float]:
-    """Return the value of each axis named [m, rad].
-
-    Raises InterpError if the machine has no such axis, or a value is missing or not possible.
-    """
+    """Return the value of each axis named [m, rad]; InterpError if one is not possible."""
     if len(letters) != len(values) or len(set(letters)) != len(letters):
         raise InterpError('name each axis once, with one value for each')
     for letter, value in zip(letters, values, strict=True):
@@ -49,10 +46,8 @@ def offset_changes(
 ) -> list[SetupChange]:
     """Return the changes of a work offset or of G92.
 
-    ``name``: G54 to G59.3, or G92; empty for the active work offset; ``values``: the values that
-    change [m, rad]; ``clear``: whether all values before are removed; ``activate``: whether the
-    work offset becomes the active one. Raises InterpError if there is no such offset, or nothing
-    is asked for.
+    ``name``: empty for the active work offset; ``values``: those that change [m, rad]; ``clear``:
+    whether all values before are removed. Raises InterpError if it is not possible.
     """
     name = name or setup.offset
     if not values and not clear and not activate:
@@ -76,11 +71,7 @@ def offset_changes(
 def tool_changes(
     setup: JobSetup, number: int, given: Mapping[str, float | str], remove: bool, load: bool
 ) -> list[SetupChange]:
-    """Return the changes of a tool.
-
-    ``remove``: whether the tool is taken out of the table; ``load``: whether this tool is in the
-    spindle from now on. Raises InterpError if a value is not possible, or nothing is asked for.
-    """
+    """Return the changes of a tool; ``load``: it is in the spindle from now on. Or InterpError."""
     if not 1 <= number <= MOST_TOOL and not (load and number == 0 and not given and not remove):
         raise InterpError(f'tool {number}: tools have numbers from 1 to {MOST_TOOL}')
     changes = []
@@ -123,9 +114,8 @@ def touch_off_changes(
     Rz is the rotation of the work offset about Z. Where it is not 0, the zeros of X and Y both
     change, so that the other coordinate reads what it did.
 
-    ``values``: what the coordinates shall read [m, rad]; ``machine``: where the axes stand [m,
-    rad]; ``zero``: workpiece zero of the machine file [m, rad]. Raises InterpError if there is no
-    such offset, or no axis is named.
+    ``values``: what they shall read; ``machine``: where the axes stand; ``zero``: workpiece zero
+    of the machine file [m, rad]. Raises InterpError if it is not possible.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
@@ -140,12 +130,7 @@ def touch_off_changes(
 def work_coordinates(
     setup: JobSetup, name: str, machine: Position, zero: Position
 ) -> dict[str, float]:
-    """Return what the coordinates read with a work offset, G92 and the tool in the spindle.
-
-    ``name``: the work offset; empty for the active one; ``machine``, ``zero``: where the axes
-    stand, and the workpiece zero of the machine file [m, rad]. Returns coordinate by axis letter
-    [m, rad].
-    """
+    """Return what the coordinates read with G92 and the tool in the spindle [m, rad]."""
     frames, here = _frames(setup, name, machine, zero)
     reads = [*frames.program(here[:3]), *(here[3:] - frames.rotary_origin)]
     return {letter: float(value) for letter, value in zip(machine, reads, strict=False)}

@@ -17,12 +17,9 @@ from cnc_interp.program.job import JobSetup, SetupChange
 class SetupTable:
     """Offsets and tools of the machine.
 
-    A change is in the log first, then in the file, then here. The log is the file beside with
-    ``.log`` at the end of its name: one line for each change with time, who, what, and the values
-    before and after. While it is open, no other table can keep the same file.
-
-    ``file``: the setup file. It need not be there yet, nor its folder. Without it nothing outlives
-    this object. Raises InterpError if the file cannot be read, or another table keeps it.
+    A change is in the log (``.log`` beside the file) first, then in the file, then here. While it
+    is open, no other table can keep the same file. The file need not be there yet; without one
+    nothing outlives this object.
     """
 
     def __init__(self, file: Path | None):
@@ -45,11 +42,7 @@ class SetupTable:
             self.setup = JobSetup.load(file)
 
     def apply(self, changes: Sequence[SetupChange], who: str) -> str:
-        """Change the table, all of it or nothing.
-
-        Returns what was changed, with the values before and after; empty if nothing was. Raises
-        InterpError if it cannot be written.
-        """
+        """Change all of it, or raise InterpError; return what was changed, or ''."""
         after = self.setup
         for change in changes:
             after = after.changed(change)
@@ -77,7 +70,6 @@ class SetupTable:
         return told
 
     def _write_log(self, words: str) -> None:
-        """Add one line to the log and bring it to the disk."""
         if self._log is None:
             return
         self._log.write(f'{datetime.now().astimezone().isoformat()}\t{words}\n')
@@ -85,6 +77,5 @@ class SetupTable:
         os.fsync(self._log.fileno())
 
     def close(self) -> None:
-        """Let others keep the file."""
         if self._log is not None:
             self._log.close()

@@ -44,7 +44,6 @@ class SiemensCycle:
         return self._at(index) or 0.0
 
     def make(self) -> None:
-        """Drill where the tool stands in the plane."""
         mover, unit = self._mover, self._mover.unit
         axis = PLANES[mover.plane][2]
         reference, depth = self._value(1) * unit, self._at(3)

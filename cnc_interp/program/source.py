@@ -48,15 +48,12 @@ class LineWindow:
     rare: IntArray  #: (k,): Rows of the lines that need the general reader.
 
     def __len__(self) -> int:
-        """Return the number of lines."""
         return len(self.first)
 
     def line(self, row: int) -> str:
-        """Return the text of one line."""
         return self.text[self.first[row] : self.last[row]].decode('utf-8', 'replace').strip()
 
     def next_rare(self, row: int) -> int:
-        """Return the row of the next rare line, or the number of lines if there is none."""
         at = int(np.searchsorted(self.rare, row))
         return int(self.rare[at]) if at < len(self.rare) else len(self)
 
@@ -67,7 +64,6 @@ class LineWindow:
         return LineStart(self.start.offset + len(self.text), self.start.line + row)
 
     def row_of(self, place: LineStart) -> int | None:
-        """Return the row of a place, or None if it is not in this window."""
         row = place.line - self.start.line
         if 0 <= row < len(self) and self.place(row).offset == place.offset:
             return row
@@ -75,11 +71,7 @@ class LineWindow:
 
 
 class Source:
-    """The text of a program.
-
-    ``stream``: the text. A stream that cannot be positioned is read into memory.
-    ``folders``: where its subprograms may lie, as for ``open_named``; a file adds its own folder.
-    """
+    """The text of a program; subprograms may lie in ``folders``, as for ``open_named``."""
 
     def __init__(self, stream: BinaryIO, name: str, folders: Sequence[str] | None = None):
         self.name, self.folders = name, folders
@@ -99,12 +91,10 @@ class Source:
 
     @staticmethod
     def of_text(text: str, name: str, folders: Sequence[str] | None = None) -> Source:
-        """Return a source for a string."""
         return Source(io.BytesIO(text.encode('utf-8', 'replace')), name, folders)
 
     @staticmethod
     def of_file(path: Path, folders: Sequence[str] | None = None) -> Source:
-        """Open a file; ``folders`` as for ``open_named``."""
         try:
             file = open_named(path, folders)
         except OSError as error:
@@ -116,11 +106,9 @@ class Source:
         return Source.of_file(path, self.folders)
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
 
     def share(self, place: LineStart) -> float:
-        """Return the part of the text before a place, 0 to 1."""
         return min(1.0, place.offset / max(self.size, 1))
 
     def window(self, place: LineStart) -> LineWindow:
@@ -164,19 +152,16 @@ class Source:
         return None
 
     def line_at(self, place: LineStart) -> str:
-        """Return the text of the line at a place."""
         self._stream.seek(place.offset)
         return self._stream.readline(_LONGEST_LINE).decode('utf-8', 'replace').strip()
 
     def after(self, place: LineStart) -> LineStart:
-        """Return the place of the next line."""
         self._stream.seek(place.offset)
         text = self._stream.readline()
         return LineStart(place.offset + len(text), place.line + 1)
 
 
 def _scanned(place: LineStart, text: bytes) -> LineWindow:
-    """Scan the lines of a window."""
     count = text.count(b'\n')
     first, last = np.empty(count, np.int64), np.empty(count, np.int64)
     kind, code, values = scan.empty_columns(count)

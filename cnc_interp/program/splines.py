@@ -44,13 +44,7 @@ def tool_vector(tip: Point, second: Point) -> Point:
 
 
 class ProgrammedCurve:
-    """The control points of one curve, added block by block.
-
-    ``tip``, ``axis``: pose of the tool: the first control point [m] and the unit tool axis [-];
-    ``second``: second point at the start if the program has named it [m]; ``height``: distance of
-    the second point from the tip if the program names none [m]; ``source``: file name for error
-    messages.
-    """
+    """The control points of one curve; ``height``: of second points that are not named [m]."""
 
     def __init__(self, tip: Point, axis: Point, second: Point | None, height: float, source: str):
         self._tip, self._axis, self._height, self._source = tip, axis, height, source
@@ -63,10 +57,7 @@ class ProgrammedCurve:
         self, tip: Point, second: Point | None, interval: float,
         speed_and_tolerances: tuple[float, float, float], line_number: int,
     ) -> None:  # fmt: skip
-        """Add a control point of the tip, and of the second curve or None [m].
-
-        ``speed_and_tolerances``: feedrate [m/s], contour and orientation tolerance [m].
-        """
+        """Add a control point and second point [m]; speed and tolerances are in [m/s] and [m]."""
         named = second is not None
         if self._named is None:
             self._named = named
@@ -152,7 +143,6 @@ class ProgrammedCurve:
 
 
 def _apart(a: Point, b: Point) -> float:
-    """Return the distance between two points."""
     return sqrt(sum((y - x) ** 2 for x, y in zip(a, b, strict=True)))
 
 
@@ -173,7 +163,6 @@ class Splines:
 
     @property
     def open(self) -> bool:
-        """Whether blocks are control points at present."""
         return self._curve is not None
 
     def begin(self) -> None:
@@ -262,7 +251,6 @@ class Splines:
             self.begin()
 
     def _check(self, given: dict[str, float]) -> None:
-        """Raise ProgramError for spline words with values that are not supported."""
         fault = self._mover.fault
         if given.get('SD', 3.0) != 3.0:
             raise fault('only cubic splines are supported; write SD=3', f'SD={given["SD"]:g}')
@@ -302,6 +290,5 @@ class Splines:
 
 
 def _point(values: FloatArray) -> Point:
-    """Return an array, shape (3,), as a tuple."""
     x, y, z = values.tolist()
     return x, y, z

@@ -28,10 +28,8 @@ class StartLine:
 
     The reader reads the program from its top, so that all state is as if it had been run.
 
-    ``line``: the line in the main program, from 1; 0 where the run starts at the top; ``which``:
-    the execution of the line that is wanted, from 1; 0 where there must be only one; ``source``:
-    file name for error messages; ``row``: row of the start, where it is known before the blocks
-    are: of a recorded run.
+    ``line`` is 0 where the run starts at the top; ``which``: the execution of the line that is
+    wanted, 0 where there must be only one; ``row``: where it is known before: of a recorded run.
     """
 
     def __init__(self, line: int, which: int, source: str, row: int | None = None):
@@ -49,7 +47,6 @@ class StartLine:
             self._words = words()
 
     def see(self, passes: FloatArray) -> None:
-        """Take the count at further rows of the program."""
         if self._row is None and len(passes) and passes[-1] >= self._which:
             self._row = self._rows + int(np.searchsorted(passes, self._which))
         self._rows += len(passes)

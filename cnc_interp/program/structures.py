@@ -27,7 +27,6 @@ class Structures(Cursor):
     """A cursor that executes branches, loops and jumps."""
 
     def condition(self, text: str) -> float:
-        """Return the value of a condition or expression."""
         try:
             (node,) = parse(text, 'condition')
             return evaluate(node, self.variables)
@@ -35,11 +34,9 @@ class Structures(Cursor):
             raise self.fault(str(problem) or 'a condition is missing', text[:20]) from None
 
     def on(self) -> None:
-        """Continue with the next line."""
         self.go(self.window.place(self.row + 1))
 
     def after(self, place: LineStart) -> None:
-        """Continue with the line after a place."""
         self.go(self.source.after(place))
 
     def run_word(self, what: Structure, word: str, rest: str) -> None:
@@ -143,7 +140,6 @@ class Structures(Cursor):
         raise self.fault(f'the end of {shown} is missing; add it', shown)
 
     def jump(self, way: str, target: str) -> None:
-        """Jump to a line number or a label."""
         name = re.fullmatch(r'[A-Z_][A-Z_]\w*', target)
         if name and not self.variables.exists(target):
             pattern = rb'(?mi)^[ \t/]*(?:N\s*\d+\s*)?' + target.encode() + rb'[ \t]*:'

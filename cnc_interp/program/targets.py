@@ -89,7 +89,6 @@ class TargetColumns:
     def begin_radius(
         self, distance: float, frame: FloatArray, own_entry: bool, told: Told | None
     ) -> None:
-        """Take the targets from here on as a contour beside which the tool runs."""
         before = np.array(self._rows[-col.WIDTH :])
         self._radius = CutterRadius(distance, frame, before, self._source, own_entry, told)
 
@@ -108,12 +107,10 @@ class TargetColumns:
 
     @property
     def switches(self) -> bool:
-        """Whether functions wait for their place."""
         return any(not isinstance(change, SetupChange) for _, change, _ in self._coming)
 
     @property
     def functions(self) -> Functions:
-        """The functions whose place is known."""
         return Functions.of_rows(self._functions)
 
     @property
@@ -163,7 +160,6 @@ class TargetColumns:
 
     @property
     def empty(self) -> bool:
-        """Whether there is no target yet."""
         return not self._rows
 
     @property
@@ -172,12 +168,10 @@ class TargetColumns:
         return self._emitted / max(self._emitted + len(self._rows) / col.WIDTH, 1.0)
 
     def take(self) -> list[Blocks]:
-        """Return the blocks that are final, and forget them."""
         parts, self._parts = self._parts, []
         return parts
 
     def finish(self) -> list[Blocks]:
-        """End the program with a stop, and return the last blocks."""
         if self.empty:
             raise ProgramError('no motion found; is this a part program?', self._source)
         self.end_radius()
@@ -221,7 +215,6 @@ class TargetColumns:
                 self._emit(blocks, row, some.rows)
 
     def _emit(self, blocks: Blocks, row: IntArray, rows: FloatArray) -> None:
-        """Add blocks, made of these rows, and note before which ones the setup changes."""
         if self._coming:
             changed, first = np.unique(rows[row, col.CHANGES], return_index=True)
             for count, block in zip(changed, first, strict=True):
@@ -231,7 +224,6 @@ class TargetColumns:
         self._parts.append(blocks)
 
     def _place_changes(self, count: int, block: int) -> None:
-        """Store all changes up to a number, which happen before a block."""
         while self._coming and self._coming[0][0] <= count:
             number, change, line = self._coming.popleft()
             if isinstance(change, SetupChange):
@@ -248,7 +240,6 @@ class TargetColumns:
             self._changes[:half] = older
 
     def _beginning(self, row: FloatArray) -> Blocks:
-        """Return the start pose, or the spline that ends in this row."""
         if self._curve is None:
             here = Moves(self._geometry, self._zero, row, row, self._settings)
             return start_pose(here, self._geometry, self._extra)
@@ -259,7 +250,6 @@ class TargetColumns:
         return replace(curve, exact_stop=stop, program_stop=waits)
 
     def _moves(self, start: FloatArray, rows: FloatArray, coming: FloatArray) -> Moves:
-        """Return the motions from a start target, shape (WIDTH,), through these rows."""
         return Moves(
             self._geometry, self._zero, np.vstack([start, rows])[:-1], rows, self._settings,
             self._dense, self._led, self._since_arc, coming,

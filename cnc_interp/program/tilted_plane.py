@@ -49,14 +49,12 @@ class TiltedPlane:
         return bool(self._parts)
 
     def takes(self, codes: Sequence[str]) -> bool:
-        """Tell whether one of the codes of a block belongs here."""
         if self._parts and not DEFINING & set(codes):
             raise self.fault('the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
                              'Q3, P3 two directions')  # fmt: skip
         return not CODES.isdisjoint(codes)
 
     def execute(self, code: str, words: BlockWords) -> None:
-        """Execute a code and remove its words from the block."""
         if code in DEFINING:
             self._define(code, words)
         else:
@@ -139,7 +137,6 @@ class TiltedPlane:
         return np.stack([np.cross(y, z), y, z], axis=1)
 
     def _unit(self, direction: FloatArray) -> FloatArray:
-        """Return a direction as a unit vector; raise if it has none."""
         length = float(np.linalg.norm(direction))
         if not length > SMALL * self._mover.unit:
             raise self.fault('these words give no plane; its points lie on one line, or a '
@@ -229,7 +226,6 @@ class TiltedPlane:
             mover.switch_tcp(tcp)
 
     def _solution(self, choice: int, code: str) -> FloatArray:
-        """Return the rotary positions of a tool that stands on the plane, shape (2,) [rad]."""
         mover, normal = self._mover, self._mover.frames.turn[:, 2]
         if not mover.rotary_letters:
             if normal[2] < 1.0 - SMALL:
@@ -303,11 +299,9 @@ class TiltedPlane:
     # --- words ---------------------------------------------------------------------------------
 
     def _take(self, words: BlockWords, letters: str, size: float) -> FloatArray:
-        """Remove three words of a block and return their values; missing ones are 0."""
         return np.array([words.values.pop(letter, 0.0) * size for letter in letters])
 
     def _angle(self, words: BlockWords, letter: str) -> float:
-        """Remove an angle from a block and return it [rad]."""
         return words.values.pop(letter, 0.0) * DEG
 
 

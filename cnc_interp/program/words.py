@@ -103,7 +103,6 @@ def without_comments(line: str, fault: Fault) -> str:
 
 
 def _opens_group(before: str) -> bool:
-    """Tell whether a parenthesis after this text groups or calls. Otherwise it is a comment."""
     return bool(_GROUP_BEFORE.search(before))
 
 
@@ -161,7 +160,6 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
 
 
 def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
-    """Split a line that contains expressions."""
     words = BlockWords()
     if name := _TOOL_NAME.search(line):
         _add(words, 'T', 0.0, name[0], fault)
@@ -211,7 +209,6 @@ def _given(node: Any, variables: Variables) -> float | None:
 
 
 def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
-    """Return the error for the rest of a line that does not begin with a word."""
     rest = line[at:]
     chunk = rest.split()[0]
     if not chunk.isprintable():

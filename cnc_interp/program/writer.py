@@ -27,7 +27,6 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def feed_word(feedrate: float) -> str:
-    """Return a feedrate [m/s] as text in mm/min."""
     return f'{min(feedrate / MM_PER_MIN, RAPID_FEED):.9g}'
 
 
@@ -39,7 +38,6 @@ class Modal:
 
     @staticmethod
     def empty() -> Modal:
-        """Return a state without any words."""
         return Modal({})
 
     def words(self, pairs: Iterable[tuple[str, str]]) -> str:
@@ -140,7 +138,6 @@ def siemens(moves: Iterable[WrittenMove], notes: list[str]) -> str:
 
 
 def cl_data(moves: Iterable[WrittenMove], name: str, notes: list[str]) -> str:
-    """Return a CL file with GOTO points and tool axis vectors."""
     lines = [f'PARTNO {name}', *(f'$$ {note}' for note in notes), 'UNITS/MM', 'MULTAX/ON']
     feed = ''
     for number, move in enumerate(moves):

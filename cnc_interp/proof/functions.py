@@ -57,7 +57,6 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 
 def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
-    """Return the words of the functions: line, word, and the value where the word has one."""
     first = {steps.start: word for word, steps in signals.words.items() if len(steps)}
     return [
         (int(line), first[k], float(value) if first[k] in 'ST' else 0.0)

@@ -68,7 +68,6 @@ def interpreter() -> str:
 def read_by_linuxcnc(
     text: str, axis_names: tuple[str, ...], skip: bool, rows: int, setup: Setup | None = None,
 ) -> Iterator[ReadMove]:  # fmt: skip
-    """Read a program."""
     command = interpreter()
     if not command:
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
@@ -275,7 +274,6 @@ def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
 
 
 def setup_of(text: Any, machine: Machine) -> Setup:
-    """Read the setup that stands in the summary of a plan."""
     if not text:
         return Setup()
     zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0] / MM

@@ -104,7 +104,6 @@ class Order:
 
 
 def order_of(program: ProgramShapes, tolerances: tuple[FloatArray, FloatArray]) -> Order:
-    """Follow a program with the motion of its plan."""
     plan, machine = program.plan, program.machine
     count, rows = len(plan.position), len(plan.blocks['tip'])
     shapes = _Shapes(program)
@@ -217,7 +216,6 @@ class _Shapes:
         )  # fmt: skip
 
     def joint_pieces(self, vertex: FloatArray, top: FloatArray) -> Pieces:
-        """Return the pieces in tip, rotary and extra axes; the rotary ones at flank height."""
         k, extra = self.row, self.blocks['extra_axes']
         tips = self.pieces(self.tip, 'contour_tolerance', vertex)
         start, end = [tips.start], [tips.end]

@@ -90,8 +90,6 @@ def read_plainly(
 
 
 class _State:
-    """What holds while a program is read, and its motions."""
-
     def __init__(
         self, name: str, axis_names: tuple[str, ...], feed: float | None,
         tools: Mapping[int, tuple[float, float]], height: float,

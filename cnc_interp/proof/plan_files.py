@@ -139,7 +139,6 @@ def held(column: Any, first: int, last: int, before: int, after: int) -> NDArray
 
 
 def gathered(column: Any, places: NDArray[Any]) -> NDArray[Any]:
-    """Return the rows of a column at some places, shape (len(places), ...)."""
     rows = np.empty((len(places), *column.shape[1:]), dtype=column.dtype)
     for first, last in spans(len(column)):
         here = np.flatnonzero((places >= first) & (places < last))
@@ -186,7 +185,6 @@ class PlanFiles:
 
     @property
     def block(self) -> IntArray:
-        """Return the program row that each sample executes, shape (K,)."""
         return self.setpoints['block']
 
     @property

@@ -130,7 +130,6 @@ def compare_places(
     blocks: Columns, machine: Machine, moves: Iterable[ReadMove],
     tolerances: Sequence[float] = UNKNOWN,
 ) -> Agreement:  # fmt: skip
-    """Compare rows with motions whose lines are not known."""
     return _FollowPlaces(blocks, machine, tolerances).follow(moves)
 
 
@@ -395,7 +394,6 @@ class _FollowPlaces(_Comparison):
         return self.row if not move.sweep and self.near(move, self.row - 1, 1)[0] else stop
 
     def pass_tiny(self, before: ReadMove) -> None:
-        """Pass rows of motions that are shorter than the last digit."""
         while self.tiny and self.row < len(self.stops) and self.near(before, self.row, 1)[0]:
             self.row, self.tiny = self.row + 1, self.tiny - 1
 

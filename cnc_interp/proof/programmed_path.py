@@ -56,11 +56,7 @@ class ProgrammedPath:
         tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float,
         linear: BoolArray | None = None,
     ) -> ProgrammedPath:  # fmt: skip
-        """Build the path from tips, tool axes and rotary words (or NaN) at the ends of M rows.
-
-        ``linear`` (M,): rows whose rotary axes run linearly; no pose is near
-        (``program_shapes.py``).
-        """
+        """Build the path of M rows; no pose is near those whose rotary axes run linearly."""
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
         chord = tip - start
@@ -88,10 +84,7 @@ class ProgrammedPath:
     def deviation(
         self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
     ) -> Deviation:
-        """Return the deviation of poses from the program rows near ``block``, which they execute.
-
-        ``reach`` (K,): search all rows within this distance at flank height [m].
-        """
+        """Return the deviation from rows near ``block``, and from all within ``reach`` [m]."""
         low = np.maximum(block - WINDOW, 0)
         high = np.minimum(block + WINDOW, len(self.start) - 1)
         if reach is not None:

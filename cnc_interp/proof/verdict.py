@@ -80,7 +80,6 @@ class Proof:
         return next(uses, float('nan'))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the proof as plain values for JSON; values that are not finite become None."""
         text = json.dumps({'ok': self.ok, **asdict(self)})
         return json.loads(text, parse_constant=lambda _: None)
 

@@ -60,7 +60,6 @@ class Chain:
         return self._path.notice
 
     def close(self) -> None:
-        """End the processes that plan."""
         if self._parallel is not None:
             self._parallel.close()
 
@@ -144,7 +143,6 @@ def plan_to_files(
 
 @contextmanager
 def at_fault(source: str) -> Iterator[None]:
-    """Name the program in refusals of its blocks."""
     try:
         yield
     except BlockError as problem:
@@ -153,5 +151,4 @@ def at_fault(source: str) -> Iterator[None]:
 
 
 def no_motion(source: str) -> ProgramError:
-    """Make the error of a program that moves nothing."""
     return ProgramError('holds no motion; add blocks after the start pose', source)

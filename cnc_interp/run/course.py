@@ -57,7 +57,6 @@ class Course:
         return portions
 
     def end_leg(self, wait: Wait) -> LegEnd:
-        """End the leg at the end of the path known so far."""
         end = LegEnd(wait)
         self.items.append(end)
         return end
@@ -67,7 +66,6 @@ class Course:
         self.items = deque([way, LegEnd(Wait.NOTHING), *self.after(s)])
 
     def release(self, s: float) -> None:
-        """Drop the path before a place [m]."""
         while len(self.items) > 1:
             first = self.items[0]
             if isinstance(first, AxisPath) and first.s[-1] >= s:
@@ -113,7 +111,6 @@ class Course:
         return Setpoints.at_rest(0.0, position, path.cell_block[cell : cell + 1].copy(), place)
 
     def first_rest(self) -> Setpoints | None:
-        """Return the setpoint of a machine that rests where the kept path begins."""
         return next((self.rest_at(float(part.s[0])) for part in self._parts()), None)
 
     def after(self, s: float) -> deque[AxisPath | LegEnd]:
@@ -151,7 +148,6 @@ def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
 
 
 def from_place(path: AxisPath, s: float) -> AxisPath:
-    """Cut off the path before a place inside it [m]."""
     nearest = int(np.argmin(np.abs(path.s - s)))
     if abs(path.s[nearest] - s) <= SAME:
         return cut(path, nearest, len(path.s) - 1)
@@ -173,7 +169,6 @@ def slowed(
 
 
 def fastest_in_cells(law: MotionLaw, s: FloatArray) -> FloatArray:
-    """Return the largest speed of a stop in each cell."""
     instants = np.linspace(law.time[0], law.end_time, 20 * ENVELOPE)
     place, speed, _, _ = law.evaluate(instants)
     at = np.interp(s, place, speed, left=float(speed[0]), right=0.0)
@@ -184,7 +179,6 @@ def fastest_in_cells(law: MotionLaw, s: FloatArray) -> FloatArray:
 
 
 def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
-    """Cut the motion of a planned piece into slices, on the same path."""
     law = without_long_rows(piece.law)
     stretch = np.floor((law.time - law.time[0]) / SLICE)
     borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
@@ -228,13 +222,11 @@ class Leg:
         self.moves = True
 
     def finish(self, wait: Wait) -> None:
-        """Plan down to rest at the end of the leg."""
         for piece in self.planner.finish():
             self.slices.extend(sliced(piece))
         self.wait = wait
 
     def drive(self, piece: PlannedPiece, wait: Wait) -> None:
-        """Use a known law down to rest instead of planning one."""
         self.slices.extend(sliced(piece))
         self.moves, self.wait = True, wait
 

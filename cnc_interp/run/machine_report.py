@@ -40,7 +40,6 @@ class MachineReport:
 
     @property
     def is_free(self) -> bool:
-        """Tell whether a new program may begin."""
         return self.state is State.IDLE or (self.state is State.STARVED and self.plan_over)
 
     @property
@@ -52,7 +51,6 @@ class MachineReport:
         return not rests
 
     def takes(self, run_id: RunId) -> bool:
-        """Tell whether the machine would take the first plan of a run."""
         if self.state is State.HELD:
             # With cycle_start and enough setpoints of the old plan it would have left the hold.
             return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
@@ -107,6 +105,5 @@ class LossRecovery:
         return bool(self.node) and self._waits >= least
 
     def begin_again(self) -> None:
-        """Reset after a loss."""
         self.node, self._restarted = '', False
         self._wants_since, self._waits = math.inf, -math.inf

@@ -87,7 +87,6 @@ class MotionPlan:
         self._todo.extend(items)
 
     def release(self, s: float) -> None:
-        """Drop the motion before a place on the path [m]."""
         while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
             self._history.popleft()
 
@@ -225,11 +224,7 @@ class MotionPlan:
 
 
 class MotionStream:
-    """The path of one run and the plan that counts now: path in, chunks of setpoints out.
-
-    ``revision`` makes a second plan after a setpoint handed out, which ``adopt`` puts in the place
-    of the first. ``resume`` begins a plan from rest anywhere on the path.
-    """
+    """The path of one run and the plan that counts now: path in, chunks of setpoints out."""
 
     def __init__(
         self, limits: AxisLimits, period: float, chunk_size: int = 10,
@@ -250,21 +245,17 @@ class MotionStream:
 
     @property
     def functions(self) -> FunctionQueue:
-        """The functions of the run."""
         return self._context.functions
 
     def end_leg(self, wait: Wait) -> None:
-        """End the motion at rest at the end of the path pushed so far."""
         self.current.extend([self._course.end_leg(wait)])
 
     def release(self, s: float) -> None:
-        """Drop the path before a place that was executed [m]."""
         self._course.release(s)
         self.current.release(s)
 
     @property
     def first_block(self) -> int:
-        """The first block of the path that is kept; 0 before there is any."""
         return self._course.first_block
 
     def position_at(self, s: float) -> FloatArray | None:
@@ -306,7 +297,6 @@ class MotionStream:
         return MotionPlan(self._context, settings, todo, number + 1, new, before=self.current)
 
     def adopt(self, revision: MotionPlan) -> MotionPlan:
-        """Replace the current plan by a revision, and return the replaced plan."""
         before, self.current = self.current, revision
         return before
 

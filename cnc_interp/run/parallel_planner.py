@@ -57,7 +57,6 @@ class RestSections:
         self._work = 0
 
     def push(self, path: AxisPath) -> Iterator[PathSection]:
-        """Add the next part of the path; yield the sections that are complete."""
         begin = counted = 0
         for rest in np.flatnonzero(path.stop).tolist() if self._at_rests else ():
             if rest == 0 and not self._parts:
@@ -79,7 +78,6 @@ class RestSections:
             yield self._section(len(self._parts) - 1, rests=False)
 
     def finish(self) -> Iterator[PathSection]:
-        """Yield what is left, down to rest at the end of the path."""
         if self._parts:
             yield self._section(len(self._parts), rests=True)
 
@@ -108,7 +106,6 @@ class Planning:
         return self.tool is None
 
     def planner(self) -> FeedPlanner:
-        """Return a planner at rest at time zero."""
         return FeedPlanner(self.limits, self.options, tool=self.tool)
 
 
@@ -132,7 +129,6 @@ class PlannerProcess:
         self.waiting += 1
 
     def ready(self) -> bool:
-        """Tell whether ``take`` need not wait."""
         return self._results.poll()
 
     def take(self) -> list[PlannedPiece]:
@@ -149,7 +145,6 @@ class PlannerProcess:
         return list(answer)
 
     def kill(self) -> None:
-        """End the process at once."""
         self._process.kill()
         self._process.join()
         self._sections.cancel_join_thread()

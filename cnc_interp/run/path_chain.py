@@ -68,8 +68,7 @@ class PathPart:
 class PathChain:
     """Blocks in, segments and their path in machine axes out.
 
-    ``push`` and ``finish`` raise InterpError, with line, axis and value, if a block cannot be
-    executed. ``watch`` takes the time of both stages. Without ``chooses`` every corner is rounded
+    Raises InterpError if a block cannot be executed. Without ``chooses`` every corner is rounded
     and every run of short blocks becomes a curve.
     """
 
@@ -90,7 +89,6 @@ class PathChain:
 
     @property
     def notice(self) -> tuple[int, str] | None:
-        """Notices about the path for the operator: source line and text."""
         return self._builder.passages.notice
 
     def push(self, blocks: Blocks) -> PathPart:
@@ -106,7 +104,6 @@ class PathChain:
 
 
 def smoother_of(transform: Transform, settings: Settings, chooses: bool = True) -> PathSmoother:
-    """Return the first stage, which makes smooth segments of blocks for a machine."""
     choice = partial(is_faster, transform, settings) if chooses else None
     return PathSmoother(settings, traits_of(transform), choice)
 

@@ -257,7 +257,6 @@ def windows_text(summary: Mapping[str, Any]) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what made the plan."""
     found = {'cnc_interp': __version__, 'python': platform.python_version()}
     for name in ('numpy', 'numba', 'scipy', 'toppra', 'ruckig'):
         try:
@@ -275,7 +274,6 @@ def excesses(
     tolerances: Mapping[str, float],
     tool_error: Mapping[str, float] | None = None,
 ) -> list[str]:
-    """Name limits and tolerances, and a limited error at the tool, that are exceeded."""
     shares = [(f'{kind} of {axis}', use) for kind, of in uses.items() for axis, use in of.items()]
     shares += [(f'{kind} tolerance', use) for kind, use in tolerances.items()]
     found = [f'{name} {use:.2%}' for name, use in shares if not use <= ROUNDING]

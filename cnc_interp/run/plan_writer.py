@@ -180,8 +180,6 @@ class PlanWriter:
 
 
 class _Archive:
-    """Columns of one ``.npz`` file, each in a growing file of its own."""
-
     def __init__(self, folder: Path, name: str):
         self._folder, self._name = folder, name
         self._columns: dict[str, _Column] = {}

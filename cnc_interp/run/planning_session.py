@@ -195,17 +195,14 @@ class PlanningSession:
         self._port.sender.begin(run_id)
 
     def take(self, segment: Any, last: bool) -> None:
-        """Queue a segment message; ``last`` is the end of the program."""
         self._segments.append(segment)
         if last:
             self.end_path()
 
     def end_path(self) -> None:
-        """Bring the motion to rest at the end of the path known so far."""
         self.path_end = max(self.path_end, PathEnd.KNOWN)
 
     def see_machine(self, report: MachineReport) -> None:
-        """Store the last report of the machine."""
         self._machine = report
         if self.run_id and report.run_id.same_attempt(self.run_id):
             self._executing = not report.completed
@@ -283,7 +280,6 @@ class PlanningSession:
         return PlanningTask(lambda: planner.resume(s, stands, settings), self._resumed)
 
     def _begin_plan(self, joins_at: int) -> None:
-        """Set the identity of the next plan, which is unique within an attempt."""
         self._plans += 1
         self.run_id, self.joins_at = replace(self.run_id, plan=self._plans), joins_at
         self.path_end = min(self.path_end, PathEnd.PLANNED)
@@ -293,7 +289,6 @@ class PlanningSession:
         self._put(chunks)
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
-        """Tell whether a setting has changed for setpoints that can still be replaced."""
         followed = planner.stream.current.settings
         if self.settings == followed or self._received.run_id != self.run_id:
             return False
@@ -306,7 +301,6 @@ class PlanningSession:
         )
 
     def _is_refilled(self) -> bool:
-        """Tell whether the machine has motion for the time that a revision takes."""
         sent = self._port.sender.sent - self._received.executed
         return sent * self._period > REFILLED or self.path_end is PathEnd.QUEUED
 
@@ -314,7 +308,6 @@ class PlanningSession:
         return number == self._port.sender.next_number - 1
 
     def _join_after(self) -> int:
-        """Return the number of the setpoint after which a revision joins."""
         ahead = self._received.executed + self._lead / self._period
         return min(max(math.ceil(ahead), self.joins_at), self._port.sender.sent - 1)
 
@@ -344,7 +337,6 @@ class PlanningSession:
         self._put(revision.chunks)
 
     def _lead_like_last(self, now: float) -> float:
-        """Return the lead of a revision that takes about as long as the last one [s]."""
         needed = LONGER * (now - self._asked_at) + MARGIN
         return min(max(needed, LEAD), LONGEST_LEAD)
 
@@ -370,7 +362,6 @@ class PlanningSession:
     def _plan_ahead_task(
         self, planner: RunPlanner, report: MachineReport | None
     ) -> PlanningTask | None:
-        """Sample and plan ahead; read segments when little is left to plan."""
         plan = planner.stream.current  # even if another one counts when this is done
         unsent = self._port.sender.unsent * self._period
         sample = unsent < SAMPLED_AHEAD and plan.can_sample

@@ -31,7 +31,6 @@ class RunId:
         return self.program_id == other.program_id and later
 
     def next_attempt(self) -> RunId:
-        """Return the identity of the run when it is begun again after a loss."""
         return RunId(self.program_id, self.attempt + 1)
 
 

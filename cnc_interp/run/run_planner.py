@@ -172,9 +172,7 @@ class RunPlanner:
         self._lines = lines
 
     def line_of(self, block: int) -> int:
-        """Return the source line of a block."""
         return self._lines.get(block, 0)
 
     def lines_of(self, samples: Setpoints) -> list[int]:
-        """Return the source line of each setpoint."""
         return [self._lines.get(block, 0) for block in samples.block.tolist()]

@@ -193,7 +193,6 @@ class RunState:
 
     @property
     def resting(self) -> bool:
-        """Tell whether the setpoints stand still."""
         return self.state in AT_REST
 
     @property
@@ -213,7 +212,6 @@ class RunState:
 
     @property
     def may_resume(self) -> bool:
-        """Tell whether cycle_start continues the run."""
         return self.state in RESUMABLE
 
     @property
@@ -233,7 +231,6 @@ class RunState:
 
     @property
     def text(self) -> str:
-        """Return the reason in words for the operator; empty when there is none."""
         if self.state is State.FILLING and self.reason is not Reason.FUNCTION:
             return 'setpoints are being planned; motion goes on by itself'
         if self.state is State.IDLE or self.by_hand:
@@ -281,7 +278,6 @@ class RunState:
         return rests._refused_at_rest() if self.refusal else rests
 
     def _refused_at_rest(self) -> RunState:
-        """Return the fault of a machine whose run gets no further setpoints."""
         return replace(
             self, state=State.FAULT, reason=Reason.STREAM_REFUSED, detail=self.refusal,
             plan_over=True, start_wanted=False,

@@ -52,7 +52,6 @@ class StartPlace:
 
     @property
     def texts(self) -> tuple[str, ...]:
-        """What the operator must know, a sentence each."""
         block = self.block
         passes = f' (pass {block.which} of {block.passes})' if block.passes > 1 else ''
         told = [
@@ -146,7 +145,6 @@ class StartFinder:
         return self._renumbered(rest)
 
     def functions(self, functions: Functions) -> Functions:
-        """Return the functions of the run with its own row numbers."""
         rows = functions.block
         return replace(functions, block=np.where(rows > 0, self._own(rows), 0))
 
@@ -192,7 +190,6 @@ class StartFinder:
         return np.column_stack([np.linalg.norm(tip - vertex.tip[0], axis=1), turned])
 
     def setpoints(self, samples: Setpoints) -> Setpoints:
-        """Return setpoints of the run with its own row numbers."""
         return replace(samples, block=self._own(samples.block))
 
     def _renumbered(self, path: AxisPath) -> AxisPath:

@@ -69,7 +69,6 @@ class FunctionQueue:
         self._kept, self._first, self.done = NO_FUNCTIONS, 0, 0  # done: by the machine
 
     def push(self, functions: Functions) -> None:
-        """Add further functions, and forget those that are done."""
         drop = min(max(self.done - self._first, 0), len(self._kept))
         self._first += drop
         self._kept = Functions.concatenate([self._kept[drop:], functions])
@@ -98,7 +97,6 @@ class ChunkCutter:
             self.next_number += len(samples)
 
     def add_stop(self, number: int, stop: Setpoints) -> None:
-        """Store the stop that begins after a setpoint."""
         self._stops.append((number, stop))
 
     def end_leg(self, wait: Wait) -> None:
@@ -107,7 +105,6 @@ class ChunkCutter:
         self._waits[self.next_number - 1] = wait
 
     def cut(self) -> list[Chunk]:
-        """Return the chunks that are complete: those whose tail is known."""
         if not self._stops:
             return []
         kept = Setpoints.concatenate(list(self._kept))

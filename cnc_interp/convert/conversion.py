@@ -41,8 +41,6 @@ ROUNDING = 1e-13  #: Smallest deviation that is stated; smaller ones are roundin
 
 @dataclass(frozen=True)
 class Converted:
-    """The result of a conversion: a program as text."""
-
     text: str  #: The program.
     notes: list[str]  #: Sentences for the user, one line each.
 
@@ -130,7 +128,6 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
 
 def with_chords(blocks: Blocks, height: float) -> Blocks:
-    """Replace native splines by chords within a share of the tolerance, at ``height`` [m] too."""
     parts = []
     for first, last in portions(blocks):
         rows = blocks[first:last]

@@ -59,7 +59,6 @@ class Linked:
     deviation: float  #: Largest distance of ``written`` from top(f(u)), at flank height [m].
 
     def poses(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return tool tips and tool axes at bottom parameters [B2013, Eq. 5]."""
         curve = self.portion.curve
         tip = curve(u)[:, :3]
         tool = curve(self.parametrization(u))[:, 3:] - tip
@@ -176,7 +175,6 @@ class Joins:
     slide: float = 0.0  # largest change of the tool axis at flank height [m]
 
     def joined(self, blocks: Blocks) -> Blocks:
-        """Return blocks in which every curve continues its neighbours."""
         parts = []
         for first, last in portions(blocks):
             rows = blocks[first:last]
@@ -269,7 +267,6 @@ def _line_after(blocks: Blocks, last: int) -> Jets | None:
 
 
 def _rows(rows: Blocks, source: IntArray, portion: Portion, kept: slice) -> Blocks:
-    """Return the control points of a portion; all else comes from the rows ``source``."""
     columns = {name: values[source] for name, values in rows.columns().items()}
     tool = portion.top - portion.bottom
     columns['tip'], columns['top'] = portion.bottom[kept], portion.top[kept]

@@ -79,7 +79,6 @@ class Portion:
         return bottom, top, float(step[0])
 
     def jets(self, at_end: bool) -> Jets:
-        """Return the jets at the start or the end, in the direction of motion."""
         bottom, top, _ = self.end_span(at_end)
         jets = span_jets(bottom, top, np.zeros((1, 4, 3)))
         return jets.backwards() if at_end else jets
@@ -322,7 +321,6 @@ class SplineMoves:
         self.bend_jump = max(self.bend_jump, jumps[1])
 
     def losses(self) -> list[str]:
-        """List the effects on a control that uses one parameter for both curves and joins none."""
         rate, bend = self.rate_jump / DEG * MM, self.bend_jump / DEG * MM**2
         notes = [
             'a control with u_top = u_bottom that does not connect curves sees jumps of the '

@@ -36,8 +36,6 @@ SWEEPS = 2  #: Number of times that the feed direction is taken from the pass it
 
 @dataclass(frozen=True)
 class ClassicalPass:
-    """One pass with constant angles."""
-
     curve: SurfaceCurve  #: Path of the guided point K.
     s: FloatArray  #: (n,): Places of the postures [m].
     postures: Postures  #: The postures there.
@@ -88,7 +86,6 @@ class _Run:
     def all_passes(
         self, start: float | None, progress: Callable[[float], None] | None
     ) -> ClassicalPaths:
-        """Add passes until the strip has left the surface or the next pass would loop."""
         passes = [self.first_pass(start)]
         while self.covers_more(passes[-1]):
             if len(passes) >= MOST_PASSES:
@@ -116,7 +113,6 @@ class _Run:
         return self.made(u, v, 1)
 
     def made(self, u: FloatArray, v: FloatArray, number: int) -> ClassicalPass:
-        """Make a pass through points, from beyond the border to beyond the border."""
         raw = SurfaceCurve.through(self.surface, self.cutter.corner_radius, *self.longer(u, v))
         s = np.linspace(0.0, raw.length, max(25, int(raw.length / SPACING)))
         curve = SurfaceCurve.through(raw.surface, raw.offset, *raw.parameters(s).T)
@@ -171,7 +167,6 @@ class _Run:
         return float(np.clip((here - level.min()) / np.ptp(level), 0.0, 1.0))
 
     def followed(self, before: ClassicalPass) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return u and v of the next pass, and where they were found; shapes (n,)."""
         frames, right = before.postures.frames, before.right
         along = right.tangent
         point = self.surface.at(frames.u, frames.v)

@@ -20,8 +20,6 @@ MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 
 @dataclass(frozen=True)
 class ActiveModes:
-    """A modal state."""
-
     codes: tuple[str, ...]  #: The active code of each modal group, such as G1, G17, G21, G90.
     feedrate: float  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
     duration: float  #: Duration of a block with G93 [s]; NaN where none is set.

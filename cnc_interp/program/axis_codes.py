@@ -25,7 +25,6 @@ class AxisCodes:
         self._mover, self.fault = mover, mover.fault
 
     def execute(self, code: str, words: BlockWords) -> None:
-        """Execute a code and remove its words from the block."""
         mover, values = self._mover, words.values
         frames = mover.frames
         if code == 'G10':

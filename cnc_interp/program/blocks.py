@@ -75,7 +75,6 @@ class Blocks(Table):
 
     @property
     def by_rotary(self) -> BoolArray:
-        """Return in which rows the rotary axes run linearly, shape (n,)."""
         return np.asarray(self.interpolation != POSES)
 
 
@@ -88,7 +87,6 @@ class BlockSpool:
         self._record = np.dtype([])
 
     def append(self, blocks: Blocks) -> None:
-        """Write more rows to the file; OSError if the disk is full."""
         columns = blocks.columns()
         if not self._rows:
             self._record = np.dtype([(n, c.dtype, c.shape[1:]) for n, c in columns.items()])

@@ -32,7 +32,6 @@ _NEAR = 0.5 * MM
 def cycle_of(
     minor: str, units: dict[str, float], unit: float, fault: Callable[[str, str], ProgramError]
 ) -> Hole:
-    """Return the hole of a CYCLE statement; its levels are above the points that follow."""
     kind, *words = [word.strip() for word in minor.split(',')]
     if kind not in KINDS:
         raise fault('this cycle is not supported; output the tool path as GOTO points', kind)

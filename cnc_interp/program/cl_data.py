@@ -68,8 +68,6 @@ class _Circle:
 
 
 class ClReader:
-    """A reader of CL data; ``blocks`` runs it."""
-
     def __init__(self, geometry: Transform, settings: Settings, source: Source, notices: Notices):
         self.settings, self.source, self.notices = settings, source, notices
         self.targets = TargetColumns(geometry, settings, source.name)
@@ -205,7 +203,6 @@ class ClReader:
         self.feedrate, self.rapid = kept, False
 
     def _go(self, x: float, y: float, z: float) -> None:
-        """Add a target at a point [m]."""
         if not max(abs(x), abs(y), abs(z)) <= _FARTHEST:
             raise self._fault('a coordinate beyond 100,000 mm; correct it or UNITS', 'GOTO')
         arc = NO_ARC if self._circle is None else self._arc_to(self._circle, np.array([x, y, z]))
@@ -351,7 +348,6 @@ class ClReader:
             raise self._fault(cl_words.UNKNOWN, major)
 
     def _switch(self, major: str, minor: str) -> bool:
-        """Record the functions of a word; False where the machine has no outputs for it."""
         words, given = cl_words.machine_words(major, minor)
         if not words or not set(words) <= self._signals.words.keys() | {'T'}:
             return False
@@ -363,7 +359,6 @@ class ClReader:
         return True
 
     def _system_of(self, minor: str) -> tuple[FloatArray, FloatArray] | None:
-        """Return axes and origin of a coordinate system, in the unit of the text."""
         return system_of([float(w) for w in minor.split(',')] if _NUMBERS.fullmatch(minor) else [])
 
     def _moves(self, minor: str) -> bool:

@@ -42,13 +42,10 @@ def system_of(numbers: Sequence[float]) -> tuple[FloatArray, FloatArray] | None:
 
 
 def moves(system: tuple[FloatArray, FloatArray]) -> bool:
-    """Tell whether a system differs from that in which it lies."""
     return bool(np.abs(system[0] - np.eye(3)).max() > 1e-9 or np.abs(system[1]).max() > 1e-9)
 
 
 class ClFrames:
-    """The frame of the points of CL data, in the unit of the text."""
-
     def __init__(self) -> None:
         self._first: tuple[FloatArray, FloatArray] | None = None
         self._system = self._cut = self._copied = np.eye(3), np.zeros(3)
@@ -57,7 +54,6 @@ class ClFrames:
         self.kept: list[tuple[int, str]] = []  # statements since the first INDEX
 
     def enter(self, system: tuple[FloatArray, FloatArray]) -> bool:
-        """Take the points from here on in a system; return whether it is not the first one."""
         self._first = axes, origin = self._first or system
         self._system = axes.T @ system[0], axes.T @ (system[1] - origin)
         self._note()
@@ -92,7 +88,6 @@ class ClFrames:
             self.kept.append((line_number, statement))
 
     def copy(self, minor: str, run: Callable[[int, str], None]) -> bool:
-        """Process COPY/n,TRANSL,x,y,z,times and the like; return whether it can be read."""
         match = _COPY.fullmatch(minor)
         if match is None or int(match[1]) not in self._marks:
             return False

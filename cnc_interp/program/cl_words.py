@@ -59,7 +59,6 @@ FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}
 
 
 def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
-    """Return the words of G-code that switch what a word of CL data does, and their values."""
     fields = [field.strip() for field in minor.split(',')]
     numbers = [float(field) for field in fields if re.fullmatch(r'\d+\.?\d*', field)]
     if major == 'SPINDL':

@@ -35,13 +35,10 @@ Fault = Callable[[str], ProgramError]
 
 @dataclass(frozen=True)
 class ToolShape:
-    """A filleted cutter."""
-
     radius: float  #: Radius of its cylinder [m].
     corner_radius: float  #: Radius of its corner, at most ``radius`` [m].
 
     def beyond(self, other: ToolShape) -> ToolShape:
-        """Return the differences to another cutter; they may be negative."""
         return ToolShape(self.radius - other.radius, self.corner_radius - other.corner_radius)
 
     def shift(self, normal: FloatArray, axis: FloatArray) -> FloatArray:

@@ -75,7 +75,6 @@ def _head(source: Source) -> str:
 
 
 def form_of(source: Source) -> str:
-    """Return the form of a text: 'gcode', 'cl' or 'heidenhain'."""
     for line in _head(source).splitlines()[:_HEAD_LINES]:
         if _HEIDENHAIN_LINE.match(line):
             return 'heidenhain'

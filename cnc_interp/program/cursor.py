@@ -34,8 +34,6 @@ class Structure:
 
 @dataclass
 class Loop:
-    """A running loop."""
-
     label: str
     begin: LineStart  #: The line of its head.
     rounds: int = 0  #: Those that remain, the present one included.
@@ -60,8 +58,6 @@ class _Call:
 
 
 class Cursor:
-    """A position in a program and its subprograms."""
-
     def __init__(self, source: Source, variables: ProgramVariables, most_jumps: int):
         self.main = self.source = source
         self.variables = variables
@@ -84,7 +80,6 @@ class Cursor:
         self.row, self.jumped = row, True
 
     def here(self) -> bool:
-        """Load the next lines; return False at the end of the program."""
         while not self.ended:
             if self.row < len(self.window):
                 return True
@@ -111,7 +106,6 @@ class Cursor:
 
     @property
     def share(self) -> float:
-        """Return the part of the main program that has been read, 0 to 1."""
         for call in self._calls:
             if call.source is self.main:
                 return self.main.share(call.back)
@@ -155,7 +149,6 @@ class Cursor:
         self, stem: str, pattern: bytes, rounds: int, arguments: dict[int, float],
         own_variables: bool, vacant: bool = False,
     ) -> None:  # fmt: skip
-        """Run a subprogram of this file, or of a separate file in the same folder."""
         if rounds < 1:
             self.go(self.window.place(self.row + 1))
             return
@@ -214,7 +207,6 @@ class Cursor:
             raise self.fault(f'the subprogram {stem}: {problem}', stem) from None
 
     def leave(self) -> None:
-        """Return from a subprogram, or begin its next round."""
         call = self._calls[-1]
         if call.rounds > 0:
             call.rounds -= 1

@@ -46,8 +46,6 @@ Told = Callable[[ProgramError], None]  #: Takes what is told instead of refused.
 
 @dataclass(frozen=True)
 class Element:
-    """A line or an arc in the plane."""
-
     #: End points [m].
     start: complex
     end: complex
@@ -65,7 +63,6 @@ class Element:
 
     @property
     def radius(self) -> float:
-        """Radius of an arc at its start [m]."""
         return abs(self.start - self.centre)
 
     @property
@@ -194,11 +191,9 @@ class CutterRadius:
         return bool(self._rows)
 
     def stop_here(self, kind: float) -> None:
-        """Stop at the end of the row that came last, as ``TargetColumns.stop_here``."""
         self._rows[-1][col.EXACT_STOP] = max(self._rows[-1][col.EXACT_STOP], kind)
 
     def push(self, row: FloatArray) -> list[FloatArray]:
-        """Take the next row of the program; return the rows of the tool centre that are final."""
         if np.abs(np.nan_to_num(row[col.ROTARY] - self._rotary)).max() > 0.0:
             raise self._fault('rotary motion in cutter compensation; write G40 before', row)
         element = self._element(row)
@@ -234,7 +229,6 @@ class CutterRadius:
             row[col.DURATION] = nan
 
     def _enter(self, element: Element, row: FloatArray) -> None:
-        """Begin with a line that ends beside its own end, or with an arc that does."""
         left, stands = 1j * self._distance, element.start
         if not element.is_arc:
             if abs(element.end - element.start) <= abs(self._distance):
@@ -323,7 +317,6 @@ class CutterRadius:
         return [self._row_of(part, first), *(self._moved(other, end) for other in others)]
 
     def _row_of(self, part: Element, row: FloatArray) -> FloatArray:
-        """Return the row of an element of the path; ``row`` gives all else."""
         made = self._moved(row, part.end)
         if not part.is_arc:
             return made
@@ -378,7 +371,6 @@ class CutterRadius:
         self._pending.append((before, after, fault))
 
     def end(self) -> Iterable[FloatArray]:
-        """Return the rows that wait; the tool stands beside the end of the contour then."""
         rows, self._rows = self._rows, []
         if self._pending:
             raise self._pending[0][2]

@@ -31,8 +31,6 @@ _SHIFTING = {'G76', 'G87'}
 
 
 class CannedCycle:
-    """The active canned cycle."""
-
     def __init__(self, code: str, start: float):
         self.code, self.start = code, start
         self._sticky: dict[str, float] = {}
@@ -76,7 +74,6 @@ class CannedCycle:
                               '--dialect fanuc', self.code)  # fmt: skip
 
     def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
-        """Drill one hole at a position in program coordinates, shape (5,) [m, rad]."""
         depth, retract = (self._sticky['XYZ'[axis]], self._sticky['R'])
         here = mover.here()
         level = float(here[axis])

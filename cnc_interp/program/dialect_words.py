@@ -26,8 +26,6 @@ _KNOWN = sorted(
 
 
 class NamedWords:
-    """The words of a block that have a name instead of a letter."""
-
     def __init__(
         self, mover: Mover, modes: Modes, plane: TiltedPlane, variables: ProgramVariables
     ):

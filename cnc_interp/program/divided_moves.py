@@ -29,7 +29,6 @@ _LONGEST_TURN = 8.0 * 360.0 * DEG
 
 
 def portions(moves: Moves) -> list[slice]:
-    """Divide motions into parts that do not give too many blocks each."""
     turned = np.nan_to_num(np.abs(moves.rows[:, col.SWEEP])) + np.abs(moves.sweep).sum(axis=1)
     portion = np.floor(np.cumsum(turned) / _MOST_TURN)
     edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(turned)]

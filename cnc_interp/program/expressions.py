@@ -139,7 +139,6 @@ def _parser() -> Lark:
 
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
-    """Parse a line, a row of bracketed values, a condition, or a formula of Heidenhain."""
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:
@@ -310,8 +309,6 @@ UNSET = 'is read before it is set; set it in the program'
 
 
 class ProgramVariables:
-    """The variables of a program, and the system variables that it can read."""
-
     def __init__(
         self,
         system: Callable[[], Mapping[int, float]],
@@ -328,7 +325,6 @@ class ProgramVariables:
         self._numbers, self._names = dict(before._numbers), dict(before._names)
 
     def enter(self, arguments: Mapping[int, float], vacant: bool) -> None:
-        """Begin a subprogram with its own local variables; those not set are vacant, or 0."""
         self._locals.append((dict(arguments), {}))
         self._vacant.append(vacant)
 
@@ -393,6 +389,5 @@ class ProgramVariables:
         return name in self._table(name) or (name.startswith('<_') and name in self._predefined())
 
     def _table(self, name: str) -> dict[str, float]:
-        """Return the table of a name: local for ``#<name>``, global for the others."""
         local = name.startswith('<') and not name.startswith('<_')
         return self._locals[-1][1] if self._locals and local else self._names

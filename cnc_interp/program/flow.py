@@ -50,10 +50,6 @@ _MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by on
 
 
 class Flow(Structures):
-    """A cursor that executes the statements which move it."""
-
-    # --- statements ----------------------------------------------------------------------------
-
     def execute(self, line: str) -> str | None:
         """Execute a flow statement; return what is left of the line after a label or THEN."""
         if ':' in line and (match := _LABEL.match(line)):
@@ -131,7 +127,6 @@ class Flow(Structures):
     # --- words of Siemens ----------------------------------------------------------------------
 
     def _siemens(self, line: str) -> bool:
-        """Execute a line if it is a flow statement of Siemens."""
         if self._calls_by_name(line):
             return True
         match = _KEYWORD.fullmatch(line)
@@ -203,7 +198,6 @@ class Flow(Structures):
             self.variables.set_name(f'{name}[{index[1:]}]', number)
 
     def _calls_by_name(self, line: str) -> bool:
-        """Execute a subprogram call by its name, L and a number, or CALL "NAME"."""
         match = _CALL.fullmatch(line)
         if match is None or (match[2] or '') in (*ENDS, *HEADS, *BETWEEN, 'RET', 'GOTOS'):
             return False

@@ -50,11 +50,9 @@ class Frames:
         return offset
 
     def base(self, name: str) -> FloatArray:
-        """Return the rotation of a work offset, shape (3, 3)."""
         return rotation(2, self._setup.rotation(name))
 
     def follow(self, before: Frames) -> None:
-        """Take over what another program has set and the setup does not hold."""
         self.named, self.length, self.local = before.named, before.length, before.local.copy()
         self.shift, self.programmed_turn = before.shift, before.programmed_turn
         self.along = before.along
@@ -135,7 +133,6 @@ class Frames:
         self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''
 
     def tilt(self, code: str, shift: Vector, turn: FloatArray) -> None:
-        """Shift the frame along its own axes (3,) [m], then turn it by a code of the program."""
         self.tilt_code = code
         self.shift = self.shift + self.programmed_turn @ shift
         self.programmed_turn = self.programmed_turn @ turn
@@ -150,7 +147,6 @@ class Frames:
         self.update()
 
     def move(self, shift: Vector) -> None:
-        """Shift the frame along its own axes, (3,) [m]."""
         self.shift = self.shift + self.programmed_turn @ shift
         self.update()
 

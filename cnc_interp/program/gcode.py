@@ -49,8 +49,6 @@ _UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\
 
 
 class GcodeReader:
-    """A reader of G-code; ``blocks`` runs it."""
-
     def __init__(
         self, geometry: Transform, settings: Settings, setup: JobSetup, source: Source,
         notices: Notices, dialect: Dialect = PLAIN,
@@ -90,7 +88,6 @@ class GcodeReader:
         return self.flow.share * self.targets.share
 
     def follow(self, before: GcodeReader) -> None:
-        """Take over the modal state and the variables of another reader, which stays as it is."""
         self.mover.follow(before.mover)
         self.variables.follow(before.variables)
         self._chosen_tool = before._chosen_tool or self._tool
@@ -104,7 +101,6 @@ class GcodeReader:
             self._cycle.start = self._level()
 
     def _level(self) -> float:
-        """Return the position along the tool of a canned cycle, in program coordinates [m]."""
         return float(self.mover.here()[PLANES[self.mover.plane][2]])
 
     def active_modes(self, offset: str, tool: int) -> ActiveModes:
@@ -156,7 +152,6 @@ class GcodeReader:
         yield from targets.finish()
 
     def _goes_on(self, refused: Refusals) -> bool:
-        """Tell whether there is another line. Text that cannot be read ends with all refusals."""
         try:
             return self.flow.here()
         except ProgramError as problem:
@@ -164,7 +159,6 @@ class GcodeReader:
             raise refused.error() from None
 
     def _next_lines(self, together: bool) -> None:
-        """Execute the next lines: plain ones together if wanted, others one by one."""
         flow = self.flow
         window, row = flow.window, flow.row
         end = self._until_start(row, window.next_rare(row))
@@ -341,7 +335,6 @@ class GcodeReader:
             self._return(min(codes.RETURN_M.intersection(words.m)))
 
     def _siemens_cycle(self, words: BlockWords) -> list[SiemensCycle]:
-        """Take the drilling cycles of Siemens out of a block; return those that it runs."""
         mover, modal, found = self.mover, False, list[SiemensCycle]()
         if not words.keys:
             return found
@@ -477,7 +470,6 @@ class GcodeReader:
         return moments
 
     def _act(self, steps: list[Acting]) -> None:
-        """Record functions after the last target, which rests where one waits."""
         for number, value in steps:
             if self._signals.steps[number].wait != NO_WAIT:
                 self.mover.end_corner()

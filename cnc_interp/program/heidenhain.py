@@ -60,8 +60,6 @@ _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
 
 class HeidenhainReader(GcodeReader):
-    """A reader of Heidenhain plain text."""
-
     def __init__(self, *given: Any):
         super().__init__(*given)
         self.centre = 0j  # CC in the plane [m]
@@ -107,7 +105,6 @@ class HeidenhainReader(GcodeReader):
         return formula(text, self.variables)
 
     def _assign(self, line: str) -> bool:
-        """Set a parameter by ``Q1 = ...``, if the line does."""
         if match := _SET.fullmatch(line):
             self.variables.set_name(match[1], self._value(match[2]))
         return match is not None
@@ -147,7 +144,6 @@ class HeidenhainReader(GcodeReader):
         return place
 
     def _call(self, label: str, repeats: str | None) -> None:
-        """Process CALL LBL: run a subprogram once, or repeat the section since a label."""
         flow = self.flow
         if repeats is None:
             flow.call(f'LBL {label}', self._pattern(label), 1, {}, own_variables=False)
@@ -317,7 +313,6 @@ class HeidenhainReader(GcodeReader):
         return complex(point[a], point[b])
 
     def _set_centre(self, values: dict[str, float]) -> None:
-        """Process CC: the centre of circles and polar coordinates."""
         place, a, b = self.mover.here(), *PLANES[self.mover.plane][:2]
         given = self._place(values)
         for i, letter in enumerate('XYZ'):
@@ -329,7 +324,6 @@ class HeidenhainReader(GcodeReader):
         self, values: dict[str, float], place: dict[str, float], on_arc: bool, words: BlockWords,
         turn: str,
     ) -> None:  # fmt: skip
-        """Put the place of LP and CP, in polar coordinates about CC, into a line."""
         unit, arm = self.mover.unit, self._flat(self.mover.here()) - self.centre
         radius, angle = abs(arm), phase(arm)
         if 'PR' in values:
@@ -377,7 +371,6 @@ class HeidenhainReader(GcodeReader):
         return 'G3' if ccw else 'G2'
 
     def _coming_corner(self) -> Corner:
-        """Return what RND or CHF in the next line asks for."""
         place = self.flow.window.place(self.flow.row + 1)
         text = _HEAD.fullmatch(self.flow.source.line_at(place).upper().split(';')[0])
         match = _CORNER.fullmatch(text[1]) if text else None

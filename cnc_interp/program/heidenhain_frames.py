@@ -19,8 +19,6 @@ from cnc_interp.program.words import BlockWords
 
 
 class HeidenhainFrames:
-    """The frames that are active, and where the rotary axes stand for them."""
-
     def __init__(self, mover: Mover, tilted: TiltedPlane):
         self._mover, self._tilted, self._fault = mover, tilted, mover.fault
         #: Datum shift [mm or inch, deg], plane and rotation [deg], and the angles of cycle 19.

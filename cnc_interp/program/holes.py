@@ -78,7 +78,6 @@ def pecks_of(
 def go_along(
     mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool, rapid: bool = True
 ) -> None:
-    """Go to a level of the drilling axis [m] at a place in program coordinates, (5,) [m, rad]."""
     target = place.copy()
     target[axis] = along
     rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary

@@ -32,8 +32,6 @@ _DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 
 @dataclass(frozen=True)
 class Tool:
-    """An entry of the tool table."""
-
     length: float = 0.0  #: Length along the tool that G43 uses [m].
     radius: float = 0.0  #: Radius of the cutter [m].
     remark: str = ''  #: Anything that tells it from others, in one line.
@@ -54,8 +52,6 @@ class Tool:
 
 @dataclass(frozen=True)
 class SetupChange:
-    """One change of a setup."""
-
     field: str  #: Name of the field of ``JobSetup``.
     value: Any  #: Its new value, or that of one entry; None removes the entry.
     #: The entry that changes, where the field is a mapping of entries.
@@ -93,11 +89,9 @@ class JobSetup:
 
     @property
     def loaded_length(self) -> float:
-        """Length of the tool in the spindle [m]; 0 if it is not in the table."""
         return self.tools.get(self.tool, Tool()).length
 
     def rotation(self, name: str) -> float:
-        """Return the rotation of a work offset about Z [rad]."""
         return self.work_offsets.get(name, {}).get(ROTATION, 0.0)
 
     def changed(self, change: SetupChange) -> JobSetup:
@@ -150,7 +144,6 @@ class JobSetup:
         return _Reading('<setup>').setup(parse_yaml(text)) if text else JobSetup()
 
     def text(self) -> str:
-        """Return the text of a setup file, in mm and deg to nine digits after the point."""
         content: dict[str, Any] = {
             'work_offsets': {
                 name: _position_shown(self.work_offsets[name])
@@ -189,7 +182,6 @@ def _shown(value: float, unit: float) -> float:
 
 
 def _position_shown(position: Position) -> dict[str, float]:
-    """Return a position in mm and deg, in the order of the letters."""
     return {
         letter: _shown(position[letter], MM if letter in 'XYZ' else DEG)
         for letter in (*LETTERS, ROTATION)

@@ -50,7 +50,6 @@ class MdiReader:
         return MdiLine(reader, notices)
 
     def keep(self, line: MdiLine) -> None:
-        """Take over the modal state of a line; M2 and M30 restore that of the start."""
         self._last = line.reader
         if line.reader.finished:
             self._last = self._reader('', Notices(), JobSetup())

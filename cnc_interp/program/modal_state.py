@@ -158,7 +158,6 @@ class ModalState:
         self.vector: FloatArray | None = None
 
     def follow(self, before: ModalState) -> None:
-        """Take over the settings of another program, not its position."""
         for name in (*_SETTINGS, *_VALUES):
             setattr(self, name, getattr(before, name))
         self.frames.follow(before.frames)
@@ -221,7 +220,6 @@ class ModalState:
     # --- setup ---------------------------------------------------------------------------------
 
     def change(self, change: SetupChange) -> None:
-        """Change the setup from here on; the axes do not move."""
         if change.field == 'active' and not self.targets.empty:
             self.used.add(self.setup.offset)
         if change.field == 'active' and change.value:
@@ -290,12 +288,10 @@ class ModalState:
                         'tip in the machine file (tip_to_secondary_pivot_mm)')  # fmt: skip
 
     def aim(self) -> None:
-        """Take the tool length along the tool axis, with tool-tip programming on."""
         self.frames.along = self.tool_axis if self.tcp else np.array([0.0, 0.0, 1.0])
         self.frames.update()
 
     def set_oriented(self, oriented: bool) -> None:
-        """Take X Y Z as positions of the tool tip on a tilted plane, or no longer."""
         self.oriented = oriented and bool(self.rotary_letters)
         if self.tcp in ('', ORIENTED):
             self.switch_tcp('')

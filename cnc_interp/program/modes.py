@@ -20,8 +20,6 @@ USUAL = Settings().contour_tolerance, Settings().orientation_tolerance
 
 
 class Modes:
-    """The settings of a program that change more than one attribute."""
-
     def __init__(self, mover: Mover):
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
 
@@ -157,7 +155,6 @@ class Modes:
             self._mover.shifted += before - self._mover.here()
 
     def path_tolerance(self, words: BlockWords) -> None:
-        """Process G64 P: set both tolerances; without P, restore those of the user."""
         tolerance = words.values.pop('P', None)
         q = words.values.pop('Q', None)  # ignored: the compressor stays within P in any case
         if q is not None and (tolerance is None or not q >= 0.0):

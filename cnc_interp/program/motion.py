@@ -75,7 +75,6 @@ class Mover(ModalState):
             self.switch_tcp(by_machine)
 
     def _end_at_angle(self, target: FloatArray, letters: set[str], angle: float) -> None:
-        """Process ANG: the line has this angle in the plane; one word of its end is given."""
         a, b, _ = PLANES[self.plane]
         given, wanted = (a, b) if 'XYZ'[a] in letters else (b, a)
         here, slope = self.here(), np.tan(angle) if given == a else 1.0 / np.tan(angle)
@@ -98,7 +97,6 @@ class Mover(ModalState):
         self.go(point, rotary, rapid=True)
 
     def begin_radius(self, code: str, distance: float) -> None:
-        """Take the motion from here on as a contour beside which the tool runs, by G41 or G42."""
         if self.targets.empty:
             raise self.fault('move to a place beside the contour before', code)
         frame = self.frames.turn[:, list(PLANES[self.plane])]
@@ -169,7 +167,6 @@ class Mover(ModalState):
         return any(letter in words.values for letter in letters)
 
     def target(self, words: BlockWords) -> FloatArray:
-        """Take the axis words of a block; return its target, (5,), in its coordinates [m, rad]."""
         if self.beside is not None and not set('XYZ').isdisjoint(words.values):
             along = 'XYZ'[PLANES[self.plane][2]]
             if set('XYZ') & words.values.keys() != {along}:
@@ -327,7 +324,6 @@ class Mover(ModalState):
             self.targets.add(row)
 
     def _make_corner(self, after: FloatArray, is_other: bool) -> FloatArray:
-        """Add the line that waits, and its corner; return where that ends."""
         assert self.held is not None
         corner, fault, before, row, changed = self.held
         self.held = None

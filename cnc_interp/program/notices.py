@@ -18,7 +18,6 @@ def warnings_of(notices: Iterable[str]) -> list[str]:
 
 
 def tell(notices: Sequence[str]) -> None:
-    """Print what the reader noticed; warnings last, in red where there is a terminal."""
     warnings = warnings_of(notices)
     for notice in notices:
         if notice not in warnings:

@@ -24,8 +24,6 @@ from cnc_interp.settings.options import Settings
 
 @dataclass(frozen=True)
 class Program:
-    """A part program that has been read."""
-
     blocks: Blocks  #: Row 0 is the start pose. Each other row is one linear piece of motion.
     #: Words that had no effect or were simplified, each with its first line.
     notices: tuple[str, ...]
@@ -89,7 +87,6 @@ class ProgramStream:
 
     @property
     def start(self) -> StartLine:
-        """The line at which the run starts, if it is not the top."""
         return self._reader.targets.start
 
     @property
@@ -133,7 +130,6 @@ def open_program(
     path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
     folders: Sequence[str] | None = None,
 ) -> ProgramStream:  # fmt: skip
-    """Open a part program to read it batch by batch; ``folders`` as for ``open_named``."""
     return ProgramStream(Source.of_file(path, folders), geometry, settings, setup)
 
 

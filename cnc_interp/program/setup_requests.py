@@ -139,7 +139,6 @@ def work_coordinates(
 def _frames(
     setup: JobSetup, name: str, machine: Position, zero: Position
 ) -> tuple[Frames, FloatArray]:
-    """Return frames with an offset and the tool in the spindle; where the axes stand, (5,)."""
     letters = list(machine)
     origin = np.array([zero[letter] for letter in letters[:3]])
     used = setup.changed(SetupChange('active', name or setup.offset))

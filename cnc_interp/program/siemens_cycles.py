@@ -30,8 +30,6 @@ Given = Sequence[float | None]
 
 
 class SiemensCycle:
-    """A cycle with its arguments."""
-
     def __init__(self, name: str, given: Given, mover: Mover):
         self.name, self._given, self._mover = name, given, mover
         if None in (self._at(0), self._at(1)) or (self._at(3), self._at(4)) == (None, None):

@@ -58,7 +58,6 @@ class LineWindow:
         return int(self.rare[at]) if at < len(self.rare) else len(self)
 
     def place(self, row: int) -> LineStart:
-        """Return the place of a line; the row after the last one begins the next window."""
         if row < len(self):
             return LineStart(self.start.offset + int(self.first[row]), self.start.line + row)
         return LineStart(self.start.offset + len(self.text), self.start.line + row)
@@ -102,7 +101,6 @@ class Source:
         return Source(file, str(path), folders and [*folders, str(path.parent)])
 
     def beside(self, path: Path) -> Source:
-        """Open the file of a subprogram; InterpError if it may not be opened."""
         return Source.of_file(path, self.folders)
 
     def close(self) -> None:
@@ -119,7 +117,6 @@ class Source:
         return self._window
 
     def lines(self, place: LineStart) -> bytes:
-        """Read whole lines from a place on; the last one always ends with a newline."""
         self._stream.seek(place.offset)
         text = self._stream.read(_FIRST_WINDOW if place.line == 1 else _WINDOW)
         if not text:

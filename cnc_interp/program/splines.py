@@ -152,8 +152,6 @@ def _along(tip: Point, axis: Point, length: float) -> Point:
 
 
 class Splines:
-    """The native splines of a program."""
-
     def __init__(self, mover: Mover):
         self._mover = mover
         self._curve: ProgrammedCurve | None = None
@@ -166,7 +164,6 @@ class Splines:
         return self._curve is not None
 
     def begin(self) -> None:
-        """Process BSPLINE: later blocks are control points; the tool is at the first one."""
         mover = self._mover
         if self._curve is not None:
             return
@@ -192,7 +189,6 @@ class Splines:
         )  # fmt: skip
 
     def take(self, words: BlockWords, feed_given: bool) -> bool:
-        """Take a block if it is a control point; of a line, make its second point the axis."""
         mover = self._mover
         named = [(str(name), value) for name, value in words.sets if name in CURVE_WORDS]
         given = dict(named)
@@ -224,7 +220,6 @@ class Splines:
         return True
 
     def end(self, stop: bool = False) -> None:
-        """Close the open curve and add its rows; linear blocks continue from its end."""
         curve, self._curve = self._curve, None
         rows = None if curve is None else curve.blocks(self._mover.flow.main_line)
         if rows is None:

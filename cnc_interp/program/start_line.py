@@ -13,8 +13,6 @@ from cnc_interp.core.errors import ProgramError
 
 @dataclass(frozen=True)
 class StartBlock:
-    """Where in the program a run starts."""
-
     line: int  #: The line that was asked for.
     row: int  #: Row of ``Blocks`` with the first motion from there on.
     #: How often the program executes the line, and the execution that was asked for, from 1.

@@ -24,8 +24,6 @@ _BRANCH = re.compile(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)')
 
 
 class Structures(Cursor):
-    """A cursor that executes branches, loops and jumps."""
-
     def condition(self, text: str) -> float:
         try:
             (node,) = parse(text, 'condition')
@@ -40,7 +38,6 @@ class Structures(Cursor):
         self.go(self.source.after(place))
 
     def run_word(self, what: Structure, word: str, rest: str) -> None:
-        """Execute a word of a structure; ``rest`` follows it in the line."""
         loop = self.loops[-1] if self.loops else None
         ends_do = word == 'WHILE' and loop and loop.what == what and loop.word == 'DO'
         if word == 'IF':
@@ -68,7 +65,6 @@ class Structures(Cursor):
                 self.back_or_on(loop.begin)
 
     def _loop_of(self, what: Structure, word: str) -> Loop:
-        """Return the running loop to which a word belongs, and leave those within it."""
         while self.loops and not (
             self.loops[-1].what == what and HEADS.get(word) in (None, self.loops[-1].word)
         ):

@@ -34,8 +34,6 @@ MOST_CHANGES = 1000  #: More changes of the setup than this are not kept one by 
 
 @dataclass(frozen=True)
 class ProgramChange:
-    """A change of the setup by a program."""
-
     change: SetupChange  #: What changes.
     line_number: int  #: Line of the program.
     #: Row of the blocks before which it happens; the number of rows after the last one.
@@ -43,8 +41,6 @@ class ProgramChange:
 
 
 class TargetColumns:
-    """Growing columns of motion targets that are converted to blocks in batches."""
-
     def __init__(self, geometry: Transform, settings: Settings, source: str):
         self._geometry, self._settings, self._source = geometry, settings, source
         self._rows = array('d')
@@ -93,7 +89,6 @@ class TargetColumns:
         self._radius = CutterRadius(distance, frame, before, self._source, own_entry, told)
 
     def end_radius(self) -> FloatArray:
-        """End the contour; return the point at which the tool stands, shape (3,) [m]."""
         if self._radius is not None:
             radius, self._radius = self._radius, None
             for ready in radius.end():
@@ -101,7 +96,6 @@ class TargetColumns:
         return np.array(self._rows[-col.WIDTH :])[col.POINT]
 
     def change(self, change: SetupChange | tuple[int, float], line_number: int) -> None:
-        """Record a change of the setup, or step and value of a function, after the last target."""
         self.changed += 1
         self._coming.append((self.changed, change, line_number))
 
@@ -136,7 +130,6 @@ class TargetColumns:
             self._rows[at] = max(self._rows[at], kind)
 
     def program_stop(self) -> None:
-        """Let the functions since the last target act before the program stop (M0, M1) there."""
         self._stops.append((self._at_last, self.changed))
 
     def stand_at(self, rotary: FloatArray) -> None:
@@ -146,7 +139,6 @@ class TargetColumns:
             self._rows[last + col.ROTARY.start : last + col.ROTARY.stop] = array('d', rotary)
 
     def add_curve(self, curve: Blocks, end: tuple[float, ...], passes: int, changed: int) -> None:
-        """Add a native spline that begins at the last target; what changes in it does so after."""
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None
@@ -164,7 +156,6 @@ class TargetColumns:
 
     @property
     def share(self) -> float:
-        """The part of the targets so far that became blocks, 0 to 1."""
         return self._emitted / max(self._emitted + len(self._rows) / col.WIDTH, 1.0)
 
     def take(self) -> list[Blocks]:

@@ -36,8 +36,6 @@ BY_AXES, SOLID, PROJECTED, DIRECT = range(4)  #: Kinds of angles of CYCLE800.
 
 
 class TiltedPlane:
-    """The tilted working plane of a program."""
-
     def __init__(self, mover: Mover):
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
         #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
@@ -131,7 +129,6 @@ class TiltedPlane:
             self._set(code, origin, self.plane_of(along, normal), angle)
 
     def plane_of(self, along: FloatArray, normal: FloatArray) -> FloatArray:
-        """Return the rotation to a plane by its X, roughly, and its Z, shape (3, 3)."""
         z = self._unit(normal)
         y = self._unit(np.cross(z, self._unit(along)))
         return np.stack([np.cross(y, z), y, z], axis=1)
@@ -144,7 +141,6 @@ class TiltedPlane:
         return np.asarray(direction / length)
 
     def _along_tool(self, origin: FloatArray, named: set[str], angle: float) -> None:
-        """Define the plane on which the tool stands now; its X is at right angles to Z."""
         if named and len(named) < 3:
             raise self.fault('give X, Y and Z of the origin, or none of them', 'G68.3')
         mover = self._mover
@@ -256,7 +252,6 @@ class TiltedPlane:
         return min(wanted or found, key=lambda pair: float(np.abs(pair - mover.rotary).sum()))
 
     def swivel(self, given: Sequence[float | None], words: BlockWords) -> None:
-        """Process CYCLE800: shift, turn, shift, and turn the tool."""
         values = [value or 0.0 for value in given] + [0.0] * (DIRECTION + 1)
         state, direction = int(values[STATE]), values[DIRECTION]
         if direction not in (-1.0, 1.0):

@@ -53,8 +53,6 @@ _GROUP_BEFORE = re.compile(
 
 @dataclass
 class BlockWords:
-    """The words of one line."""
-
     #: Codes in their shortest form ('G1', 'G43.4', 'M3'), in the order of the line.
     g: list[str] = field(default_factory=list)
     m: list[str] = field(default_factory=list)

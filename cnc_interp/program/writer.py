@@ -41,7 +41,6 @@ class Modal:
         return Modal({})
 
     def words(self, pairs: Iterable[tuple[str, str]]) -> str:
-        """Return the pairs of letter and number that differ from the last ones written."""
         changed = [(letter, text) for letter, text in pairs if self.kept.get(letter) != text]
         self.kept.update(changed)
         return ' '.join(letter + text for letter, text in changed)
@@ -68,7 +67,6 @@ class WrittenMove:
 
 
 def gcode(moves: Iterable[WrittenMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
-    """Return G-code with rotary words, ORIVECT or ORIAXES, and tool-tip programming."""
     state = Modal.empty()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
     if rotary_letters:
@@ -108,7 +106,6 @@ def gcode(moves: Iterable[WrittenMove], rotary_letters: tuple[str, ...], notes: 
 
 
 def siemens(moves: Iterable[WrittenMove], notes: list[str]) -> str:
-    """Return a Siemens 840D program with lines and cubic B-splines [B2013, section 4.1]."""
     state = Modal.empty()
     moves = list(moves)
     lines = [f'; {note}' for note in notes]

@@ -60,7 +60,6 @@ class LinuxCNCError(InterpError):
 
 
 def interpreter() -> str:
-    """Return how rs274 is called; '' where it is not installed."""
     found = os.environ.get('RS274') or shutil.which('rs274') or ''
     return found if Path(found).is_file() else ''
 
@@ -246,8 +245,6 @@ ROTATION = 10  #: The parameter of the rotation of a work offset, from its first
 
 @dataclass(frozen=True)
 class Setup:
-    """What LinuxCNC starts with."""
-
     parameters: Mapping[int, float] = field(default_factory=dict)  #: By number [inch, deg].
     tool_lengths: Mapping[int, float] = field(default_factory=dict)  #: By their numbers [m].
     tool: int = 0  #: The tool in the spindle; 0: none.

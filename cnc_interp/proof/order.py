@@ -57,8 +57,6 @@ class Pieces:
 
 @dataclass
 class Pursuit:
-    """How far a motion, taken chunk by chunk, has followed some pieces."""
-
     pieces: list[FloatArray]  #: Start, way and room of the P pieces; place and room of their ends.
     low: FloatArray  #: (P,): Least part of each piece in reach at the last sample, or infinite.
     #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
@@ -94,8 +92,6 @@ class Pursuit:
 
 @dataclass(frozen=True)
 class Order:
-    """What was found about the order of a motion."""
-
     #: What leaves the order, at which sample, and the furthest program row it reached.
     left: tuple[tuple[str, int, int], ...]
     #: (K,): First and last program row that each sample can execute; in temporary files.

@@ -85,7 +85,6 @@ def _prove_cells(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
 
 
 def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
-    """Check the planned feed against the programmed one, and the feed limit against Eq. 10."""
     (a, b), path, machine, cells = part, ledger.plan.path, ledger.machine, len(rows) - 1
     feed, near = path['feed'][a:b], held(path['programmed_feed'], a, b, 1, 1)
     around = np.maximum(near[1:-1], np.maximum(near[2:], near[:-2]))
@@ -149,7 +148,6 @@ def _prove_programmed_feed(
 
 
 def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
-    """Check that the setpoints lie on the path where they say, with its rows, feed and stops."""
     plan, path, count = ledger.plan, ledger.plan.path, len(ledger.plan.position)
     others, other = 0, -1
     for a, b in spans(count):

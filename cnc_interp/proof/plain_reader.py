@@ -44,8 +44,6 @@ _NAMED = re.compile(
 
 @dataclass(frozen=True)
 class ReadMove:
-    """One motion of a program."""
-
     line: int  #: Line of the text; 0 where the reader does not know it.
     rapid: bool  #: Whether it is a rapid.
     end: FloatArray  #: (3,): X Y Z at its end [m].

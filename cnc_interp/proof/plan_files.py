@@ -87,7 +87,6 @@ class Stored:
 
     @staticmethod
     def unpacked(values: IO[bytes], dtype: DTypeLike, shape: tuple[int, ...]) -> Stored:
-        """Return a column of the values of a stream, in a temporary file."""
         file = tempfile.TemporaryFile()  # noqa: SIM115
         shutil.copyfileobj(values, file, 1 << 20)
         file.flush()
@@ -345,7 +344,6 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
 
 
 def _stored(file: Path) -> dict[str, Stored]:
-    """Return the columns of plain values: they stay in files; compressed ones are unpacked."""
     found = {}
     content = file.open('rb', buffering=0)
     with ZipFile(file) as archive:
@@ -391,7 +389,6 @@ def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[An
 
 
 def _check_lengths(file: Path) -> None:
-    """Refuse an archive that declares more than it holds, before it is unpacked."""
     file.stat()
     if not file.is_file():
         raise ValueError('it is not a file')

@@ -193,7 +193,6 @@ class _Comparison:
         return room
 
     def take(self, move: ReadMove) -> bool:
-        """Compare one motion with its rows; return whether those of the next one are known."""
         last = self.rows_of(move)
         rows = np.arange(self.row, last)
         tip, axis = self.pose(move)
@@ -240,7 +239,6 @@ class _Comparison:
             self.fault(move, 'has no row in the plan')
 
     def points(self, move: ReadMove) -> FloatArray:
-        """Return X Y Z of all rows as the words of a motion mean them."""
         if move.tcp or not self.machine.has_rotary:
             return self.blocks['tip']
         if self.linear is None:
@@ -367,7 +365,6 @@ class _FollowPlaces(_Comparison):
         self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
 
     def take(self, move: ReadMove) -> bool:
-        """Compare one motion; rapids before the start pose are the way to it."""
         if self.before is None and move.rapid and not self.near(move, 0, 1)[0]:
             return True
         return super().take(move)

@@ -25,8 +25,6 @@ BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
 @dataclass(frozen=True)
 class ProgrammedAxes:
-    """The rows of a program as lines in coordinates: X Y Z or the tip, then the others."""
-
     machine: Transform  #: The forward kinematics.
     #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
     known: BoolArray
@@ -242,7 +240,6 @@ class ProgramShapes:
         return self.transform.forward(position)[0]
 
     def tops(self, position: FloatArray) -> FloatArray:
-        """Return the points at flank height of axis positions, shape (K, 3) [m]."""
         tip, axis = self.transform.forward(position)
         return tip + self.plan.flank_height * axis
 

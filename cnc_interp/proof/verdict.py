@@ -116,8 +116,6 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 
 
 class Ledger:
-    """Collects findings and failures; of a quantity in chunks the largest use counts."""
-
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
         self.remarks: dict[str, float] = {}

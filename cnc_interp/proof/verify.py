@@ -47,7 +47,6 @@ LONGEST_BLOCK = 5e-3  #: Blocks up to this length may become curves, if the plan
 
 
 def verify_plan(directory: Path, machine: Machine) -> Proof:
-    """Check the plan files of a directory; raises InterpError if they cannot be read."""
     return verify(read_plan(directory), machine)
 
 

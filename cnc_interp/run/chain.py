@@ -51,7 +51,6 @@ class Chain:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Time of each stage so far [s]."""
         return {stage: self._watch.seconds.get(stage, 0.0) for stage in STAGES}
 
     @property

@@ -79,7 +79,6 @@ class Course:
 
     @property
     def first_block(self) -> int:
-        """The block in which the kept path begins; 0 where none is kept."""
         return next((int(part.cell_block[0]) for part in self._parts()), 0)
 
     def _parts(self) -> Iterator[AxisPath]:
@@ -216,7 +215,6 @@ class Leg:
         self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
 
     def push(self, path: AxisPath) -> None:
-        """Plan a part of the path; raises PlanningError if no law is within the limits."""
         for piece in self.planner.push(path):
             self.slices.extend(sliced(piece))
         self.moves = True
@@ -232,7 +230,6 @@ class Leg:
 
     @property
     def planned(self) -> float:
-        """Motion planned but not sampled [s]."""
         if not self.slices:
             return 0.0
         return float(self.slices[-1].law.end_time - self.slices[0].law.time[0])

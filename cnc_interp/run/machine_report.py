@@ -16,8 +16,6 @@ FILLED = 0.5
 
 @dataclass(frozen=True)
 class MachineReport:
-    """The last report of the machine."""
-
     run_id: RunId  #: The run that it executes or has executed last.
     state: State  #: What it is doing.
     plan_over: bool  #: It left the plan by a stop tail and rests; another plan must follow.
@@ -44,7 +42,6 @@ class MachineReport:
 
     @property
     def moves(self) -> bool:
-        """Tell whether the axes move, or are about to."""
         if self.state is State.HELD:
             return self.start_wanted and not self.plan_over
         rests = self.is_free or self.state in (State.INACTIVE, State.FAULT)

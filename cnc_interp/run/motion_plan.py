@@ -30,8 +30,6 @@ BRIEF = 0.01
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    """The settings of the operator that a plan depends on."""
-
     #: Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
     override: float = 1.0
     single_block: bool = False  #: Rest at the end of each source line until cycle_start.
@@ -40,8 +38,6 @@ class OperatorSettings:
 
 @dataclass(frozen=True)
 class PlanContext:
-    """The data that all plans of one run share."""
-
     limits: AxisLimits  #: Limits of the axes.
     period: float  #: Interpolation period [s].
     chunk_size: int  #: Most setpoints in a chunk.
@@ -79,7 +75,6 @@ class MotionPlan:
         self._block_before = -1
 
     def follow(self, settings: OperatorSettings) -> None:
-        """Take other settings as long as nothing is planned, as at an override of 0."""
         if not self._legs and not self._history:
             self.settings = settings
 
@@ -108,7 +103,6 @@ class MotionPlan:
         return bool(self._legs) and (bool(self._legs[0].slices) or self._legs[0].wait is not None)
 
     def plan(self) -> None:
-        """Plan one portion of the path; raises PlanningError if no law is within the limits."""
         item = self._todo.popleft()
         if isinstance(item, AxisPath):
             item = self._until_pause(item)
@@ -153,7 +147,6 @@ class MotionPlan:
         return cut(part, 0, pause)
 
     def _pause(self, part: AxisPath) -> tuple[int, Wait] | None:
-        """Return the first grid point where the machine must wait for cycle_start, and why."""
         before = np.concatenate([[self._block_before], part.cell_block[:-1]])
         changes = np.flatnonzero((before != part.cell_block) & (before >= 0))
         undivided = -math.inf  # no leg is cut before this place: the motion cannot stop earlier
@@ -211,7 +204,6 @@ class MotionPlan:
         return None
 
     def way_down(self, number: int) -> PlannedPiece | None:
-        """Return a path to rest: as planned until a setpoint with a known stop, then the stop."""
         found = self.state_at(number)
         if found is None:
             return None
@@ -236,7 +228,6 @@ class MotionStream:
         self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
 
     def push(self, path: AxisPath) -> None:
-        """Add the next part of the path; nothing is planned yet."""
         self.current.extend(self._course.push(path))
 
     def pause_after(self, blocks: dict[int, Wait]) -> None:

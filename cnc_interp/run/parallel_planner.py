@@ -94,15 +94,12 @@ class LostProcessError(InterpError):
 
 @dataclass(frozen=True)
 class Planning:
-    """How motion is planned."""
-
     limits: AxisLimits  #: Limits of the axes.
     options: PlanOptions  #: Settings of the planner.
     tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
 
     @property
     def afresh_at_rests(self) -> bool:
-        """Whether motion after a rest is planned as if nothing was before; drives swing on."""
         return self.tool is None
 
     def planner(self) -> FeedPlanner:
@@ -124,7 +121,6 @@ class PlannerProcess:
         theirs.close()
 
     def give(self, section: PathSection | None) -> None:
-        """Give the next section; None asks for the refusal of what was given."""
         self._sections.put(section)
         self.waiting += 1
 
@@ -183,7 +179,6 @@ def _planned(planner: FeedPlanner, section: PathSection | None) -> list[PlannedP
 
 
 def _send(answers: SimpleQueue[list[PlannedPiece] | Exception], results: Connection) -> None:
-    """Send answers, so that planning does not wait until the parent reads them."""
     while True:
         results.send(answers.get())
 
@@ -200,7 +195,6 @@ class ParallelPlanner:
         self._time = 0.0
 
     def push(self, path: AxisPath) -> list[PlannedPiece]:
-        """Add the next part of the path; return the motion that is ready, in order."""
         pieces: list[PlannedPiece] = []
         for section in self._sections.push(path):
             self._give(section)

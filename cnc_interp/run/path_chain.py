@@ -40,8 +40,6 @@ WORTH = 5e-5
 
 
 class Stopwatch:
-    """Adds up the time that each stage takes."""
-
     def __init__(self, clock: Callable[[], float] = working_time):
         self._clock = clock
         self.seconds: dict[str, float] = {}

@@ -106,7 +106,6 @@ class PlanFigures:
         self._blocks += len(blocks)
 
     def segments(self, segments: PathSegments) -> None:
-        """Count further segments; call ``blocks`` for their blocks first."""
         if not len(segments):
             return
         self._segments += len(segments)
@@ -169,7 +168,6 @@ class PlanFigures:
 
     @property
     def cycle_time(self) -> float:
-        """Time of the motion [s], with holds and overrides if it was executed."""
         as_planned = abs(self._spanned - self._planned) <= self._period
         return self._planned if as_planned else self._spanned
 

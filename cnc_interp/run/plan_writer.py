@@ -191,7 +191,6 @@ class _Archive:
             self._columns[name].append(rows)
 
     def rows(self, name: str) -> NDArray[Any]:
-        """Return a column of numbers, which stays in its file."""
         column, lane = self._columns[name], self._columns[name].lanes[0]
         lane.flush()
         header = column.header()

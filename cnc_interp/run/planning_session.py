@@ -81,15 +81,11 @@ class Received:
 
 @dataclass(frozen=True)
 class PlanningTask:
-    """A task, and the function that receives its result."""
-
     work: Callable[[], Any]
     then: Callable[[Any, float], None]
 
 
 class Activity(Enum):
-    """What the planning of a run is doing."""
-
     NONE = 'no run'
     WAITING = 'waits for the machine to rest'
     PLANNING = 'plans ahead'
@@ -100,8 +96,6 @@ class Activity(Enum):
 
 
 class Change(Enum):
-    """What changes the activity."""
-
     BEGIN = 'the first segment of a run came'
     PLACE = 'the machine told where it rests'
     REVISE = 'the operator changed a setting'
@@ -158,8 +152,6 @@ class Kept:
 
 
 class PlanningSession:
-    """The planning of one run after the other."""
-
     def __init__(self, port: SessionPort, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
         self.settings = OperatorSettings()
@@ -185,7 +177,6 @@ class PlanningSession:
         self.activity = TABLE[self.activity, step]
 
     def begin(self, run_id: RunId, continue_at: float) -> None:
-        """Begin a run; the result of a task of an earlier run is dropped."""
         self._change(Change.BEGIN)
         self.run_id, self.path_end, self._continue_at = run_id, PathEnd.OPEN, continue_at
         self.planner, self.task, self._machine, self._executing = None, None, None, False

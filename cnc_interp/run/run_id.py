@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RunId:
-    """Identity of a stream of blocks, segments or setpoints."""
-
     program_id: str = ''  #: The run, the same string from its start to its end; empty for no run.
     attempt: int = 0  #: How often the run was begun again after the loss of a node.
     plan: int = 0  #: Number of the plan in the attempt. Blocks and segments always have plan 0.

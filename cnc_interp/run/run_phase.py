@@ -9,8 +9,6 @@ from cnc_interp.core.errors import Refusal
 
 
 class Phase(Enum):
-    """What a run is doing."""
-
     QUEUED = 'waits for the programs before it'
     CHECKING = 'is read and checked'
     WAITING = 'waits until all nodes answer and the machine rests'
@@ -21,8 +19,6 @@ class Phase(Enum):
 
 
 class PhaseChange(Enum):
-    """What changes the phase."""
-
     TURN = 'the programs before it have ended'
     CHECKED = 'it is known to run'
     STALE = 'offsets or tools were changed after the check'
@@ -64,8 +60,6 @@ class Code(IntEnum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended."""
-
     code: Code  #: For programs.
     message: str  #: What happened and what to do, for people.
 

@@ -33,8 +33,6 @@ JOIN_RESERVE = 0.2
 
 
 class Revision(NamedTuple):
-    """A plan with other settings that joins the current one after a setpoint, and its begin."""
-
     number: int
     plan: MotionPlan
     chunks: list[Chunk]
@@ -121,7 +119,6 @@ class RunPlanner:
         self.stream.end_leg(Wait.END)
 
     def work(self, plan: MotionPlan, sample: bool, executed: float) -> list[Chunk]:
-        """Sample a slice or plan a portion, and forget what is ``executed`` [m]; PlanningError."""
         self.stream.release(executed)
         if sample and plan.can_sample:
             return plan.sample()

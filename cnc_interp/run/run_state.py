@@ -9,8 +9,6 @@ from cnc_interp.core.errors import StreamError
 
 
 class State(Enum):
-    """What the machine is doing with the run."""
-
     INACTIVE = 'inactive'  # drives off
     IDLE = 'idle'  # drives on, at rest, no program
     RUNNING = 'running'  # follows setpoints
@@ -27,8 +25,6 @@ class State(Enum):
 
 
 class Event(Enum):
-    """What changes the state."""
-
     ACTIVATE = 'activate'
     DEACTIVATE = 'deactivate'
     BEGIN = 'begin'  # another run begins
@@ -179,8 +175,6 @@ _REFUSALS = {
 
 @dataclass(frozen=True)
 class RunState:
-    """The state of the machine in its run."""
-
     state: State = State.INACTIVE  #: What the machine is doing.
     reason: Reason = Reason.NONE  #: Why.
     detail: str = ''  #: What the text of the reason needs: a count, or what was refused.

@@ -126,7 +126,6 @@ class Chunk:
         return self.wait is not Wait.NOTHING or self.ends_approach
 
     def head(self, count: int) -> Chunk:
-        """Return a chunk of the first setpoints; its stop tail is the others and the old tail."""
         rest = self.samples[count:]
         tail = Setpoints.concatenate([rest, self.tail])
         kept = self.functions, self.first_function

@@ -68,7 +68,6 @@ class StartPlace:
         return tuple(told)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the place as ``summary.json`` has it."""
         block = self.block
         return {
             'line': block.line,
@@ -149,7 +148,6 @@ class StartFinder:
         return replace(functions, block=np.where(rows > 0, self._own(rows), 0))
 
     def found(self) -> StartPlace:
-        """Return the place, once all is smoothed; raises ProgramError without a clear one."""
         return self.place(self._start.found())
 
     def place(self, block: StartBlock) -> StartPlace:
@@ -160,7 +158,6 @@ class StartFinder:
         return StartPlace(block, int(self._vertex.line_number[1]), self._s, self._position)
 
     def _place(self, path: AxisPath, row: int, last: bool) -> float | None:
-        """Return the path length nearest to the vertex; None if more path is needed."""
         block = path.cell_block
         border = int(np.searchsorted(block, row))
         if border == 0 or self._vertex is None:
@@ -235,7 +232,6 @@ def way_inside(
 
 
 def _height(line: ToolLine, foot: FloatArray, other: FloatArray, least: float) -> float:
-    """Return how far above ``foot`` the tool is as high as at ``other``, within the travel [m]."""
     height = max(least, float(line.direction @ (other - foot)))
     return max(0.0, min(height, float(line.travel[1])))
 

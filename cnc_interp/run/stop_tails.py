@@ -29,8 +29,6 @@ LEEWAY = 6e-3
 
 
 class StopSearch:
-    """Find stops at the setpoints of one plan."""
-
     def __init__(
         self, course: Course, table: FloatArray, period: float, joins_at: int | None = None
     ):

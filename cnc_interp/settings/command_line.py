@@ -12,7 +12,6 @@ from cnc_interp.settings.options import Settings
 
 
 def add_settings(parser: argparse.ArgumentParser, live: bool = False) -> None:
-    """Add one option for each choice; with ``live``, not for those that only `plan` has."""
     for choice in choices(Settings):
         if not (live and choice.stage is Stage.OFFLINE):
             _add(parser, choice)

@@ -53,8 +53,6 @@ TIME = Unit('ms', MS, 's')
 
 @dataclass(frozen=True)
 class Choice:
-    """One choice of the user."""
-
     name: str  #: Name of the field, of the ROS parameter and of the key in a goal.
     kind: type  #: float, int, bool, str or Path.
     default: Value  #: Value where the user says nothing [SI].

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -66,11 +67,24 @@ class RecordedRun:
 
     @property
     def cut(self) -> str:
-        """Where the record ends in motion, in words; empty if the machine rests at its end."""
-        last = max(self.chunks, key=lambda chunk: chunk.first_sample + len(chunk.sequences))
-        if not any(last.velocities[-last.axis_count :]):
-            return ''
-        return f'the record ends in motion, in line {last.line_numbers[-1]}'
+        """Where the record ends before the program does, in words; empty for a whole record."""
+        return self._order[1]
+
+    @cached_property
+    def _order(self) -> tuple[list[int], str]:
+        """Return the chunks in order, up to the first that is missing, and how the record ends."""
+        order: list[int] = []
+        following, last = None, self.chunks[0]
+        for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
+            chunk = self.chunks[k]
+            if following is not None and chunk.first_sample > following:
+                end = f'lacks executed setpoints {following} to {chunk.first_sample - 1}'
+                return order, f'the record {end}, after line {last.line_numbers[-1]}'
+            following, last = chunk.first_sample + len(chunk.sequences), chunk
+            order.append(int(k))
+        end = 'in motion' if any(last.velocities[-last.axis_count :]) else 'at rest'
+        line = f'the record ends {end}, in line {last.line_numbers[-1]}'
+        return order, '' if last.end_of_program else line
 
     @property
     def settings(self) -> Settings:
@@ -83,7 +97,7 @@ class RecordedRun:
 
         The approach is left out, and the way by hand away from a hold and back.
 
-        Raises InterpError if a setpoint is missing, a message is not sound, or the period changes.
+        Raises InterpError if a message is not sound, or the period changes.
         """
         count = 0
         for part in self._executed(machine):
@@ -110,17 +124,14 @@ class RecordedRun:
                         stretches.append([before])
                     stretches[-1].append(position)
                 before = position[-1:]
+        if self.cut and not inside:  # it does not end at rest
+            stretches.pop()
         return [np.concatenate(stretch) for stretch in stretches]
 
     def _executed(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield everything that was executed, in order."""
-        following, period = None, self.period
-        for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
-            chunk = self.chunks[k]
-            if following is not None and chunk.first_sample > following:
-                missing = f'{following} to {chunk.first_sample - 1}'
-                raise InterpError(f'executed setpoints {missing} were not recorded')
-            following = chunk.first_sample + len(chunk.sequences)
+        """Yield what was executed, in order, up to the first chunk that is missing."""
+        period = self.period
+        for chunk in map(self.chunks.__getitem__, self._order[0]):
             if chunk.period != period:
                 raise InterpError(
                     f'setpoints from {chunk.first_sample} on have the period {chunk.period:g} s, '
@@ -232,6 +243,8 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
     Returns the summary as written to ``summary.json``; SI units.
     """
+    if next(run.setpoints(machine), None) is None:
+        raise InterpError(f'{run.name}: the record ends before the program begins')
     way = ExecutedWay(run.setpoints(machine), run.period)
     settings, blocks = run.settings, blocks_from(run.blocks)
     row = run.start_row(machine, blocks)
@@ -253,6 +266,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
         if row > 1:
             block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
             writer.figures.start = finder.place(block)
+        writer.figures.cut = run.cut
         return writer.finish(run.name, {}, run.largest_override, run.setup)
 
 

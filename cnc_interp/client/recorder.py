@@ -77,12 +77,14 @@ class Recorder:
     """Records the topics of a namespace."""
 
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
-        self._bag, self._clock = BagWriter(path), node.get_clock()
-        for topic in topics:
-            kind, profile = TOPICS[topic]
+        self._bag, self._node = BagWriter(path), node
+        self._subscriptions = [
             node.create_subscription(
                 kind, topic, self._writing(topic), listening_to(profile), raw=True
             )
+            for topic, (kind, profile) in TOPICS.items()
+            if topic in topics
+        ]
         self._names = {n: [p.name for p in parameters.NODES[n]] for n in parameters.NODES}
         self._parameters = {
             name: Question(
@@ -146,7 +148,7 @@ class Recorder:
     def complete(self) -> bool:
         """Ask the nodes for what they have collected; tell whether everything is recorded."""
         if self._ended is None:
-            self._ended = self._clock.now()
+            self._ended = self._node.get_clock().now()
         for node in self._missing():
             if self._flush[node].answer() is not None:
                 self._flushed.add(node)
@@ -179,6 +181,8 @@ class Recorder:
         self.close()
 
     def close(self) -> None:
+        for subscription in self._subscriptions:  # the node may live on
+            self._node.destroy_subscription(subscription)
         self._bag.close()
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator
@@ -105,8 +104,6 @@ def plan_files(
     name = machine or run.machine
     if not name:
         raise InterpError(f'{path}: does not name the machine; name it with --machine')
-    if run.cut:
-        print(f'note: {run.cut}; what is missing counts as a fault', file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
         write_run(run, Machine.load(name), Path(folder))
         yield Path(folder), name, run.beside(Machine.load(name))

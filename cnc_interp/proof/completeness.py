@@ -32,7 +32,8 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
     ledger.judge('vertex missed by tip', nearest, contour, slack=SLACK, rows=rows)
     nearest_top, where = search.nearest(tops, vertex_top, orientation)
     ledger.judge('vertex missed by top', nearest_top, orientation, slack=SLACK, rows=rows)
-    for name, sample, row in (('first', 0, 0), ('last', count - 1, len(rows) - 1)):
+    ends = [('first', 0, 0), ('last', count - 1, len(rows) - 1)]
+    for name, sample, row in ends[:1] if plan.cut else ends:
         at = plan.position[sample : sample + 1]
         gaps = (
             float(np.linalg.norm(tips(at)[0] - blocks['tip'][row])),
@@ -51,6 +52,7 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
     if machine.extra_names:
         _prove_extra_words(ledger, plan, program, search, where)
     stops = np.flatnonzero(blocks['exact_stop'])
+    stops = stops[stops < ledger.known_rows]
     if len(stops):
         ledger.judge('exact stop missed', nearest[stops], STOP_DISTANCE, rows=stops)
         # While an axis passes through rest, it moves less than J T^3 / 3 in one period.

@@ -130,7 +130,8 @@ def order_of(program: ProgramShapes, tolerances: tuple[FloatArray, FloatArray]) 
             high[a:b] = np.minimum(high[a:b], pieces.row[last])
         if pursuit.furthest < len(pieces.row):
             sample = pursuit.lost if pursuit.lost >= 0 else count - 1
-            left.append((name, sample, int(pieces.row[pursuit.furthest])))
+            if pursuit.lost >= 0 or not plan.cut:
+                left.append((name, sample, int(pieces.row[pursuit.furthest])))
             continue
         reverse = pieces.backwards()
         pursuit = reverse.pursuit()

@@ -179,6 +179,11 @@ class PlanFiles:
         return bool(self.summary.get('start'))
 
     @property
+    def cut(self) -> str:
+        """Return where a record ends before its program does, in words; empty for all else."""
+        return str(self.summary.get('cut', ''))
+
+    @property
     def position(self) -> FloatArray:
         return self.setpoints['position']
 

@@ -21,6 +21,7 @@ from cnc_interp.proof.program_again import Agreement
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
+BEFORE_END = 3  #: Samples before its end of which a cut record does not show the jerk.
 TORQUE = 'torque'  #: The limit that only some axes have.
 
 
@@ -61,6 +62,7 @@ class Proof:
     given: tuple[Given, ...] = ()  #: What is taken as given.
     program: str = ''  #: What was compared with the text of the program, or ''.
     beside: str = ''  #: What was executed beside the program, or ''.
+    until: str = ''  #: How far a cut record goes, which is a failure; or ''.
 
     @property
     def ok(self) -> bool:
@@ -103,6 +105,8 @@ class Proof:
         verdict = 'proven'
         if self.failures:
             verdict = f'NOT proven, faults: {len(self.failures)}'
+            if self.failures == (self.until,):
+                verdict = 'proven as far as the record goes, NOT to the end of the program'
         elif self.machine_file:
             verdict = f'proven for the machine file {self.machine_file}, which is not bundled'
         return '\n'.join([*lines, *self.failures, verdict])
@@ -123,6 +127,10 @@ class Ledger:
         # whether it is told only if it fails; and every fault, a text or such a name, in order.
         self._judged: dict[tuple[str, str], tuple[Finding, float, bool]] = {}
         self._faults: list[str | tuple[str, str]] = []
+        # Of a cut record nothing is known from here on: the next setpoints would tell.
+        count, rows = len(plan.position), len(plan.blocks['tip'])
+        self.known_samples = count - BEFORE_END if plan.cut else count
+        self.known_rows = int(plan.block[count - 1]) if plan.cut and count else rows
 
     @property
     def findings(self) -> list[Finding]:
@@ -147,6 +155,13 @@ class Ledger:
         if not len(value):
             return
         limit = np.broadcast_to(np.asarray(limit, dtype=float), value.shape)
+        if self.plan.cut:
+            numbers = first + np.arange(len(value)) if rows is None else rows
+            known = numbers < (self.known_samples if rows is None else self.known_rows)
+            if not known.any():
+                return
+            value, limit = value[known], limit[known]
+            rows = None if rows is None else rows[known]
         ratio = np.divide(value, limit, out=np.full(value.shape, np.inf), where=limit > 0.0)
         ratio[(limit <= 0.0) & (value <= slack)] = 0.0
         # In this form a NaN counts as exceeded.
@@ -181,11 +196,13 @@ class Ledger:
             self._faults.append(fault)
 
     def close(self) -> Proof:
-        plan, machine = self.plan, self.machine
+        plan, machine, until = self.plan, self.machine, ''
+        if plan.cut:
+            until = f'{plan.cut}; nothing is known after {self.known_samples * plan.period:.3f} s'
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
             plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
-            tuple(self.failures), self.remarks, machine.file,
+            (*self.failures, *([until] if until else [])), self.remarks, machine.file, until=until,
         )  # fmt: skip
 
 

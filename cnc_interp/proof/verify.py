@@ -177,7 +177,7 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
             isinstance(stated, int | float) and abs(stated - found) <= room,
             f'summary.json says {name} {stated!r}, the setpoints say {found:.9g}',
         )
-    uses = summary.get('largest_use')
+    uses = None if plan.cut else summary.get('largest_use')
     for kind, of_axes in uses.items() if isinstance(uses, dict) else ():
         for axis, stated in of_axes.items() if isinstance(of_axes, dict) else ():
             found = next(
@@ -219,6 +219,8 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
         )
     if order.left:
         return plan
+    if plan.cut:
+        ledger.known_rows = min(ledger.known_rows, int(order.low[len(time) - 1 :][0]))
     # A segment of a curve covers many rows, but names only the middle row of each of its halves.
     reach, length = REACH * np.maximum(contour, orientation), np.diff(path.way, prepend=0.0)
     possible = Stored.empty(len(time), np.int64)

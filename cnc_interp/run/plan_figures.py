@@ -96,6 +96,7 @@ class PlanFigures:
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
+        self.cut = ''  # where a record ends before the program does
         self._samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
         self._over_bound = 0.0  # of the windows that have not converged [s]
@@ -208,6 +209,7 @@ class PlanFigures:
             'setup': setup,
             'largest_override': largest_override,
             'start': None if self.start is None else self.start.to_json(),
+            **({'cut': self.cut} if self.cut else {}),
             'functions': self.functions.counts(machine.signals),
             'samples': self._samples,
             'blocks': self._blocks - 1,

@@ -103,16 +103,49 @@ def test_the_bag_of_a_killed_recorder_is_repaired(tmp_path, capsys):
     assert 'no whole message is left' in capsys.readouterr().err
 
 
-def test_a_record_that_ends_in_motion_says_so(tmp_path, capsys):
-    left = [16]  # of the executed setpoints
+def without_executed(lost, path, spoil=lambda message: None):
+    """A copy of a bag that lacks some messages of executed setpoints, by number."""
+    count = iter(range(1000))
 
-    def cut(topic, data):
-        left[0] -= topic == 'executed_setpoints'
-        return data if left[0] > 0 else None
+    def keep(topic, data):
+        if topic != 'executed_setpoints':
+            return data
+        number, message = next(count), deserialize_message(data, TOPICS[topic][0])
+        spoil(message)
+        return None if number in lost else serialize_message(message)
 
-    copied(HELD, tmp_path / 'cut', cut)
+    copied(HELD, path, keep)
+
+
+@pytest.mark.parametrize(
+    ('lost', 'end'),
+    [
+        (range(15, 1000), 'the record ends in motion, in line 5; nothing is known after 0.513 s'),
+        (range(20, 21), r'the record lacks executed setpoints \d+ to \d+, after line'),
+    ],
+)
+def test_a_cut_record_is_proven_up_to_its_cut(tmp_path, capsys, lost, end):
+    without_executed(lost, tmp_path / 'cut')
     assert main(['check', str(tmp_path / 'cut')]) == 1
-    assert 'the record ends in motion, in line' in capsys.readouterr().err
+    told = capsys.readouterr().out
+    assert re.search(end, told) and 'proven as far as the record goes' in told
+
+
+def test_a_fault_before_the_cut_is_one(tmp_path, capsys):
+    def spoil(message):
+        if message.first_sample <= 1200 < message.first_sample + len(message.sequences):
+            message.positions[2] += 1e-4
+
+    without_executed(range(15, 1000), tmp_path / 'cut', spoil)
+    assert main(['check', str(tmp_path / 'cut')]) == 1
+    told = capsys.readouterr().out
+    assert 'jerk of Z' in told and 'NOT proven, faults' in told
+
+
+def test_of_a_record_that_ends_on_the_approach_nothing_is_proven(tmp_path, capsys):
+    without_executed(range(2, 1000), tmp_path / 'cut')
+    assert main(['check', str(tmp_path / 'cut')]) == 2
+    assert 'ends before the program begins' in capsys.readouterr().err
 
 
 def test_a_full_disk_ends_the_record_and_not_the_run(tmp_path):

@@ -139,15 +139,18 @@ class Bench(NodesUnderTest):
         self.spin_until(lambda: self.peers.at_rest)  # states heard late are not yet the last
         state = self.next_state()
         run, count = state.program_id, state.samples
+        self.spin_until(lambda: sum(len(m.sequences) for m in self.told(run)) >= count)
+        return self.proven(run, path_of(self.text))
 
-        def told():
-            return [m for m in self.executed if m.program_id == run]
+    def told(self, run):
+        return [m for m in self.executed if m.program_id == run]
 
-        self.spin_until(lambda: sum(len(m.sequences) for m in told()) >= count)
-        q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told()])
-        s = np.concatenate([m.path_positions for m in told()])
-        assert limit_use(q, LIMITS) <= 1.001
-        path = path_of(self.text)
+    def proven(self, run, path, cut=False):
+        """What was heard of a run: within the limits, on the path, not back, from rest to rest."""
+        told = self.told(run)
+        q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
+        s = np.concatenate([m.path_positions for m in told])
+        assert limit_use(q, LIMITS, cut=cut) <= 1.001
         on = s >= 0.0
         assert np.abs(q[on] - evaluate(path, s[on])[0]).max(initial=0.0) < 1e-9
         assert (np.diff(s) >= -1e-12).all()

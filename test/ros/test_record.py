@@ -2,6 +2,7 @@
 
 import math
 import tempfile
+import time
 from itertools import chain
 from pathlib import Path
 
@@ -9,11 +10,15 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from nodes_under_test import PATIENCE
+from nodes_under_test import DOMAIN, PATIENCE
+from sensor_msgs.msg import JointState
 from test_leftovers import PARTICIPANTS, left, seen_until, segments, started
 
 from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.client.recorder import Recorder
 from cnc_interp.commands.cli import main
+from cnc_interp.nodes.qos import JOINTS
 
 #: Topic of the batches.
 TRAVEL_AS = {'blocks': 'block_batches', 'segments': 'segments'}
@@ -65,6 +70,25 @@ def test_nothing_stays_of_a_run_that_ends_in_order(recorded):
 def test_the_run_is_proven(recorded, capsys):
     assert main(['check', str(recorded[0] / 'bag')]) == 0
     assert 'proven' in capsys.readouterr().out
+
+
+def test_a_node_that_lives_on_after_its_recorder_hears_nothing_more(tmp_path):
+    with OperatorClient('recorder', '/recorded', DOMAIN) as client:
+        sender = client.node.create_publisher(JointState, 'joint_states', JOINTS)
+        recorder = Recorder(client.node, tmp_path / 'bag')
+
+        def tell(done):
+            until = time.monotonic() + PATIENCE
+            while not done() and time.monotonic() < until:
+                sender.publish(JointState())
+                client.serve(0.05)
+
+        tell(lambda: recorder.count)
+        recorder.close()
+        count, spun = recorder.count, iter(range(5))
+        tell(lambda: next(spun, None) is None)
+        assert 0 < count == recorder.count
+        assert sender.get_subscription_count() == 0
 
 
 def first_times(items, number):

@@ -3,14 +3,14 @@
 import numpy as np
 
 
-def limit_use(q, limits, start=None, period=1e-3):
+def limit_use(q, limits, start=None, period=1e-3, cut=False):
     """
     Return the largest use of velocity, acceleration and jerk of any axis, from rest to rest.
 
-    The axes rest at ``start``, or at the first setpoint, and after the last one.
+    The axes rest at ``start``, or at the first setpoint, and after the last one unless it is cut.
     """
     first = q[0] if start is None else start
-    held = np.concatenate([[first] * 3, q, [q[-1]] * 3])
+    held = np.concatenate([[first] * 3, q, q[-1:].repeat(0 if cut else 3, axis=0)])
     return max(
         (np.abs(np.diff(held, order, axis=0)) / period**order / limit).max()
         for order, limit in enumerate(limits, start=1)

@@ -45,8 +45,18 @@ def _imported(source: Path) -> list[Path]:
 
 
 @cache
+def _resolved(file: str) -> Path:
+    return Path(file).resolve()
+
+
+@cache
 def _digest(file: Path) -> bytes:
     return hashlib.sha256(file.read_bytes()).digest()
+
+
+@cache
+def _stamp(file: Path) -> str:
+    return hashlib.sha256(b''.join(map(_digest, sorted(sources(file))))).hexdigest()
 
 
 def folder() -> Path:
@@ -81,6 +91,64 @@ def _one_process_at_a_time() -> None:
     Files.save, Files.load = locked(Files.save, fcntl.LOCK_EX), locked(Files.load, fcntl.LOCK_SH)
 
 
+@cache
+def _load_what_runs() -> None:
+    """Let a kernel be loaded without what only compiling needs, which takes half a second.
+
+    That are numba's registries, which a compiler loads itself; the bitcode of the kernel, which is
+    read when another one is compiled with it; the modules of numba's own functions inside.
+    """
+    from functools import wraps
+
+    from llvmlite.binding import parse_bitcode
+    from numba.core import caching, codegen, environment
+    from numba.core.runtime import rtsys
+
+    class Library(codegen.JITCodeLibrary):  # type: ignore[misc]
+        """Machine code of a kernel from its file."""
+
+        _shared_module: Any
+
+        def __init__(self, codegen: Any, name: str, machine_code: bytes, bitcode: bytes):
+            super().__init__(codegen, name)
+            self._bitcode, self._shared_module = bitcode, None
+            self.enable_object_caching()
+            self._set_compiled_object(machine_code)
+            self._finalize_final_module()
+
+        def _get_module_for_linking(self) -> Any:
+            if self._shared_module is None:
+                self._shared_module = parse_bitcode(self._bitcode)
+                self._codegen._engine._load_defined_symbols(self._shared_module)
+            return self._shared_module
+
+        def get_pointer_to_function(self, name: str) -> int:
+            return int(self._codegen._engine.get_function_address(name))
+
+    def library(target: Any, kept: tuple[str, str, Any]) -> Any:
+        name, kind, code = kept
+        return Library(target, name, *code) if kind == 'object' else usual(target, kept)
+
+    def overload(kernel: Any, signature: Any, target: Any) -> Any:
+        rtsys.initialize(target)
+        with kernel._guard_against_spurious_io_errors():
+            return kernel._load_overload(signature, target)
+
+    @wraps(rebuild := environment._rebuild_env)
+    def constants(module: str, values: list[Any], name: str) -> Any:
+        found = environment.lookup_environment(name)
+        if found is not None or not module.startswith('numba.'):
+            return found or rebuild(module, values, name)
+        made = environment.Environment({'__name__': module})
+        made.consts[:], made.env_name = values, name
+        environment.Environment._memo[name] = made
+        return made
+
+    usual = codegen.JITCPUCodegen.unserialize_library
+    codegen.JITCPUCodegen.unserialize_library = library
+    caching.Cache.load_overload, environment._rebuild_env = overload, constants
+
+
 class KernelLocator:
     """Tells numba where the code of a kernel is kept, and whether it is current."""
 
@@ -93,8 +161,9 @@ class KernelLocator:
         """Return the locator of a function, None if it belongs to another package."""
         from cnc_interp.core import compile_time  # noqa: F401 - it needs numba, and hears it
 
-        path = Path(file).resolve()
+        path = _resolved(file)
         _one_process_at_a_time()
+        _load_what_runs()
         return cls(path) if path.is_relative_to(PACKAGE) else None
 
     def ensure_cache_path(self) -> None:
@@ -104,8 +173,7 @@ class KernelLocator:
         return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        digests = b''.join(_digest(file) for file in sorted(sources(self._py_file)))
-        return hashlib.sha256(digests).hexdigest()
+        return _stamp(self._py_file)
 
     def get_disambiguator(self) -> str:
         """Return what tells functions of one name apart; a name stands once in a file here."""

@@ -38,6 +38,8 @@ def package(tmp_path):
 
 
 TWICE = 'from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return x + x\n'
+#: Its code holds a function of numba's, which raises.
+LARGEST = 'from numba import njit\n\n@njit(cache=True)\ndef largest(x):\n    return x.max()\n'
 #: Compiles one form of a kernel; between reading numba's index and writing it time passes.
 SLOWLY = (
     'import time\nfrom numba.core.caching import IndexDataCacheFile as Files\n'
@@ -79,6 +81,27 @@ def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package
     (package / 'inner.py').write_text(INNER.replace('return VALUE', 'return 10 * VALUE'))
     assert outer(package) == (20, False)
     assert outer(package) == (20, True)
+    (package / 'outer.py').write_text(OUTER.replace('inner()\n', 'inner() + 1\n'))
+    assert outer(package) == (21, False)  # compiled with the inner kernel's code from its file
+    assert outer(package) == (21, True)
+
+
+@pytest.mark.thorough
+def test_a_kernel_from_its_file_loads_no_compiler(package):
+    (package / 'largest.py').write_text(LARGEST)
+    ask = (
+        'import numpy, sys; from pack.largest import largest; x = largest(numpy.arange(5.0)); '
+        'print(x, "numba.np.linalg" in sys.modules, *largest.stats.cache_hits.values()); '
+        'largest(numpy.arange(0.0))'
+    )
+    told = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, '-c', ask], env=environment(package), capture_output=True, text=True
+        )
+        told.append(done.stdout.split())
+        assert 'ValueError: zero-size array' in done.stderr
+    assert told == [['4.0', 'True'], ['4.0', 'False', '1']]
 
 
 @pytest.mark.thorough

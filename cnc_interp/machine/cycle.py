@@ -52,7 +52,7 @@ from cnc_interp.machine.cycle_kernels import (
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.run.setpoints import Chunk
 
-NO_SWITCHES = np.zeros((0, 3))
+NO_SWITCHES, NO_SIGNALS = np.zeros((0, 3)), np.zeros(0)
 KEPT = 10.0  #: Records are kept so long [s]; longer than any buffer and stop tail.
 STANDS = 0.5  #: A clock later than this stands [s]; no service waits longer for it.
 
@@ -79,7 +79,8 @@ class Cycle:
 
     def __init__(
         self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
-        drives: FloatArray, outputs: FloatArray = NO_SWITCHES[0:0, 0],
+        drives: FloatArray, outputs: FloatArray = NO_SIGNALS, inputs: FloatArray = NO_SIGNALS,
+        probe: tuple[int, ...] = (),
     ):  # fmt: skip
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
@@ -88,7 +89,8 @@ class Cycle:
             chunks=np.zeros((slots, COLUMNS), dtype=np.int64),
             travel=np.ascontiguousarray(travel, dtype=float),
             jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
-            feedback=np.zeros((4, n)), drives=drives, outputs=outputs,
+            feedback=np.zeros((4, n)), drives=drives, outputs=outputs, inputs=inputs,
+            probe=np.array(probe, dtype=np.int64),
             records=np.zeros((kept, 4), dtype=np.int64), measured=np.zeros((kept, 3, n)),
             late=np.zeros(RECORD, dtype=np.int64),
         )  # fmt: skip

@@ -13,7 +13,7 @@ from cnc_interp.machine.realtime import note_catching_up, note_lateness
 
 REST, CHUNK, TAIL = 0, 1, 2  #: What the cycle plays.
 #: What happened in a period: bits of a record.
-STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED = 1, 2, 4, 8, 16, 32
+STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED, PROBED = 1, 2, 4, 8, 16, 32, 64
 ALARM_SHIFT = 8  #: The events of an ALARMED record have the number of the alarm above this bit.
 #: Words that Python writes and the cycle reads ...
 QUIT, LEAVE, HALT, START, FIRST, READ, FORGET, MUTE = range(8)
@@ -42,6 +42,8 @@ class Memory(NamedTuple):
     feedback: FloatArray
     drives: FloatArray  #: Memory of the drives.
     outputs: FloatArray  #: (n_outputs,): What the outputs are set to; the drives read it.
+    inputs: FloatArray  #: (n_inputs,): The inputs, which the drives write.
+    probe: IntArray  #: The numbers of the output ``ARMED`` and of the input ``PROBE``; or (0,).
     records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
     measured: FloatArray  #: (count, 3, n_axes): Actual position, velocity; setpoint answered.
     late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
@@ -114,6 +116,18 @@ def _switch(memory: Memory) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _probe_answers(memory: Memory) -> bool:
+    """Tell whether the watched probe is as it was waited for; then it is watched no more."""
+    if len(memory.probe) == 0:
+        return False
+    armed, touches = memory.outputs[memory.probe[0]], memory.inputs[memory.probe[1]] != 0.0
+    if armed == 0.0 or touches != (armed == 1.0):
+        return False
+    memory.outputs[memory.probe[0]] = 0.0
+    return True
+
+
+@njit(cache=True, nogil=True)
 def advance(memory: Memory, step: int) -> None:
     """Let one period pass."""
     control, records = memory.control, memory.records
@@ -138,6 +152,9 @@ def advance(memory: Memory, step: int) -> None:
         events |= ALARMED | (-fault << ALARM_SHIFT)
         control[LEAVE] = 1  # takes the stop tail of this chunk
     control[ALARM] = min(fault, 0)
+    if control[SOURCE] != REST and _probe_answers(memory):
+        events |= PROBED
+        control[LEAVE] = 1
     count = control[RECORDED]
     if source == REST and events == 0 and count - control[READ] >= len(records) - 1:
         return  # nobody reads, nothing moves

@@ -51,7 +51,13 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
     from cnc_interp.drives.learning import learnt_for
     from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives
 
-    drives = SimulatedDrives(machine, period, np.zeros(len(machine.axis_names)))
+    position, touches = np.zeros(len(machine.axis_names)), values['probe_touches']
+    drives = SimulatedDrives(machine, period, position)
+    if touches:
+        from cnc_interp.machine.simulated_probe import ProbingDrives
+        from cnc_interp.machine_model.transform import Transform
+
+        drives = ProbingDrives(Transform.of(machine), period, position, Path(touches))
     model, learnt = values['compensation'], values['learnt']
     motion = learnt_for(Path(learnt), values['machine'], model, period) if learnt else None
     if not model:
@@ -83,7 +89,11 @@ LIMITS = (
     Declared('following_angle_limit', 0.02, 'The same of rotary axes [rad]', 1e-6, 7),
 )
 KINDS = {
-    'simulated': DriveKind('models of the machine file', (), _simulated),
+    'simulated': DriveKind(
+        'models of the machine file',
+        (Declared('probe_touches', '', 'YAML file of what a simulated probe touches'),),
+        _simulated,
+    ),
     'hal': DriveKind(
         "those in LinuxCNC's HAL",
         (Declared('hal_depth', 8, "Setpoints in the FIFO of LinuxCNC's HAL", 2, 1000), *LIMITS),

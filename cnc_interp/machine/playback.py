@@ -24,6 +24,7 @@ from cnc_interp.machine.cycle_kernels import (
     CHUNK,
     ENDED,
     FAILED,
+    PROBED,
     REFUSED,
     REST,
     STARVED,
@@ -67,6 +68,15 @@ class Executed(NamedTuple):
     ends: bool  #: Whether the program ends with them.
 
 
+class Contact(NamedTuple):
+    """Where the probe answered."""
+
+    run_id: RunId
+    line: int  #: Of the source.
+    position: FloatArray  #: (n_axes,): Where the axes were in that period [m, rad].
+    at_once: bool  #: It had answered before the line began.
+
+
 class Reached(NamedTuple):
     """Where a setpoint lies in the program: block, source line and path length [m]."""
 
@@ -87,9 +97,11 @@ class Playback:
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
         self.cycle = Cycle(
-            period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs
-        )
+            period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs,
+            drives.inputs, machine.signals.probe or (),
+        )  # fmt: skip
         self._signals = machine.signals
+        self.contacts: deque[Contact] = deque()  # until they are published
         self.switching = Switching(machine.signals, drives)
         #: What functions have set, until it is published: the run, and the setpoint before.
         self.switched: deque[tuple[RunId, Act, int]] = deque()
@@ -183,6 +195,9 @@ class Playback:
         self.functions = self._queued = 0  # set so far; number after those that wait
         self._wanted: dict[int, Act] = {}  # what the functions have set, by output
         self._off = self._finishing = False  # a stop has switched off; the last functions wait
+        self._probes_from = 0  # setpoint with which the line of a probe begins
+        self._answered = False  # the probe
+        self._forget_probe()
         self._starved_for = 0.0  # [s]
         self.last: Reached | None = None
         #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
@@ -404,9 +419,25 @@ class Playback:
     def _switch_off(self, word: str) -> None:
         """Set what the machine file says for a stop; setpoints switch nothing any more."""
         self.cycle.mute(True)
+        self._forget_probe()
         self.switching.stop(word)
         self._off, self._queued = True, self.functions
         self.switching.work(0.0, lambda _: True)
+
+    def _forget_probe(self) -> None:
+        if self._signals.probe:
+            self.drives.outputs[self._signals.probe[0]] = 0.0
+
+    def _see_answer(self, number: int) -> None:
+        """Note that the probe has answered in the period of a setpoint, and come to rest."""
+        moving = (State.RUNNING, State.HOLDING, State.STARVING)
+        if self.last is None or self.state.state not in moving:
+            return
+        at_once = number <= self._probes_from + 1
+        position = self.feedback.position[0].copy()
+        self.contacts.append(Contact(self.run_id, self.last.line, position, at_once))
+        self._answered = True
+        self._handle(Event.HOLD, Reason.PROBE)
 
     def _see_stop(self) -> None:
         if self.state.state in (State.STOPPING, State.FAULT) and not self._off:
@@ -472,6 +503,8 @@ class Playback:
         if act.number < self.functions:
             return
         self.functions = act.number + 1
+        if self._signals.probe and act.step.output == self._signals.probe[0]:
+            self._probes_from = sample
         self._wanted.pop(act.step.output, None)  # the last one comes last
         self._wanted[act.step.output] = act
         self.switched.append((self.run_id, act, sample))
@@ -534,7 +567,10 @@ class Playback:
         else:
             first = int(records.row[0])
             self._row = first + len(records.row) - 1
+            number = self.played
             self._play(self._played.part(first, self._row + 1), records)
+            if events & PROBED:
+                self._see_answer(number)
 
     def _find(self, serial: int) -> None:
         while self._current is None or self._current.serial < serial:
@@ -560,8 +596,13 @@ class Playback:
         if on_tail or self.state.leaves_plan or current is None:
             self._empty()
             self.state = self.state.after(Event.REST)
+            if self._answered and self.state.state is State.HELD:
+                self._given_up = self.run_id.program_id  # what is left of its line
+                self.state = self.state.after(Event.FINISH, Reason.PROBE)
             return
         wait, self._current = current.chunk.wait, None
+        if wait is Wait.END:
+            self._forget_probe()
         if wait is Wait.END and current.acts.end:
             self.switching.add(current.acts.end)
             self._finishing = True

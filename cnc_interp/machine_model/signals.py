@@ -18,6 +18,11 @@ LETTERS = ('S', 'T', 'P', 'Q')
 STOPS = ('emergency_stop', 'fault', 'lost_planner')
 OPERATOR = 'operator'  #: In place of an input that is waited for: the operator's cycle start.
 AFTER = ('M2', 'M5', 'M9', 'M30')  #: Words that act after the motion of their block.
+#: Before a line that ends where the probe comes on (G38.2, G38.3), or goes off (G38.4, G38.5).
+TOWARD, AWAY = 'G38.2', 'G38.4'
+#: The input of the probe, and the output that is 1 or 2 while the machine watches it: until it is
+#: on, or off. The machine sets it back itself.
+PROBE, ARMED = 'probe', 'probe_armed'
 #: Words that stop, call or return, which are no functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
@@ -72,6 +77,16 @@ class Signals:
     words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
 
+    @property
+    def probe(self) -> tuple[int, int] | None:
+        """The numbers of the output ``ARMED`` and of the input ``PROBE``; None without."""
+        places = [
+            [signal.name for signal in signals].index(name)
+            for signals, name in ((self.outputs, ARMED), (self.inputs, PROBE))
+            if any(signal.name == name for signal in signals)
+        ]
+        return (places[0], places[1]) if len(places) == 2 else None
+
     def waited(self, step: Step) -> str:
         if step.wait == ASK:
             return OPERATOR
@@ -113,15 +128,22 @@ def signals(content: Mapping[str, Any]) -> Signals:
     for word, listed in _mapping(given, 'functions').items():
         where, first = f'signals.functions.{word}', len(steps)
         code = word[1:].isdigit() and word[0] == 'M' and word == f'M{int(word[1:])}'
-        if word in NO_FUNCTIONS or not (code or word in ('S', 'T') or word in STOPS):
-            raise MachineError(f'write S, T, an M code as M8, or {", ".join(STOPS)}', where)
+        others = ('S', 'T', TOWARD, AWAY, *STOPS)
+        if word in NO_FUNCTIONS or not (code or word in others):
+            raise MachineError(f'write an M code as M8, or one of {", ".join(others)}', where)
         for values in listed if isinstance(listed, list) else [listed]:
             steps.append(_step(word, values, where, outputs, inputs))
         words[word] = range(first, len(steps))
     after = given.get('after', [word for word in AFTER if word in words])
     if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
         raise MachineError('must list words of functions', 'signals.after')
-    return Signals(outputs, inputs, tuple(steps), words, frozenset(after))
+    found = Signals(outputs, inputs, tuple(steps), words, frozenset(after))
+    for word, armed in ((TOWARD, 1.0), (AWAY, 2.0)):
+        last = steps[words[word][-1]] if words.get(word) else None
+        if last and (not found.probe or (last.output, last.value) != (found.probe[0], armed)):
+            text = f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input'
+            raise MachineError(text, f'signals.functions.{word}')
+    return found
 
 
 def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from cnc_interp.nodes.machine_topics import MachineTopics
 from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
 from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.run_planner import JOIN_RESERVE
-from cnc_interp.run.run_state import State
+from cnc_interp.run.run_state import Reason, State
 from cnc_interp.run.setpoints import Chunk
 from cnc_interp.wire.chunk_messages import JoinGate, chunk_from
 from cnc_interp.wire.message_checks import check_chunk
@@ -162,8 +162,11 @@ class MachineNode(LifecycleNode):
         mine = run_id == receiver.run_id
         receiver.consumed = playback.played_of_plan if mine else 0
         self._inlet.buffered_time = playback.buffer.count * self._period
+        self._topics.tell_contacts()  # before the state that counts with them
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)
+        elif mine and state.reason is Reason.PROBE and state.completed:
+            self._give_up('the probe has answered')
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
         homed = tuple(self._controls.homing.homed)

@@ -9,7 +9,13 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import AxisFeedback, MachineSignals, MachineState, SetpointChunk
+from cnc_interp_msgs.msg import (
+    AxisFeedback,
+    MachineSignals,
+    MachineState,
+    ProbeContact,
+    SetpointChunk,
+)
 from sensor_msgs.msg import JointState
 
 from cnc_interp.machine.homing import Homing
@@ -61,6 +67,7 @@ class MachineTopics:
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
         self._told_signals: MachineSignals | None = None
         self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
+        self._contacts = node.create_publisher(ProbeContact, 'probe_contact', LOADED)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         node.create_timer(EXECUTED_PERIOD, self.publish_executed)
         Rate(node, values['joint_state_rate'], playback, self._publish_joints)
@@ -88,6 +95,17 @@ class MachineTopics:
             self._told_signals = deepcopy(message)
             message.header.stamp = self._now()
             self._signals.publish(message)
+
+    def tell_contacts(self) -> None:
+        """Publish where the probe has answered."""
+        while self._playback.contacts:
+            contact = self._playback.contacts.popleft()
+            message = ProbeContact(
+                program_id=contact.run_id.program_id, line_number=contact.line,
+                at_once=contact.at_once, positions=contact.position.tolist(),
+            )  # fmt: skip
+            message.header.stamp = self._now()
+            self._contacts.publish(message)
 
     def _publish_joints(self) -> None:
         feedback = self._playback.feedback

@@ -19,6 +19,7 @@ from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.mdi import MdiLine, MdiReader
+from cnc_interp.program.probing import Probe
 from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.chain import at_fault, no_motion
@@ -54,6 +55,8 @@ class Prepared:
     start: StartPlace | None = None  #: Where the run starts, if that is not the top.
     waits_first: bool = False  #: Whether it waits for the operator before it moves (M0).
     line: MdiLine | None = None  #: The line by hand, whose state is kept once executed.
+    probe: Probe | None = None  #: The probe at whose answer the program is read on.
+    stream: ProgramStream | None = None  #: What is read on.
 
     def __getitem__(self, rows: slice) -> Blocks:
         blocks = self.blocks[rows]
@@ -88,7 +91,21 @@ def prepare(
         source = Source.of_text(goal.text, Path(goal.program).name or '<text>', folders)
         stream = ProgramStream(source, transform, settings, setup)
         text = goal.text if len(goal.text) <= LONGEST_TEXT else ''
+    stream.wait_at_probes()
     return check(stream, setup, text, transform, settings, told)
+
+
+def prepare_on(
+    before: Prepared, stands: FloatArray, at: FloatArray | None, setup: JobSetup,
+    transform: Transform, told: Callable[[float], None],
+) -> Prepared:  # fmt: skip
+    """Read a program on after its probe, as ``ProgramStream.go_on``, and check what follows."""
+    assert before.stream is not None
+    before.stream.go_on(stands, at)
+    following = check(
+        before.stream, setup, before.text, transform, before.settings, told, may_rest=True
+    )
+    return replace(following, is_own_setup=before.is_own_setup, line=before.line)
 
 
 def prepare_line(
@@ -150,7 +167,7 @@ def check(
     return Prepared(
         blocks, (*stream.read_as, *stream.notices), text, settings, length, np.sort(chain.stops),
         setup, settings.setup is not None, stream.changes, stream.used, stream.modes,
-        functions, start, stream.waits_first,
+        functions, start, stream.waits_first, probe=stream.probe, stream=stream,
     )  # fmt: skip
 
 
@@ -192,3 +209,5 @@ class Preparation:
         self.cancelled = True
         if self.prepared is not None:
             self.prepared.blocks.close()
+            if self.prepared.stream is not None:
+                self.prepared.stream.close()

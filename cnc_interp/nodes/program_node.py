@@ -11,12 +11,13 @@ from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState
+from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ProbeContact
 from cnc_interp_msgs.srv import SwitchOutputs
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -26,7 +27,7 @@ from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
 from cnc_interp.nodes.node_main import Pace, run_node
 from cnc_interp.nodes.peers import Peers, second_publisher
-from cnc_interp.nodes.program_check import Prepared, prepare
+from cnc_interp.nodes.program_check import Prepared, prepare, prepare_on
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
 from cnc_interp.nodes.program_run import BlockFeed, ProgramRun
 from cnc_interp.nodes.qos import LOADED
@@ -72,6 +73,8 @@ class ProgramNode(Node):
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
         self._waits_since = math.inf
         self._queue = ProgramQueue()
+        self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
+        self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, LOADED)
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._modes = ActiveModesTopic(self)
         self._buttons = {
@@ -129,6 +132,7 @@ class ProgramNode(Node):
         state = self._peers.state
         if state is not None and state.program_id == run.run_id.program_id:
             self._state = state
+        run.contact = self._contacts.get(run.run_id.program_id)
         if run.is_stale(self._table.setup):
             run.check_again(self._prepare(run, self._goal), now)
         before = run.phase
@@ -152,6 +156,8 @@ class ProgramNode(Node):
         self._keep_changes(run, outcome)
         if outcome is not None:
             self._finish(run, outcome)
+        elif run.probed is not None:
+            self._read_on(run, *run.probed, now)
         elif run.phase in SENDING:
             self._help(run, now)
         return True
@@ -166,6 +172,24 @@ class ProgramNode(Node):
         self._feed.begin(
             run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
         )
+
+    def _see_contact(self, contact: ProbeContact) -> None:
+        self._contacts = {contact.program_id: contact}
+
+    def _read_on(
+        self, run: ProgramRun, stands: FloatArray, at: FloatArray | None, now: float
+    ) -> None:
+        """Read the program on from a probe; what it has changed of the setup counts now."""
+        before, state = run.preparation.prepared, self._state
+        assert before is not None and state is not None
+        self._keep_changes(run, Outcome(Code.SUCCEEDED, ''))
+        future = self._worker.submit(
+            prepare_on, before, stands, at, self._table.setup, self._transform,
+            run.preparation.has_checked,
+        )  # fmt: skip
+        run.read_on(future, state, self._outlet.sender.sent, now)
+        self._feed.end(self._outlet.sender)
+        self._state = None
 
     def _see_unknown_run(self, now: float) -> None:
         """Tell what to do if the machine waits in vain in a run that this node has not begun."""
@@ -227,8 +251,9 @@ class ProgramNode(Node):
         result = run.result(outcome)
         # A run that began again may end with what was sent before.
         result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1
-        if self._state is not None:
-            add_executed(result, self._state)
+        result.blocks_sent += run.sent_in_parts
+        if states := [*run.parts, *([self._state] if self._state is not None else [])]:
+            add_executed(result, states)
         succeeded = outcome.code is Code.SUCCEEDED
         if succeeded and run.rests_throughout:
             self._mdi.keep(run.preparation.prepared)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram
+from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ProbeContact
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
@@ -18,6 +18,7 @@ from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.program import JobSetup
 from cnc_interp.program.notices import warnings_of
+from cnc_interp.program.probing import Probe
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import NO_RUN, RunId
@@ -76,6 +77,12 @@ class ProgramRun:
         self._changes_done = 0  # changes of the machine's setup that were executed
         self._known_by: set[str] = set()
         self.answer: Any = None  # of the machine, to functions without motion
+        self.contact: ProbeContact | None = None  # of this part of the program
+        #: Where the axes stand and where they were when the probe answered, if it has [m, rad]:
+        #: the program must be read on.
+        self.probed: tuple[FloatArray, FloatArray | None] | None = None
+        self.parts: list[MachineState] = []  # the last state of each part before
+        self.sent_in_parts = 0  # blocks
 
     def _change(self, step: PhaseChange, now: float) -> None:
         self.phase, self._since = TABLE[self.phase, step], now
@@ -181,12 +188,43 @@ class ProgramRun:
             return Outcome(Code.STOPPED, machine.message)
         incomplete = kind in (Refusal.BAD_MESSAGE, Refusal.BAD_PATH)
         if machine is not None and machine.completed and not incomplete:
+            program = self.preparation.prepared
+            if program is not None and program.probe is not None:
+                return self._at_probe(program.probe, machine)
             return Outcome(Code.SUCCEEDED, 'executed to the end')
         if not kind or (machine is not None and machine.moves):
             return None
         if self.preparation.cancelled:
             return Outcome(Code.CANCELED, 'cancelled; the machine rests on the path')
         return refused(kind, reason, moved=self._machine is not None)
+
+    def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
+        """Return why the program ends at the probe; if it goes on, where it was."""
+        contact = self.contact
+        if machine.probed and contact is None:
+            return None  # its message comes
+        if fault := probe.fault(contact is not None, contact is not None and contact.at_once):
+            return Outcome(Code.STOPPED, fault)
+        if self.preparation.cancelled:
+            return Outcome(Code.CANCELED, 'cancelled at the probe')
+        at = None if contact is None else np.array(contact.positions)
+        self.probed = machine.stands, at
+        return None
+
+    def read_on(
+        self, future: Future[Prepared], state: MachineState, sent: int, now: float
+    ) -> None:
+        """Begin the part of the program after a probe; it is read and checked meanwhile."""
+        assert self.probed is not None
+        self.parts.append(state)
+        self.sent_in_parts += max(1, self.sent_before, sent) - 1
+        self.stands = None if self.stands is None else self.probed[0]
+        self.run_id, self.contact, self.probed = RunId(uuid.uuid4().hex), None, None
+        self.recovery, self._machine, self.answer = LossRecovery(), None, None
+        self._changes_done = self.sent_before = 0
+        self._known_by.clear()
+        self.preparation.again(future)
+        self._change(PhaseChange.READ_ON, now)
 
     def _see_nodes(self, peers: Peers, now: float) -> None:
         for stream, node in RECEIVERS.items():

@@ -17,7 +17,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import INCH, MINUTE
 from cnc_interp.machine_model.signals import NO_WAIT
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import codes, scan, siemens_cycles
+from cnc_interp.program import codes, probing, scan, siemens_cycles
 from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.axis_codes import AxisCodes
@@ -33,6 +33,7 @@ from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.modes import Modes
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.notices import Notices, Refusals
+from cnc_interp.program.probing import Probe
 from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.siemens_cycles import SiemensCycle
 from cnc_interp.program.source import Source, is_name, leader_lines
@@ -74,6 +75,8 @@ class GcodeReader:
         self._leader = leader_lines(source)
         self.whole = True  # whether more lines can follow, so that it can look ahead
         self.finished = False  # whether M2 or M30 was read
+        self.waits_at_probes = False  # so that what follows is read with its answer
+        self.probe: Probe | None = None  # that is waited for
         self._in_flow = False  # whether a statement that changes the order of lines is executed
         self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
         self._plane = TiltedPlane(self.mover)
@@ -124,7 +127,7 @@ class GcodeReader:
     def blocks(self) -> Iterator[Blocks]:
         """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         flow, targets, refused = self.flow, self.targets, Refusals()
-        while self._goes_on(refused):
+        while self.probe is None and self._goes_on(refused):
             try:
                 self._next_lines(together=not refused)
             except ProgramError as problem:
@@ -312,6 +315,8 @@ class GcodeReader:
             self._plane.execute(taking[0], words)
         elif 'G33' in taking or 'G33.1' in taking:
             self._thread(taking[0], words)
+        elif taking and taking[0] in probing.CODES:
+            self._probe(taking[0], words)
         elif taking and 'G65' not in taking:
             self._axis_codes.execute(taking[0], words)
         if any(key == 'BSPLINE' for key, _ in words.keys):
@@ -553,6 +558,36 @@ class GcodeReader:
             mover.go(mover.frames.point(place[:3]), mover.rotary, rapid=False)
             self.splines.stop_here()
         mover.feed_mode, mover.feedrate = kept
+
+    def _probe(self, code: str, words: BlockWords) -> None:
+        """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""
+        mover = self.mover
+        if self.targets.start.line and not self.targets.start.passes:
+            raise self.fault('the line of the start comes after a probe; start at the top', code)
+        point = probing.target_of(code, words, mover, self._signals)
+        mover.end_corner()
+        self.splines.stop_here()
+        ready, _ = acting(self._signals, [probing.CODES[code].word], {}, self.fault)
+        self._act(ready)
+        mover.go(point, mover.rotary, rapid=False)
+        self.splines.stop_here()
+        mover.probed = probing.answer(mover, True)
+        if self.waits_at_probes:
+            self.probe = Probe(code, self.flow.main_line)
+        else:
+            self.notice(code, probing.ASSUMED)
+
+    def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
+        """Read on after a probe; as ``ProgramStream.go_on``."""
+        self.probe = None
+        self._begin_at(stands if at is None else at)
+        self.mover.probed = probing.answer(self.mover, at is not None)
+        self._begin_at(stands)
+
+    def _begin_at(self, stands: FloatArray) -> None:
+        self.mover.begin_targets()
+        self.targets = self.mover.targets
+        self.stand_at(stands)
 
     def _dwell(self, words: BlockWords) -> None:
         """Process G4: its P, X, F, S or U is a time."""

@@ -47,6 +47,7 @@ class MdiReader:
         reader = self._reader(text, notices, setup)
         reader.follow(self._last)
         reader.stand_at(stands)
+        reader.waits_at_probes = True
         return MdiLine(reader, notices)
 
     def keep(self, line: MdiLine) -> None:

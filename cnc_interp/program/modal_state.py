@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import inf, nan, pi
 
 import numpy as np
@@ -102,6 +103,7 @@ class ModalState:
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
+        self.probed: dict[int, float] = {}  # variables of the last probe
         self.extra_letters = tuple(geometry.machine.extra_names)
         own = len(geometry.machine.axis_names) - len(self.extra_letters)
         self.rotary_letters = tuple(geometry.machine.axis_names[3:own])
@@ -157,7 +159,13 @@ class ModalState:
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
 
+    def begin_targets(self) -> None:
+        """Forget the targets so far, and the line of the start, which they hold."""
+        settings = replace(self.settings, from_line=0)
+        self.targets = TargetColumns(self.geometry, settings, self.flow.main.name)
+
     def follow(self, before: ModalState) -> None:
+        self.probed = dict(before.probed)
         for name in (*_SETTINGS, *_VALUES):
             setattr(self, name, getattr(before, name))
         self.frames.follow(before.frames)
@@ -391,7 +399,7 @@ class ModalState:
             shown = value / (self.unit if number < 3 else DEG)
             for base in (5420, 5001, 5041):
                 found[base + number] = shown
-        return found
+        return found | self.probed
 
     def predefined_names(
         self, tool: int, chosen: int, outputs: Mapping[str, str]

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
@@ -16,6 +17,7 @@ from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.notices import Notices
+from cnc_interp.program.probing import Probe
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
@@ -74,7 +76,31 @@ class ProgramStream:
         try:
             yield from self._reader.blocks()
         finally:
-            self._source.close()
+            if self.probe is None:
+                self._source.close()
+
+    def wait_at_probes(self) -> None:
+        """Let the blocks end at each probe, until ``go_on`` is called."""
+        if isinstance(self._reader, GcodeReader):
+            self._reader.waits_at_probes = True
+
+    @property
+    def probe(self) -> Probe | None:
+        """The probe at which the blocks end, for what follows depends on it."""
+        return self._reader.probe if isinstance(self._reader, GcodeReader) else None
+
+    def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
+        """Read on after a probe, when iterated again; block 0 is where the machine stands.
+
+        ``stands``, ``at`` (n_axes,): where the axes stand, and where they were when the probe
+        answered; None if it has not [m, rad].
+        """
+        assert isinstance(self._reader, GcodeReader)
+        self._reader.go_on(stands, at)
+
+    def close(self) -> None:
+        """Close the text, though more may follow."""
+        self._source.close()
 
     @property
     def notices(self) -> tuple[str, ...]:

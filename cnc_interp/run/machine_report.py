@@ -30,6 +30,7 @@ class MachineReport:
     #: The axes were moved away from a hold by hand, and are not back on the path yet.
     away: bool = False
     functions: int = 0  #: Functions of the run executed so far.
+    probed: bool = False  #: The run has ended where the probe has answered.
 
     @property
     def rests_on_path(self) -> bool:

@@ -26,6 +26,7 @@ class PhaseChange(Enum):
     TAKEN = 'look-ahead and planner are on the run'
     LOSE = 'a node was restarted'
     BEGIN_AGAIN = 'the program is sent once more'
+    READ_ON = 'a probe has answered, what follows is read'
     END = 'there is a result'
 
 
@@ -40,6 +41,8 @@ TABLE: dict[tuple[Phase, PhaseChange], Phase] = {
     (P.STREAMING, S.LOSE): P.LOST,
     (P.LOST, S.LOSE): P.LOST,
     (P.LOST, S.BEGIN_AGAIN): P.OFFERED,
+    (P.OFFERED, S.READ_ON): P.CHECKING,
+    (P.STREAMING, S.READ_ON): P.CHECKING,
     **{(phase, S.END): P.ENDED for phase in P},
 }
 SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)  #: Phases in which blocks are sent.

@@ -62,6 +62,7 @@ class Reason(IntEnum):
     APPROACH = 11
     AWAY = 12
     FUNCTION = 13
+    PROBE = 14
 
 
 class WaitsFor(IntEnum):
@@ -100,6 +101,7 @@ TEXTS = {
         'position, plunge) and goes on'
     ),
     Reason.FUNCTION: '{}',
+    Reason.PROBE: 'the probe has answered',
 }
 
 _ACTIVE = tuple(state for state in State if state is not State.INACTIVE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -25,20 +25,23 @@ def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> R
     )
 
 
-def add_executed(result: RunProgram.Result, state: MachineState) -> None:
-    count, period = state.samples - state.approach_samples, state.interpolation_period
-    result.cycle_time = max(0, count - 1) * period
-    result.approach_time = state.approach_samples * period
-    result.path_length = max(0.0, state.path_position)
-    result.blocks_executed = state.sequence
-    result.samples = count
-    result.starvations = state.starvations
-    result.least_buffered_time = state.least_buffered_time
-    result.contour_error = state.largest_contour_error
-    result.following_error = state.largest_following_error
-    result.velocity_use = state.velocity_use
-    result.acceleration_use = state.acceleration_use
-    result.jerk_use = state.jerk_use
+def add_executed(result: RunProgram.Result, states: Sequence[MachineState]) -> None:
+    """Add what was executed in all parts of a program, each with its last state."""
+    for state in states:
+        count, period = state.samples - state.approach_samples, state.interpolation_period
+        result.cycle_time += max(0, count - 1) * period
+        result.approach_time += state.approach_samples * period
+        result.path_length += max(0.0, state.path_position)
+        result.blocks_executed += state.sequence
+        result.samples += count
+        result.starvations += state.starvations
+    result.least_buffered_time = min(state.least_buffered_time for state in states)
+    result.contour_error = max(state.largest_contour_error for state in states)
+    for told, name in (
+        ('following_error', 'largest_following_error'), ('velocity_use', 'velocity_use'),
+        ('acceleration_use', 'acceleration_use'), ('jerk_use', 'jerk_use'),
+    ):  # fmt: skip
+        setattr(result, told, np.max([getattr(state, name) for state in states], axis=0).tolist())
 
 
 def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback:
@@ -149,4 +152,5 @@ def machine_report(message: MachineState) -> MachineReport:
         must_home=tuple(message.must_home),
         away=len(message.resume_positions) > 0,
         functions=message.functions,
+        probed=message.reason == MachineState.REASON_PROBE,
     )

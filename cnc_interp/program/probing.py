@@ -1,0 +1,83 @@
+"""Probing: G38.2 to G38.5, and G31 of Fanuc.
+
+The tool moves along a line, from rest, until the probe answers. Where that was stands in #5061 to
+#5066, in the coordinates of the program; #5070 is 1 if it has answered, else 0. What follows may
+depend on it. So a live program is read to the probe, run, and read on (``ProgramStream.go_on``).
+Elsewhere the probe counts as if it had answered at the end of the line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.units import DEG
+from cnc_interp.machine_model.signals import AWAY, TOWARD, Signals
+from cnc_interp.program.control_profiles import FANUC, PLAIN
+from cnc_interp.program.motion import Mover
+from cnc_interp.program.words import BlockWords
+
+
+class ProbeCode(NamedTuple):
+    """What a code asks for."""
+
+    word: str  #: The function of the machine that makes the probe ready.
+    must_answer: bool  #: Whether it is a fault if the probe does not answer.
+
+
+CODES = {
+    'G38.2': ProbeCode(TOWARD, True), 'G38.3': ProbeCode(TOWARD, False),
+    'G38.4': ProbeCode(AWAY, True), 'G38.5': ProbeCode(AWAY, False),
+    'G31': ProbeCode(TOWARD, False),
+}  # fmt: skip
+ANSWERED, PLACE = 5070, 5061  #: The first variables of the answer, and of the place.
+SHORTEST = 1e-6  #: A shorter way is none [m].
+NO_PROBE = 'the machine file has no probe; give its signals the input, output and words of a probe'
+AT_ONCE = 'the probe had answered before it moved; free it'
+ASSUMED = 'a plan counts the end of the line as the place where the probe answers'
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A line at whose end the program waits for the probe."""
+
+    code: str
+    line: int  #: Of the main program.
+
+    def fault(self, answered: bool, at_once: bool) -> str:
+        """Return why the program cannot go on after the line; empty if it can."""
+        if at_once:
+            return f'line {self.line}: {self.code}: {AT_ONCE}'
+        if answered or not CODES[self.code].must_answer:
+            return ''
+        return f'line {self.line}: {self.code}: the probe has not answered to the end of the line'
+
+
+def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> FloatArray:
+    """Take the words of a probing block; return the point to which it leads, (3,) [m]."""
+    if code == 'G31' and mover.dialect not in (FANUC, PLAIN):
+        raise mover.fault('skips on Fanuc; write G38.3', code)
+    if CODES[code].word not in signals.words:
+        raise mover.fault(NO_PROBE, code)
+    if mover.targets.empty:
+        raise mover.fault('move to a place before the part first', code)
+    here, target = mover.here(), mover.target(words)
+    if np.abs(target[3:] - here[3:]).max(initial=0.0) > 1e-9 * DEG:
+        raise mover.fault('probes along X Y Z; turn the rotary axes before', code)
+    point: FloatArray = mover.frames.point(target[:3])
+    if not np.linalg.norm(point - mover.point) > SHORTEST:
+        raise mover.fault('leads nowhere; give X, Y or Z', code)
+    return point
+
+
+def answer(mover: Mover, answered: bool) -> dict[int, float]:
+    """Return the variables of a probe that answered, or did not, where the tool stands."""
+    found = {ANSWERED: float(answered)}
+    letters = ('X', 'Y', 'Z', *mover.rotary_letters)
+    for letter, value in zip(letters, mover.here().tolist(), strict=False):
+        number = 'XYZABC'.index(letter)
+        found[PLACE + number] = value / (mover.unit if number < 3 else DEG)
+    return found

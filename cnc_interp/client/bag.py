@@ -17,6 +17,7 @@ from cnc_interp_msgs.msg import (
     MachineSignals,
     MachineState,
     PathSegmentBatch,
+    ProbeContact,
     SetpointChunk,
     SetupTable,
     StreamStatus,
@@ -56,6 +57,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
     'machine_signals': (MachineSignals, qos.LOADED),
+    'probe_contact': (ProbeContact, qos.LOADED),
     'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }

@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import NO_WAIT, Signals
+from cnc_interp.machine_model.signals import AWAY, NO_WAIT, TOWARD, Signals
 from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MISSING = -1  #: In place of the setpoint of a function that did not come out.
 _COMMENT = re.compile(r'\([^()]*\)|;.*')
-_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)')
+_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(31|38\.[2-5])(?![\d.])')
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
@@ -71,8 +71,10 @@ def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
     """Compare the functions with the words of a plain program; return what differs."""
     read: Counter[tuple[int, str, float]] = Counter()
     for number, line in enumerate(text.upper().splitlines(), start=1):
-        for letter, value in _WORD.findall(_COMMENT.sub(' ', line)):
+        for letter, value, probe in _WORD.findall(_COMMENT.sub(' ', line)):
             word = f'M{float(value):g}' if letter == 'M' else letter
+            if probe:
+                word = AWAY if probe in ('38.4', '38.5') else TOWARD
             if word in machine.signals.words:
                 read[number, word, float(value) if letter in 'ST' else 0.0] += 1
     planned = Counter(_words(plan.functions, machine.signals))

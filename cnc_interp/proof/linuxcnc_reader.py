@@ -51,6 +51,8 @@ _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
 
 #: Cutter radius compensation in a text without comments. A match begins at its letter: a pattern
 #: that begins at a line start would look at the whole rest of the text from each line.
+#: A program that goes on with what a probe has touched.
+_PROBED = re.compile(r'#\s*50(?:6\d|70)')
 _COMPENSATED = re.compile(r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)', re.IGNORECASE)
 _BY_NORMALS = re.compile(r'(?<![A-Z<_])(?:G[ \t]*0*4[12]\.2(?!\d)|CUT3DF)', re.IGNORECASE)
 
@@ -78,6 +80,8 @@ def read_by_linuxcnc(
         raise LinuxCNCError('LinuxCNC has no compensation along normals')
     if _COMPENSATED.search(text):
         raise LinuxCNCError('LinuxCNC begins a compensated contour at another place')
+    if _PROBED.search(text):
+        raise LinuxCNCError("LinuxCNC's rs274 lets the probe answer before the end of its line")
     most = BESIDE + EACH * (rows + text.count('\n'))
     seconds = SECONDS + SECONDS_PER_MB * (len(text) >> 20)
 
@@ -158,7 +162,7 @@ class _Printed:
 
     def take(self, name: str, text: str) -> ReadMove | None:
         numbers = [float(word) for word in _NUMBER.findall(text)]
-        if name == 'STRAIGHT_TRAVERSE' or name == 'STRAIGHT_FEED':
+        if name in ('STRAIGHT_TRAVERSE', 'STRAIGHT_FEED', 'STRAIGHT_PROBE'):
             return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
         if name == 'ARC_FEED':
             return self.arc(numbers)

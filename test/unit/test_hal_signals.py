@@ -58,9 +58,9 @@ def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sam
     step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(hal_step.step_hal.address)
     bits = sampled[1 + 2 * N :].view(np.int64)
     bits[N + 1] = 1  # the FIFO was empty
-    for values, answers in (([6e3, 1, 0, 1, 0, 5, 0], [1, 0]), ([100, 0, 1, 0, 0, 6, 1], [0, 1])):
+    for values, answers in (([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0]), ([100, 0, 1, 0, 0, 6, 1, 0], [0, 1, 1])):
         block.outputs[:] = values
-        bits[N + 2 : N + 4] = answers
+        bits[N + 2 : N + 2 + INPUTS] = answers
         sampled[0] = 1.0
         for _ in range(2):  # the first step begins to count rows
             step(memory.ctypes.data, setpoint.ctypes.data, feedback.ctypes.data, N)
@@ -69,4 +69,4 @@ def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sam
             found = told[k] if signal.is_number else told[k : k + 1].view(np.int64)[0]
             assert found == value, signal.name
         assert block.inputs.tolist() == answers
-    assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfb', 'ffffff' + 'b' * (N + 2 + INPUTS))
+    assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfbf', 'ffffff' + 'b' * (N + 2 + INPUTS))

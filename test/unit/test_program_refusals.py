@@ -48,7 +48,7 @@ SYNTAX = [
     ('\x00\x01', "'\\x00\\x01'", 'no text'),
 ]
 UNSUPPORTED = [
-    'G5 X1', 'G7', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G254', 'G38.2 Z-5', 'G66 P1',
+    'G5 X1', 'G7', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G254', 'G66 P1',
     'G10 L3 P1', 'M97', 'M430', 'G123', 'POCKET3(1,2)', 'CSPLINE', 'SCALE X5', 'X=FROB(1)',
     'MIRROR X0', 'CIP X1 I1=2', 'G54.2 P1',
 ]  # fmt: skip

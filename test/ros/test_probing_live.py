@@ -1,0 +1,94 @@
+"""Probing over the real nodes: a program that goes on with what it has touched."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp.client.bag import Bag
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+
+TOUCHES = """
+probe: {radius_mm: 1.5, delay_ms: 2, noise_um: 1}
+surfaces:
+  - {box: [20, 0, -8], half: [10, 10, 5]}
+"""
+#: Touch the top fast, then twice slowly, then the side, and call these places 0.
+PROGRAM = """G21 G90
+G0 X20 Y0 Z15
+G38.2 Z-20 F1200
+O1 REPEAT [2]
+  G38.4 Z[#5063+5] F300
+  G38.2 Z[#5063-2] F60
+O1 ENDREPEAT
+G10 L20 P1 Z[#5422-#5063]
+G0 Z5
+G0 X-5
+Z-3
+G38.3 X40 F120
+O2 IF [#5070 EQ 1]
+  G10 L20 P1 X[#5420-#5061-1.5]
+O2 ENDIF
+G38.5 X-5 F600
+G38.3 X-8
+O3 IF [#5070 EQ 0]
+  G0 Z20
+  X0
+O3 ENDIF
+M2
+"""
+
+
+@pytest.fixture(scope='module')
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('probing')
+    part, bag = folder / 'part.yaml', folder / 'bag'
+    part.write_text(TOUCHES)
+
+    def start(text, *words):
+        program = folder / 'part.ngc'
+        program.write_text(text)
+        words = [
+            'run', str(program), '--machine', 'vmc', '--json', *words,
+            '--drives', f'simulated,probe_touches={part}',
+        ]  # fmt: skip
+        return subprocess.run(
+            [sys.executable, '-m', 'cnc_interp', *words], capture_output=True, text=True,
+            timeout=280,
+        )  # fmt: skip
+
+    start.bag = bag
+    return start
+
+
+def test_a_program_goes_on_with_what_it_has_touched(run):
+    done = run(PROGRAM, '--record', str(run.bag))
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads(done.stdout)
+    machine = Machine.load('vmc')
+    tip, _ = Transform.of(machine).forward(np.array([list(told['position'].values())]))
+    # The edge is at X 10 and the top at Z -3; delay and noise leave a few micrometres.
+    assert np.allclose(tip[0] * 1e3, [10, 0, 17], atol=0.015)
+    with Bag(run.bag) as recorded:
+        contacts = recorded.read('probe_contact')
+    assert [c.line_number for c in contacts] == [3, 5, 6, 5, 6, 12, 16]
+    assert len({c.program_id for c in contacts}) == len(contacts)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ('line', 'told'),
+    [
+        ('G38.2 Z0 F1200', 'line 3: G38.2: the probe has not answered to the end of the line'),
+        ('G38.2 Z-20 F1200\nG38.2 Z-25', 'line 4: G38.2: the probe had answered before it moved'),
+        ('G38.2 Z-20 F1200\nG0 X[1/0]', 'part.ngc:4: X: the expression has no value'),
+    ],
+)
+def test_what_is_not_found_ends_the_program_at_rest(run, line, told):
+    done = run(f'G21 G90\nG0 X20 Y0 Z15\n{line}\nM2\n')
+    assert done.returncode == 1 and told in done.stdout, done.stdout + done.stderr

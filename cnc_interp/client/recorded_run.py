@@ -18,11 +18,13 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import ARMED
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
+from cnc_interp.proof.plan_files import BY_PROBE
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Setpoints
@@ -54,6 +56,7 @@ class RecordedRun:
     largest_override: float  #: Largest feed override of the run, at least 1 [-].
     #: Offsets and tools that it started with, as the text of a setup file; empty for none.
     setup: str = ''
+    probed: int = 0  #: Source line that ended where the probe answered; 0: none.
 
     @property
     def flank_height(self) -> float:
@@ -84,6 +87,8 @@ class RecordedRun:
             order.append(int(k))
         end = 'in motion' if any(last.velocities[-last.axis_count :]) else 'at rest'
         line = f'the record ends {end}, in line {last.line_numbers[-1]}'
+        if self.probed and end == 'at rest':
+            line = f'{BY_PROBE}, in line {self.probed}'
         return order, '' if last.end_of_program else line
 
     @property
@@ -202,6 +207,7 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
         executed = executed.where(lambda message: message.program_id == program_id)
     last = run_id_of(executed[-1])
     names = {m.program_id: m.name for m in bag.messages('loaded_program')}
+    probed = {m.program_id: m.line_number for m in bag.messages('probe_contact')}
     tables: dict[str, str] = {}
     for table in bag.messages('setup_table'):  # the first one of a run is that of its start
         tables.setdefault(table.program_id, table.text)
@@ -215,7 +221,27 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
         segments=stream_of(bag, 'segments', last),
         chunks=executed.where(lambda message: message.program_id == last.program_id),
         largest_override=max(chain([1.0], (m.feed_override for m in states))),
+        probed=probed.get(last.program_id, 0),
     )
+
+
+def parts_of(bag: Bag) -> list[str]:
+    """Return the runs of the last program in a bag: a part ends with the line of a probe."""
+    runs = [message.program_id for message in bag.messages('loaded_program')]
+    if len(runs) < 2:
+        return ['']
+    probing = {
+        block.program_id
+        for batch in bag.messages('block_batches')
+        for block in batch.blocks
+        if any(function.output == ARMED for function in block.functions)
+    }
+    moved = {chunk.program_id for chunk in bag.messages('executed_setpoints')}
+    runs = [run for run in runs if run in moved]
+    first = len(runs) - 1
+    while first > 0 and runs[first - 1] in probing:
+        first -= 1
+    return runs[max(first, 0) :] or ['']
 
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:

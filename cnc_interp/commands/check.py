@@ -53,17 +53,29 @@ def check_command(options: Namespace) -> int:
     from cnc_interp.proof.verdict import given_of, with_program
     from cnc_interp.proof.verify import verify
 
-    with plan_files(options.directory, options.machine) as (folder, named, beside):
-        plan = read_plan(folder)
-        name = named or str(plan.summary.get('machine', ''))
-        machine = Machine.load(name)
-        given = given_of(plan, machine, name, options.directory)
-        proof = replace(verify(plan, machine), given=given)
-        proof = with_beside(proof, machine, plan.period, beside)
-        if options.program is not None:
-            proof = with_program(proof, compare_with_text(plan, machine, options.program))
-    print(json.dumps(proof.to_json(), indent=2) if options.json else proof.text())
-    return FINE if proof.ok else FAILED
+    proofs = []
+    parts = runs_of(options.directory)
+    if len(parts) > 1 and options.program is not None:
+        raise InterpError('a program with probes went on by what they told; leave out --program')
+    for part in parts:
+        with plan_files(options.directory, options.machine, part) as (folder, named, beside):
+            plan = read_plan(folder)
+            name = named or str(plan.summary.get('machine', ''))
+            machine = Machine.load(name)
+            given = given_of(plan, machine, name, options.directory)
+            proof = replace(verify(plan, machine), given=given)
+            proof = with_beside(proof, machine, plan.period, beside)
+            if options.program is not None:
+                proof = with_program(proof, compare_with_text(plan, machine, options.program))
+            proofs.append(proof)
+    ok = all(proof.ok for proof in proofs)
+    if options.json:
+        told = [proof.to_json() for proof in proofs]
+        print(json.dumps(told[-1] | {'ok': ok} | ({'parts': told} if told[1:] else {}), indent=2))
+    else:
+        for k, proof in enumerate(proofs, start=1):
+            print(f'part {k} of {len(proofs)}\n' * (len(proofs) > 1) + proof.text())
+    return FINE if ok else FAILED
 
 
 def report_command(options: Namespace) -> int:
@@ -79,18 +91,30 @@ def report_command(options: Namespace) -> int:
     return FINE
 
 
+def runs_of(path: Path) -> list[str]:
+    """Return the parts of the last program in a bag, each a run of its own; [''] for a plan."""
+    if not is_bag(path):
+        return ['']
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_run import parts_of
+
+    with Bag(path) as bag:
+        return parts_of(bag)
+
+
 def is_bag(path: Path) -> bool:
     return path.suffix == '.mcap' or any(path.glob('*.mcap'))
 
 
 @contextmanager
 def plan_files(
-    path: Path, machine: str | None
+    path: Path, machine: str | None, part: str = ''
 ) -> Iterator[tuple[Path, str | None, list[FloatArray]]]:
     """Yield a folder of plan files, the machine to use, and the motion beside the program.
 
-    None means the machine that they name. For a bag, the plan files of its last run are written to
-    a temporary folder; its motion beside the program is that of ``RecordedRun.beside``.
+    None means the machine that they name. For a bag, the plan files of its last run, or of a
+    ``part``, are written to a temporary folder; its motion beside the program is that of
+    ``RecordedRun.beside``.
     """
     if not is_bag(path):
         yield path, machine, []
@@ -100,7 +124,7 @@ def plan_files(
     from cnc_interp.machine_model.machine import Machine
 
     with Bag(path) as bag:
-        run = recorded_run(bag)
+        run = recorded_run(bag, part)
     name = machine or run.machine
     if not name:
         raise InterpError(f'{path}: does not name the machine; name it with --machine')

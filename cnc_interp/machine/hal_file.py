@@ -25,6 +25,7 @@ PINS = {
     'spindle_reverse': 'spindle.0.reverse', 'spindle_at_speed': 'spindle.0.at-speed',
     'coolant_flood': 'iocontrol.0.coolant-flood', 'coolant_mist': 'iocontrol.0.coolant-mist',
     'tool_change': 'iocontrol.0.tool-change', 'tool_changed': 'iocontrol.0.tool-changed',
+    'probe': 'motion.probe-input',
 }  # fmt: skip
 
 LOADED = """loadrt threads {threads}

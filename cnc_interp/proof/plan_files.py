@@ -69,6 +69,7 @@ LOCAL_HEADER = struct.Struct('<26sHH')
 # Rows of less length have no feed [m]; a unit vector is so long to rounding.
 NO_LENGTH, UNIT = 1e-9, 1e-6
 CHUNK = 1 << 14  #: Rows that are proven at a time.
+BY_PROBE = 'the probe has ended it'  #: How ``cut`` begins for the part of a program with probes.
 
 
 class Stored:
@@ -182,6 +183,11 @@ class PlanFiles:
     def cut(self) -> str:
         """Return where a record ends before its program does, in words; empty for all else."""
         return str(self.summary.get('cut', ''))
+
+    @property
+    def by_probe(self) -> bool:
+        """Whether it ends where a probe has answered, at rest."""
+        return self.cut.startswith(BY_PROBE)
 
     @property
     def position(self) -> FloatArray:

@@ -129,7 +129,7 @@ class Ledger:
         self._faults: list[str | tuple[str, str]] = []
         # Of a cut record nothing is known from here on: the next setpoints would tell.
         count, rows = len(plan.position), len(plan.blocks['tip'])
-        self.known_samples = count - BEFORE_END if plan.cut else count
+        self.known_samples = count - BEFORE_END if plan.cut and not plan.by_probe else count
         self.known_rows = int(plan.block[count - 1]) if plan.cut and count else rows
 
     @property
@@ -197,7 +197,7 @@ class Ledger:
 
     def close(self) -> Proof:
         plan, machine, until = self.plan, self.machine, ''
-        if plan.cut:
+        if plan.cut and not plan.by_probe:
             until = f'{plan.cut}; nothing is known after {self.known_samples * plan.period:.3f} s'
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.bag import Bag
+from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
@@ -66,7 +67,7 @@ def run(tmp_path_factory):
     return start
 
 
-def test_a_program_goes_on_with_what_it_has_touched(run):
+def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
     done = run(PROGRAM, '--record', str(run.bag))
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
@@ -77,7 +78,9 @@ def test_a_program_goes_on_with_what_it_has_touched(run):
     with Bag(run.bag) as recorded:
         contacts = recorded.read('probe_contact')
     assert [c.line_number for c in contacts] == [3, 5, 6, 5, 6, 12, 16]
-    assert len({c.program_id for c in contacts}) == len(contacts)
+    assert main(['check', str(run.bag), '--json']) == 0
+    parts = json.loads(capsys.readouterr().out)['parts']
+    assert len(parts) == len(contacts) + 2 and all(part['ok'] for part in parts)
 
 
 @pytest.mark.thorough

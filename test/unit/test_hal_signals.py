@@ -58,7 +58,10 @@ def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sam
     step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(hal_step.step_hal.address)
     bits = sampled[1 + 2 * N :].view(np.int64)
     bits[N + 1] = 1  # the FIFO was empty
-    for values, answers in (([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0]), ([100, 0, 1, 0, 0, 6, 1, 0], [0, 1, 1])):
+    for values, answers in (
+        ([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0]),
+        ([100, 0, 1, 0, 0, 6, 1, 0], [0, 1, 1]),
+    ):
         block.outputs[:] = values
         bits[N + 2 : N + 2 + INPUTS] = answers
         sampled[0] = 1.0

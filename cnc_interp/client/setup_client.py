@@ -20,7 +20,7 @@ from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.frames import rotation
 from cnc_interp.program.job import ROTATION
-from cnc_interp.program.setup_requests import work_coordinates as coordinates_of
+from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 
 #: Services that change the table.
 SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff}

@@ -21,12 +21,7 @@ from cnc_interp.machine_model.transform import Transform, on_pole, start_positio
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.subdivide import piece_counts, ragged
-from cnc_interp.program.writer import (
-    WrittenMove,
-    cl_data,
-    gcode,
-    siemens,
-)
+from cnc_interp.program.writer import WrittenMove, cl_data, gcode, siemens
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed
 from cnc_interp.settings.options import Settings
@@ -75,7 +70,7 @@ def convert(
         blocks = with_chords(program.blocks, settings.flank_height)
         if to == 'gcode':
             return _gcode(blocks, transform)
-        return _cl(blocks, program.source, settings.flank_height)
+        return _cl(blocks, program.source)
     except BlockError as problem:
         problem.source = program.source
         raise
@@ -210,7 +205,7 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
     return found
 
 
-def _cl(blocks: Blocks, source: str, height: float) -> Converted:
+def _cl(blocks: Blocks, source: str) -> Converted:
     feed = effective_feed(blocks)
     notes = []
     turning = np.isfinite(blocks.rotary[1:]).all(axis=1) & (

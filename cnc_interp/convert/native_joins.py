@@ -47,8 +47,6 @@ MOST_PIECES = 256  #: Most pieces of one knot interval of the written top curve.
 
 @dataclass(frozen=True)
 class Linked:
-    """A portion with a parametrization spline."""
-
     portion: Portion  #: The given curves.
     parametrization: BPoly  #: u_top = f(u_bottom) on [0, last knot], in the unit of the knots.
     #: The same path with u_top = u_bottom, for controls that have one parameter: the bottom curve
@@ -156,7 +154,6 @@ SLIDE_POINTS = 501  #: Points at which the slide of the tool axis is measured.
 
 
 def portions(blocks: Blocks) -> list[tuple[int, int]]:
-    """Return first row and last row (exclusive) of each native curve and of the lines between."""
     spline = blocks.on_spline
     changes = (spline[1:] != spline[:-1]) | (spline & blocks.exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(blocks)]))
@@ -164,8 +161,6 @@ def portions(blocks: Blocks) -> list[tuple[int, int]]:
 
 @dataclass
 class Joins:
-    """Joins the native curves of a program, and says what it did."""
-
     height: float  #: Flank height [m].
     tolerance: float  #: Largest distance of the written top curves from the joined ones [m].
     septic: bool  #: Whether the third derivative of the tool axis is considered, too.

@@ -50,8 +50,7 @@ class Portion:
     #: (n, 3): Control points of tool tip and second point [m].
     bottom: FloatArray
     top: FloatArray
-    #: (n,): Knot interval of each control point: t_(i+3) - t_(i+2) of row i. It is 0 in the first
-    #: and in the last two rows.
+    #: (n,): Knot intervals t_(i+3) - t_(i+2) of row i; 0 in the first and in the last two rows.
     knot_interval: FloatArray
 
     @property
@@ -86,8 +85,6 @@ class Portion:
 
 @dataclass(frozen=True)
 class CubicCurve(Portion):
-    """One segment as a portion."""
-
     late: int  #: First row whose knot interval lies in the second half of the segment.
     deviation: float  #: Largest distance of tip and point at flank height from the segment [m].
 
@@ -95,14 +92,13 @@ class CubicCurve(Portion):
 def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
-    """Approximate a corner or spline within a distance by two cubic B-splines, one parameter.
-
-    The second point is at flank height, or on the top curve of the segment. Raises BlockError if
-    more than MOST_INTERVALS knot intervals are necessary.
-    """
+    """Approximate a corner or spline by two cubic B-splines with one parameter, or BlockError."""
     if segments.kind[i] == CORNER and not len(segments.parametrization[i]):
         if not segments.connection[i].any():
-            return _own_points(segments, i)
+            # By its own 5 + 5 control points [B2013, 4.1].
+            bottom, top = segments.bottom[i, :5], segments.top[i, :5]
+            half = 0.5 * float(norm(np.diff(bottom, axis=0)).sum())
+            return CubicCurve(bottom, top, half * np.array([0.0, 1.0, 1.0, 0.0, 0.0]), 2, 0.0)
     count = 2 if segments.kind[i] == CORNER else 1
     rate = _points(segments, i, np.array([0.0, 1.0]), height, constant_height)[1]
     while count <= MOST_INTERVALS:
@@ -128,15 +124,7 @@ def cubic_curve(
     )
 
 
-def _own_points(segments: PathSegments, i: int) -> CubicCurve:
-    """Return a corner with u_top = u_bottom by its own 5 + 5 control points [B2013, 4.1]."""
-    bottom, top = segments.bottom[i, :5], segments.top[i, :5]
-    half = 0.5 * float(norm(np.diff(bottom, axis=0)).sum())
-    return CubicCurve(bottom, top, half * np.array([0.0, 1.0, 1.0, 0.0, 0.0]), 2, 0.0)
-
-
 def clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
-    """Interpolate values by a cubic spline with given derivatives at both ends."""
     # Importing it takes a tenth of a second; only native programs need it.
     from scipy.interpolate import BSpline, make_interp_spline
 
@@ -175,7 +163,6 @@ def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
 def segment_jets(
     segments: PathSegments, i: int, u: float
 ) -> tuple[tuple[tuple[float, ...], ...], ...]:
-    """Return the jets in u of tip and tool axis on one corner or spline."""
     bottom, top, connection = segments.bottom[i], segments.top[i], segments.connection[i]
     if segments.kind[i] == CORNER:
         found = corner_jets(bottom, top, connection, segments.parametrization[i], u, u)
@@ -199,8 +186,6 @@ SAME_POINT = 1e-9  #: Second points closer than this are equal [m].
 
 
 class SplineMoves:
-    """Converts smooth segments to native blocks."""
-
     def __init__(
         self, segments: PathSegments, transform: Transform, height: float, tolerance: float
     ):

@@ -20,9 +20,18 @@ from cnc_interp.program import JobSetup
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.targets import ProgramChange
-from cnc_interp.run.machine_report import LossRecovery, MachineReport
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_phase import SENDING, TABLE, Code, Outcome, Phase, PhaseChange, refused
+from cnc_interp.run.run_phase import (
+    SENDING,
+    TABLE,
+    Code,
+    LossRecovery,
+    MachineReport,
+    Outcome,
+    Phase,
+    PhaseChange,
+    refused,
+)
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.function_messages import function_messages
 from cnc_interp.wire.path_messages import block_messages

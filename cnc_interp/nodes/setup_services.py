@@ -17,13 +17,13 @@ from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program.job import ROTATION, SetupChange
-from cnc_interp.program.setup_requests import (
+from cnc_interp.program.setup_table import (
+    SetupTable,
     offset_changes,
     tool_changes,
     touch_off_changes,
     values_by_axis,
 )
-from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.wire.run_messages import setup_table
 
 FRESH = 1.0  #: The machine's last word must not be older for a touch-off [s].

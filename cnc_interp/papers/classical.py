@@ -43,7 +43,6 @@ class ClassicalPass:
 
     @property
     def reach(self) -> FloatArray:
-        """Half width of the strip at the places ``s``, (n,) [m]."""
         return self.right.half_width(self.postures)
 
     def tool(self, s: FloatArray) -> Postures:
@@ -56,8 +55,6 @@ class ClassicalPass:
 
 @dataclass(frozen=True)
 class ClassicalPaths:
-    """Passes over a surface, as far as they could be followed."""
-
     passes: list[ClassicalPass]  #: The passes in order.
     loop: str  #: Where and how the next pass would loop; empty if the surface is covered.
 
@@ -66,7 +63,6 @@ def classical_paths(
     surface: Surface, cutter: Cutter, plane_normal: FloatArray, scallop_height: float, tilt: float,
     start: float | None = None, progress: Callable[[float], None] | None = None,
 ) -> ClassicalPaths:  # fmt: skip
-    """Compute the classical iso-scallop path over a surface."""
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     run = _Run(surface, cutter, normal, scallop_height, 0.5 * np.pi if cutter.is_ball else tilt)
@@ -74,8 +70,6 @@ def classical_paths(
 
 
 class _Run:
-    """The passes of one surface."""
-
     def __init__(
         self, surface: Surface, cutter: Cutter, normal: FloatArray, height: float, tilt: float
     ):

@@ -49,8 +49,7 @@ def _first_values(
 ) -> FloatArray:
     """Return the first three values of u_top [B2013, section 3.3, Eq. 11], shape (3, n).
 
-    The bottom points are ``STEP`` apart in u; before the corner the axis is that of the line.
-    Gauss-Newton converges fast, because the third difference is almost linear in u_top.
+    The third difference is almost linear in u_top, so Gauss-Newton converges fast.
     """
     n = len(axis)
     speed = norm(corner_end_derivatives(bottom)[0])

@@ -30,7 +30,6 @@ class ActiveModes:
     orientation_tolerance: float
 
     def moving(self, motion: float, feed: float) -> ActiveModes:
-        """Return the state with a motion code and a feed."""
         codes = self.codes if motion == NONE else (f'G{motion:.0f}', *self.codes)
         if feed == NONE:
             return replace(self, codes=codes)
@@ -46,8 +45,6 @@ def modes_without_motion(
 
 
 class ModesOfBlocks:
-    """The modal states of a program: each one once, and the blocks at which they change."""
-
     def __init__(self) -> None:
         self._numbers: dict[Hashable, int] = {}
         self._states: list[ActiveModes] = []
@@ -65,7 +62,6 @@ class ModesOfBlocks:
         return float(found)
 
     def see(self, states: FloatArray, first: int) -> None:
-        """Take number of the state, motion code and feed of further blocks, (n, 3)."""
         before = np.vstack([self._last, states[:-1]])
         rows = np.flatnonzero((states != before).any(axis=1))
         self._last = states[-1]
@@ -83,7 +79,6 @@ class ModesOfBlocks:
         return bisect_right(self._blocks, block) - 1
 
     def after(self, change: int) -> ActiveModes | None:
-        """Return the modal state after a change; None where it is not known."""
         if change < 0:
             return None
         number, motion, feed = self._changes[3 * change : 3 * change + 3]

@@ -1,4 +1,4 @@
-"""Arcs and helices of G2 and G3, for many blocks at once.
+"""Arcs and helices of G2 and G3, for many blocks at once; and rounded or chamfered corners.
 
 An arc has a centre c, a unit normal n and a sweep (positive: counter-clockwise about the normal).
 With the vector v from the centre to the start and the distance r from the axis, its point at u is
@@ -6,15 +6,22 @@ With the vector v from the centre to the start and the distance r from the axis,
     p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
 
 r changes linearly from the radius at the start to that at the end, because programs round both.
+
+The line before a corner with RND, RNDM, CHR or CHF (Siemens, Heidenhain) waits until the next one
+is known. Both are shortened, and an arc or a line joins them.
 """
 
 from __future__ import annotations
 
+from cmath import phase
+from collections.abc import Callable
 from dataclasses import dataclass
+from math import nan, pi, sin, tan
 
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import INCH, MM
 
 #: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
@@ -41,21 +48,18 @@ class Arcs:
     mismatch: FloatArray
 
 
+_OFF = 'start and end differ in their distance from the centre; correct I, J, K'
 FAULTS = {
     1: 'an arc needs its centre (I, J, K in the plane) or its radius (R)',
     2: 'radius and centre in one arc; keep one of them',
-    3: 'start and end differ in their distance from the centre; correct I, J, K',
+    3: _OFF,
     4: 'the radius is smaller than half the distance from start to end; correct R',
     5: 'a full circle cannot be given by its radius; give I, J, K',
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
+    8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
+    9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
 }
-AS_ABSOLUTE = (
-    f'{FAULTS[3]}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute'
-)
-AS_REVERSED = (
-    f'{FAULTS[3]}; they fit as the way from the centre to the start: --arc-centres reversed'
-)
 #: Faults that may only follow from a wrong start.
 OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 
@@ -143,3 +147,46 @@ def lengths(
         for v in (arm, other)
     )
     return np.asarray(np.hypot(radius * sweep, rise))
+
+
+#: Shorter lines are none [m, rad].
+_NOTHING = 1e-9
+Fault = Callable[[str, str], ProgramError]
+
+
+@dataclass(frozen=True)
+class Corner:
+    kind: str  #: RND: radius; CHR: length along both lines; CHF: length of the chamfer.
+    size: float  #: [m]
+    modal: bool = False  #: Whether every corner is rounded (RNDM).
+
+    def joint(
+        self, here: FloatArray, corner: FloatArray, after: FloatArray, frame: FloatArray,
+        fault: Fault,
+    ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:  # fmt: skip
+        """Return the ends of the lines and the arc between [m]; None: a modal one has no corner.
+
+        The columns of ``frame`` (3, 3) are both axes of the plane and its normal.
+        """
+        start, vertex, end = (complex(*(frame[:, :2].T @ p)) for p in (here, corner, after))
+        heights = [float(p @ frame[:, 2]) for p in (here, corner, after)]
+        into, out = vertex - start, end - vertex
+        angle = phase(out / into) if abs(into) > _NOTHING < abs(out) else 0.0
+        if np.ptp(heights) > _NOTHING or not _NOTHING < abs(angle) < pi - _NOTHING:
+            if self.modal:
+                return None
+            raise fault('needs two lines in the plane that make a corner', self.kind)
+        cut = self.size
+        if self.kind == 'RND':
+            cut *= tan(0.5 * abs(angle))
+        elif self.kind == 'CHF':
+            cut /= 2.0 * sin(0.5 * (pi - abs(angle)))
+        if cut > min(abs(into), abs(out)):
+            raise fault('does not fit between the lines; make it smaller', self.kind)
+        first = corner + cut / abs(into) * (here - corner)
+        last = corner + cut / abs(out) * (after - corner)
+        if self.kind != 'RND':
+            return first, last, (nan,) * 7
+        side = 1j * (1.0 if angle > 0.0 else -1.0) * self.size * into / abs(into)
+        centre = first + side.real * frame[:, 0] + side.imag * frame[:, 1]
+        return first, last, (*centre, *frame[:, 2], angle)

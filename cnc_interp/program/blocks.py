@@ -37,8 +37,7 @@ class Blocks(Table):
     axis: FloatArray = column(3)
     #: Rotary positions at the end of the block [rad], NaN if the program does not name them.
     rotary: FloatArray = column(2)
-    #: Tip speed relative to the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is
-    #: given.
+    #: Tip speed in the workpiece [m/s]; infinite for rapids; NaN if ``duration`` is given.
     feedrate: FloatArray = column()
     duration: FloatArray = column()  #: Programmed duration (inverse-time feed, G93) [s], else NaN.
     rapid: BoolArray = column()  #: Whether the block is a rapid (G0).
@@ -50,15 +49,12 @@ class Blocks(Table):
     line_number: IntArray = column()  #: Line of the program text, counted from 1.
     #: Control points of the second curve on spline rows [m], else NaN.
     top: FloatArray = column(3, default=nan)
-    #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots of its curve
-    #: [-]. It is 0 in the first row, in the last two rows and for a repeated knot. NaN on linear
-    #: rows.
+    #: On spline rows, ``t_(i+3) - t_(i+2)`` of control point i in the clamped knots [-]; 0 in the
+    #: first row, in the last two rows and for a repeated knot. NaN on linear rows.
     knot_interval: FloatArray = column(default=nan)
-    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits for the operator at the end of the
-    #: block. Such a block has an exact stop. Otherwise GO_ON.
+    #: STOP (M0) or OPTIONAL_STOP (M1) if the program waits at its exact stop. Otherwise GO_ON.
     program_stop: IntArray = column(default=GO_ON)
-    #: Positions of the k extra axes of the machine (U V W) at the end of the block [m]. They run
-    #: linearly with the tip.
+    #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip.
     extra: FloatArray = column('k', default=0.0)
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
     #: Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
@@ -70,7 +66,6 @@ class Blocks(Table):
 
     @property
     def on_spline(self) -> BoolArray:
-        """Return which rows are control points of native B-splines, shape (n,)."""
         return np.isfinite(self.knot_interval)
 
     @property

@@ -22,10 +22,9 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cl_cycles import cycle_of, way_to
-from cnc_interp.program.cl_frames import IDENTITY, ClFrames, moves, system_of
+from cnc_interp.program.cl_words import IDENTITY, ClFrames, moves, system_of
+from cnc_interp.program.cycles import RAPID, Hole
 from cnc_interp.program.functions import acting
-from cnc_interp.program.holes import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.source import LineStart, Source
 from cnc_interp.program.target_row import AT_M0, NO_ARC
@@ -66,6 +65,20 @@ class _Circle:
         arm = point - self.centre
         return np.asarray(arm - (arm @ self.normal) * self.normal)
 
+    def off(self, point: FloatArray) -> float:
+        """Return how far the distance of a point from the circle axis is from the radius [m]."""
+        return abs(float(np.linalg.norm(self.across(point))) - self.radius)
+
+
+def _numbers_of(minor: str) -> list[float]:
+    """Return the numbers between the commas; none if anything else is there."""
+    return [float(word) for word in minor.split(',')] if _NUMBERS.fullmatch(minor) else []
+
+
+def _moves(minor: str) -> bool:
+    numbers = _numbers_of(minor)
+    return any(numbers) or not numbers
+
 
 class ClReader:
     def __init__(self, geometry: Transform, settings: Settings, source: Source, notices: Notices):
@@ -76,6 +89,7 @@ class ClReader:
         self.line_number = 0
         self.unit = MM
         self.feedrate = settings.feedrate
+        self._tolerances = settings.contour_tolerance, settings.orientation_tolerance
         self.rapid = False
         self.axis = (0.0, 0.0, 1.0)
         self._point = (nan, nan, nan)
@@ -96,14 +110,13 @@ class ClReader:
             self._notice('interpolation', 'CL data turn the tool axis on great circles')
         refused, start = Refusals(), self.targets.start
         for line_number, statement in self._statements(self._lines()):
-            self.line_number = line_number
             if start.line and not start.passes and line_number >= start.line:
                 start.reach(self._state_words)
             if statement.startswith('FINI'):
                 break
             self._frames.keep(line_number, statement)
             try:
-                self._statement(statement)
+                self._statement(line_number, statement)
             except ProgramError as problem:
                 unset = problem.message == _NO_FEED
                 refused.add(problem, self._circle is not None, unset)
@@ -118,12 +131,8 @@ class ClReader:
             raise refused.error()
         yield from self.targets.finish()
 
-    def _repeat(self, line_number: int, statement: str) -> None:
+    def _statement(self, line_number: int, statement: str) -> None:
         self.line_number = line_number
-        if not statement.startswith(('COPY', 'INDEX')):
-            self._statement(statement)
-
-    def _statement(self, statement: str) -> None:
         match = _GOTO.fullmatch(statement)
         if match:
             self._goto(match.groups())
@@ -142,7 +151,6 @@ class ClReader:
             self.place = LineStart(offset, self.place.line + text.count(b'\n'))
 
     def _statements(self, lines: Iterable[str]) -> Iterator[tuple[int, str]]:
-        """Join continued lines; yield the number of the first line and the statement."""
         begun, parts = 0, ''
         number = 0
         in_comment = False
@@ -159,11 +167,8 @@ class ClReader:
                 begun = begun or number
                 parts += line[:-1] + ' '
                 continue
-            if begun:
-                line, at = (parts + line).strip(), begun
-                begun, parts = 0, ''
-            else:
-                at = number
+            line, at = (parts + line).strip(), begun or number
+            begun, parts = 0, ''
             if line:
                 yield at, line
         if begun:
@@ -190,7 +195,7 @@ class ClReader:
     def _drill(self, hole: Hole, place: FloatArray) -> None:
         axis, kept = np.array(self.axis), self.feedrate
         self.feedrate = hole.feed or kept
-        higher = way_to(np.array(self._point), place, axis, hole.clear)
+        higher = cl_words.way_to(np.array(self._point), place, axis, hole.clear)
         first = [] if higher is None or self.targets.empty else [higher]
         for point in (*first, place + hole.clear * axis, place + hole.retract * axis):
             self.rapid = True
@@ -208,27 +213,24 @@ class ClReader:
         arc = NO_ARC if self._circle is None else self._arc_to(self._circle, np.array([x, y, z]))
         self._point = x, y, z
         rapid, self.rapid = self.rapid, False
-        if rapid or self.targets.empty:
-            feedrate = inf
-        elif self.feedrate is None:
+        feedrate = inf if rapid or self.targets.empty else self.feedrate
+        if feedrate is None:
             raise self._fault(_NO_FEED, 'GOTO')
-        else:
-            feedrate = self.feedrate
-        tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
         speed = (feedrate, nan, rapid, 0.0)
         self.targets.state = self._state(rapid)
         self.targets.add(
             (
-                x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *tolerances, self.line_number,
-                0.0, nan, *arc, 0.0, 0.0, 0.0,
+                x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *self._tolerances,
+                self.line_number, 0.0, nan, *arc, 0.0, 0.0, 0.0,
             )
         )  # fmt: skip
 
     def _state(self, rapid: bool) -> tuple[float, float, float]:
         unit = 'UNITS/MM' if self.unit == MM else 'UNITS/INCHES'
         words = (*(['RAPID'] if rapid else []), unit, *self._outputs.values())
-        tolerances = (self.settings.contour_tolerance, self.settings.orientation_tolerance)
-        number = self.targets.modes.number(words, lambda: modes_without_motion(words, *tolerances))
+        number = self.targets.modes.number(
+            words, lambda: modes_without_motion(words, *self._tolerances)
+        )
         return number, NONE, NONE if self.feedrate is None else self.feedrate
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:
@@ -237,8 +239,7 @@ class ClReader:
         length = sqrt(i * i + j * j + k * k)
         if not abs(length - 1.0) <= _UNIT_VECTOR:
             raise self._fault(
-                f'the {what} is not a unit vector, its length is {length:g}; correct i, j, k',
-                word,
+                f'the {what} is not a unit vector, its length is {length:g}; correct i, j, k', word
             )
         return i / length, j / length, k / length
 
@@ -260,7 +261,7 @@ class ClReader:
             )
         if major in cl_words.REFUSED and not _ALONG_ARC.fullmatch(statement):
             raise self._fault(cl_words.REFUSED[major], major)
-        if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and self._moves(minor):
+        if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and _moves(minor):
             raise self._fault(cl_words.OFF_ONLY[major], statement)
         if statement.startswith(cl_words.TEXT):
             return
@@ -295,8 +296,7 @@ class ClReader:
             heading = self._numbers(minor, 3, 'write INDIRV/i,j,k')
             self._heading = self._frames.direction(heading)
         elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
-            units = {k: v for k, v in cl_words.FEED_UNITS.items() if v}
-            self._cycle = cycle_of(minor, units, self.unit, self._fault)
+            self._cycle = cl_words.cycle_of(minor, self.unit, self._fault)
             if self._cycle.rests:
                 self._notice(major, codes.DWELL)
         elif major == 'CYCLE':
@@ -306,17 +306,15 @@ class ClReader:
                          'cutter is not compensated')  # fmt: skip
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
-            stands = self.targets.stands
-            waits = kind == AT_M0
             if kind > 1.0:
                 self.targets.program_stop()
-            not_yet = codes.WAITS_FIRST if waits else codes.NOT_YET
-            self._notice(major, not_yet if stands else text)
-            if stands:
-                self.targets.waits_first |= waits
+            if self.targets.stands:
+                self.targets.waits_first |= kind == AT_M0
+                text = codes.WAITS_FIRST if kind == AT_M0 else codes.NOT_YET
             else:
                 self.targets.stop_here(kind)
-        elif major in ('MSYS', 'CSYS') and (system := self._system_of(minor)) is not None:
+            self._notice(major, text)
+        elif major in ('MSYS', 'CSYS') and (system := system_of(_numbers_of(minor))) is not None:
             if self._system and moves(system):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
             if self._frames.enter(system):
@@ -327,15 +325,15 @@ class ClReader:
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
             self._system = minor
         elif major == 'TRACUT':
-            off = minor in cl_words.OFF or not self._moves(minor)
+            off = minor in cl_words.OFF or not _moves(minor)
             minor = re.sub(r'^MATRIX\s*/|[()\s]', '', minor)
-            if (system := self._system_of(IDENTITY if off else minor)) is None:
+            if (system := system_of(_numbers_of(IDENTITY if off else minor))) is None:
                 raise self._fault('these numbers are no coordinate system', major)
             self._frames.cut(system)
         elif major == 'INDEX' and minor.isdigit():
             self._frames.index(int(minor))
         elif major == 'COPY':
-            if not self._frames.copy(minor, self._repeat):
+            if not self._frames.copy(minor, self._statement):
                 raise self._fault('write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, '
                                   'XYROT', major)  # fmt: skip
         elif major.startswith(cl_words.INFORMATION):
@@ -358,29 +356,21 @@ class ClReader:
                 self.targets.change((number, value), self.line_number)
         return True
 
-    def _system_of(self, minor: str) -> tuple[FloatArray, FloatArray] | None:
-        return system_of([float(w) for w in minor.split(',')] if _NUMBERS.fullmatch(minor) else [])
-
-    def _moves(self, minor: str) -> bool:
-        if not _NUMBERS.fullmatch(minor):
-            return True
-        return any(float(word) for word in minor.split(','))
-
     def _numbers(self, minor: str, count: int, remedy: str) -> list[float]:
-        words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
-        if len(words) != count:
+        numbers = _numbers_of(minor)
+        if len(numbers) != count:
             raise self._fault(remedy, minor)
-        return [float(word) for word in words]
+        return numbers
 
     # --- circles -------------------------------------------------------------------------------
 
     def _begin_circle(self, minor: str) -> None:
         """Process CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k through the next points."""
         remedy = f'write CIRCLE/x,y,z,i,j,k,r; {cl_words.LINEAR}'
-        words = minor.split(',') if _NUMBERS.fullmatch(minor) else []
-        if len(words) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
+        numbers = _numbers_of(minor)
+        if len(numbers) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
             raise self._fault(remedy, 'CIRCLE')
-        numbers = [float(word) for word in words[:7]]
+        del numbers[7:]
         if self._frames.is_moved:
             numbers[:3] = self._frames.point(numbers[:3]).tolist()
         if self.targets.empty:
@@ -388,14 +378,13 @@ class ClReader:
         if len(numbers) == 6:
             whole = _Circle(np.array(numbers[:3]) * self.unit,
                             np.array(self._unit_vector(numbers[3:], 'CIRCLE')), 0.0)  # fmt: skip
-            numbers.append(float(np.linalg.norm(whole.across(np.array(self._point)))) / self.unit)
+            numbers.append(whole.off(np.array(self._point)) / self.unit)
         if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
             raise self._fault('a circle beyond 100,000 mm, or with a radius of zero; correct it',
                               'CIRCLE')  # fmt: skip
         centre, radius = np.array(numbers[:3]) * self.unit, numbers[6] * self.unit
         circle = _Circle(centre, np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), radius)
-        away = circle.across(np.array(self._point))
-        off = abs(float(np.linalg.norm(away)) - radius)
+        off = circle.off(np.array(self._point))
         if not off <= arcs.allowed_mismatch(np.array(radius)):
             raise self._fault(
                 f'the tool is {off / self.unit:.4g} away from this circle; correct the circle or '

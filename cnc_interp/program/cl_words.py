@@ -1,11 +1,26 @@
-"""The words of CL data: supported, harmless, and refused with a reason."""
+"""The words of CL data, with a reason where they are refused; drilling cycles, and frames.
+
+``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at each of the next GOTO points, until
+``CYCLE/OFF``: a rapid to r and to c above the point along the tool axis, feed f to d below it, and
+a rapid back to r. The signs of d, and words for the same thing, differ between CAM systems.
+
+The points after MSYS (NX: origin, X, Y) or CSYS (three rows of four numbers, or X, Y, Z and the
+origin) lie in that system. The first one is that of the workpiece; others are taken into it.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 
-from cnc_interp.core.units import INCH, MM
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program import codes
+from cnc_interp.program.cycles import Hole, pecks_of
+from cnc_interp.program.frames import rotation
 from cnc_interp.program.target_row import AT_M0, AT_M1
 
 #: Words that are followed by text to the end of the line.
@@ -33,25 +48,20 @@ LINEAR = 'output the tool path as GOTO points'
 _FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
 _DRIVEN = f'motion along part surfaces is not supported; {LINEAR}'
 REFUSED = {
-    'MOVARC': f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}',
-    'ARCMOV': f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}',
+    **dict.fromkeys(
+        ('MOVARC', 'ARCMOV'), f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}'),
     'GOHOME': f'machine-coordinate moves are not supported; {LINEAR}',
     'RETRCT': f'retract moves are not supported; {LINEAR}',
-    'ROTATE': f'rotary table moves are not supported; {LINEAR}',
-    'ROTABL': f'rotary table moves are not supported; {LINEAR}',
+    **dict.fromkeys(('ROTATE', 'ROTABL'), f'rotary table moves are not supported; {LINEAR}'),
     'ROTHED': f'rotary head moves are not supported; {LINEAR}',
-    'MACRO': f'macros are not supported; {LINEAR}',
-    'CALL': f'macros are not supported; {LINEAR}',
+    **dict.fromkeys(('MACRO', 'CALL'), f'macros are not supported; {LINEAR}'),
     'PROBE': f'probing is not supported; {LINEAR}',
     **dict.fromkeys(
         ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRP', 'TLON',
          'TLLFT', 'TLRGT', 'PSIS', 'DNTCUT'), _DRIVEN),
 }  # fmt: skip
 #: Words that are refused unless they switch something off or contain only zeros.
-OFF_ONLY = {
-    'ORIGIN': _FRAME,
-    'TRANS': _FRAME,
-}
+OFF_ONLY = {'ORIGIN': _FRAME, 'TRANS': _FRAME}
 OFF = {'', 'OFF', 'NOMORE'}
 UNKNOWN = 'unknown word; write $$ before it if it does not move the tool'
 LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
@@ -68,3 +78,155 @@ def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
     if major == 'COOLNT':
         return (['M9'] if minor in OFF else ['M7' if 'MIST' in fields else 'M8']), {}
     return (['T', 'M6'], {'T': numbers[0]}) if major == 'LOADTL' and numbers else ([], {})
+
+
+#: Kinds of cycles: those that come back by feed, that turn back after pecks, and that rest.
+_FEED_OUT, _PECKING = {'TAP', 'BORE', 'REAM', 'BORE8'}, {'DEEP', 'DEEP2', 'BRKCHP', 'CHIPBR'}
+KINDS = {'DRILL', 'FACE', 'CSINK', 'CDRILL', 'SPOTDRILL', *_FEED_OUT, *_PECKING}
+_VALUES = {
+    'FEDTO': 'depth', 'DEPTH': 'depth', 'RAPTO': 'clear', 'CLEAR': 'clear', 'RTRCTO': 'retract',
+    'RETURN': 'retract', 'MMPM': 'feed', 'IPM': 'feed', 'STEP': 'peck', 'INCR': 'peck',
+    '1STPECK': 'peck', 'SUBPECK': 'next', 'DWELL': 'dwell',
+}  # fmt: skip
+#: How near the tool comes to the last peck in a rapid [m].
+_NEAR = 0.5 * MM
+
+
+def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError]) -> Hole:
+    kind, *words = [word.strip() for word in minor.split(',')]
+    if kind not in KINDS:
+        raise fault('this cycle is not supported; output the tool path as GOTO points', kind)
+    found: dict[str, float] = {}
+    feed_unit = unit
+    while words:
+        word = words.pop(0)
+        if word not in _VALUES:
+            why = 'a number without a word' if re.fullmatch(r'[-+.\dE]+', word) else 'not known'
+            raise fault(f'{why} in a cycle; write FEDTO, RAPTO, RTRCTO and MMPM', word or kind)
+        if not words or not re.fullmatch(r'[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?', words[0]):
+            raise fault('a number is missing in the cycle', word)
+        found[_VALUES[word]] = float(words.pop(0))
+        feed_unit = FEED_UNITS.get(word) or feed_unit
+    if 'depth' not in found:
+        raise fault('the cycle needs its depth FEDTO', kind)
+    depth, clear, first, following = (
+        abs(found.get(name, 0.0)) * unit for name in ('depth', 'clear', 'peck', 'next')
+    )
+    pecks: list[float] = []
+    if kind in _PECKING:
+        pecks = pecks_of(
+            0.0, -depth, first or depth, lambda text: fault(text, kind),
+            lambda *_: following or first,
+        )  # fmt: skip
+    return Hole(
+        clear, -depth, max(abs(found.get('retract', 0.0)) * unit, clear), pecks, gap=_NEAR,
+        rests=found.get('dwell', 0.0) > 0.0, out=clear if kind in _FEED_OUT else None,
+        feed=found.get('feed', 0.0) * feed_unit / MINUTE,
+    )  # fmt: skip
+
+
+def way_to(
+    here: FloatArray, place: FloatArray, axis: FloatArray, retract: float
+) -> FloatArray | None:
+    """Return where to rise to first, if the tool stands below the retract level of a hole."""
+    below = float((place - here) @ axis) + retract
+    across = float(np.linalg.norm(np.cross(place - here, axis)))
+    return here + below * axis if below > 1e-9 and across > 1e-9 else None
+
+
+#: How far the axes of a system may be from right angles [-].
+_ROUNDED = 1e-4
+_COPY = re.compile(r'(\d+)\s*(?:,\s*(SAME|TRANSL|XYROT|YZROT|ZXROT)\s*((?:,\s*[-+.\dE]+\s*)*))?')
+_MOST_COPIES = 10_000  #: A part of a program is copied at most so many times.
+
+IDENTITY = '1,0,0,0,0,1,0,0,0,0,1,0'  #: A system that moves nothing.
+
+
+def system_of(numbers: Sequence[float]) -> tuple[FloatArray, FloatArray] | None:
+    """Return axes as columns, shape (3, 3), and origin of a system; None if it is not one."""
+    rows = np.array(numbers)
+    if len(rows) == 9:
+        x, y = rows[3:6], rows[6:]
+        found = [(np.stack([x, y, np.cross(x, y)], axis=1), rows[:3])]
+    elif len(rows) == 12:
+        whole = rows.reshape(3, 4)
+        found = [(whole[:, :3], whole[:, 3]), (rows[:9].reshape(3, 3).T, rows[9:])]
+    else:
+        return None
+    for axes, origin in found:
+        if np.abs(axes.T @ axes - np.eye(3)).max() < _ROUNDED and np.linalg.det(axes) > 0.0:
+            left, _, right = np.linalg.svd(axes)
+            return np.asarray(left @ right), origin
+    return None
+
+
+def moves(system: tuple[FloatArray, FloatArray]) -> bool:
+    return bool(np.abs(system[0] - np.eye(3)).max() > 1e-9 or np.abs(system[1]).max() > 1e-9)
+
+
+class ClFrames:
+    def __init__(self) -> None:
+        self._first: tuple[FloatArray, FloatArray] | None = None
+        self._system = self._cut = self._copied = np.eye(3), np.zeros(3)
+        self.is_moved = False  # whether points are not as they are written
+        self._marks: dict[int, int] = {}  # INDEX by number: the first statement after it
+        self.kept: list[tuple[int, str]] = []  # statements since the first INDEX
+
+    def enter(self, system: tuple[FloatArray, FloatArray]) -> bool:
+        self._first = axes, origin = self._first or system
+        self._system = axes.T @ system[0], axes.T @ (system[1] - origin)
+        self._note()
+        return moves(self._system)
+
+    def cut(self, system: tuple[FloatArray, FloatArray]) -> None:
+        """Process TRACUT: the points from here on are moved by a system."""
+        self._cut = system
+        self._note()
+
+    def _note(self) -> None:
+        parts = (self._system, self._cut, self._copied)
+        self.is_moved = any(moves(part) for part in parts)
+
+    def point(self, point: Sequence[float]) -> FloatArray:
+        """Return a point in the frame of the workpiece, shape (3,)."""
+        found = np.array(point)
+        for axes, origin in (self._cut, self._copied, self._system):
+            found = axes @ found + origin
+        return found
+
+    def direction(self, direction: Sequence[float]) -> FloatArray:
+        found = np.array(direction)
+        return self._system[0] @ self._copied[0] @ self._cut[0] @ found if self.is_moved else found
+
+    def index(self, number: int) -> None:
+        """Process INDEX: COPY repeats what follows."""
+        self._marks[number] = len(self.kept)
+
+    def keep(self, line_number: int, statement: str) -> None:
+        if self._marks and not statement.startswith(('COPY', 'INDEX')):
+            self.kept.append((line_number, statement))
+
+    def copy(self, minor: str, run: Callable[[int, str], None]) -> bool:
+        match = _COPY.fullmatch(minor)
+        if match is None or int(match[1]) not in self._marks:
+            return False
+        given = [float(word) for word in (match[3] or '').split(',') if word.strip()]
+        *values, times = given or [1.0]
+        kind = match[2] or 'SAME'
+        if len(values) != {'SAME': 0, 'TRANSL': 3}.get(kind, 1) or not 0 < times <= _MOST_COPIES:
+            return False
+        turn, shift = np.eye(3), np.zeros(3)
+        if kind == 'TRANSL':
+            shift = np.array(values)
+        elif kind != 'SAME':
+            turn = rotation({'YZROT': 0, 'ZXROT': 1, 'XYROT': 2}[kind], values[0] * DEG)
+        before, part = self._copied, self.kept[self._marks.pop(int(match[1])) :]
+        for _ in range(int(times)):
+            axes, origin = self._copied
+            self._copied = turn @ axes, turn @ origin + shift
+            self._note()
+            for number, statement in part:
+                run(number, statement)
+        self._copied = before
+        self._note()
+        return True

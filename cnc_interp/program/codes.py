@@ -10,22 +10,15 @@ from cnc_interp.program.notices import WARNING
 
 # Codes of one modal group set the same attribute, so two of them in one block contradict.
 SETTINGS: dict[str, tuple[str, object]] = {
-    'G0': ('motion', 0),
-    'G1': ('motion', 1),
-    'G2': ('motion', 2),
-    'G3': ('motion', 3),
-    'G17': ('plane', 'G17'),
-    'G18': ('plane', 'G18'),
-    'G19': ('plane', 'G19'),
+    **{f'G{number}': ('motion', number) for number in range(4)},
+    **{code: ('plane', code) for code in ('G17', 'G18', 'G19')},
     **dict.fromkeys(('G20', 'G70', 'G700'), ('unit', INCH)),
     **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)),
     'G90': ('incremental', False),
     'G91': ('incremental', True),
     'G90.1': ('centre_absolute', True),
     'G91.1': ('centre_absolute', False),
-    'G93': ('feed_mode', 'G93'),
-    'G94': ('feed_mode', 'G94'),
-    'G95': ('feed_mode', 'G95'),
+    **{code: ('feed_mode', code) for code in ('G93', 'G94', 'G95')},
     'G98': ('retract_to_start', True),
     'G99': ('retract_to_start', False),
     **dict.fromkeys(('G61', 'G60', 'G61.1'), ('stop_always', True)),
@@ -57,27 +50,19 @@ RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G76', 'G84.2', 'G84.3', *(f'G{number}' for number in range(81, 90))}
 
-_OFF = 'nothing to switch off'
 #: What a start of the spindle is told as, because the tool moves all the same.
 NO_SPINDLE = f'{WARNING}the spindle is NOT started; start it by hand before the tool cuts'
 HARMLESS_G: dict[str, str] = {
-    'G15': _OFF,
-    'G50': _OFF,
-    'G50.1': _OFF,
-    'G13.1': _OFF,
-    'G40.1': _OFF,
-    'G54.2': _OFF,
+    **dict.fromkeys(
+        ('G15', 'G50', 'G50.1', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'
+    ),
     'G62': 'no effect, F is kept in corners, too',
     'G103': 'no effect, the whole program is looked through',
     'G187': 'no effect, the path is always smoothed within the tolerances',
     'G96': 'no effect, the spindle is not driven',
     'G97': 'no effect',
-    'G450': 'outer corners are rolled about',
-    'G451': 'outer corners are rolled about',
-    'G255': _OFF,
-    'G601': 'every exact stop is exact',
-    'G602': 'every exact stop is exact',
-    'G603': 'every exact stop is exact',
+    **dict.fromkeys(('G450', 'G451'), 'outer corners are rolled about'),
+    **dict.fromkeys(('G601', 'G602', 'G603'), 'every exact stop is exact'),
 }
 
 #: Harmless codes with words that give them another meaning, by code: the letters, and the reason.
@@ -110,18 +95,14 @@ SPLINE_LETTERS = frozenset('XYZIJ')  #: With these letters, a code of ``LOOK_AHE
 _LINEAR = 'post the program with linear moves'
 _FRAME = 'changing the coordinate system is not supported this way; post in one workpiece frame'
 REFUSED_G: dict[str, str] = {
-    'G5': f'spline moves are not supported; {_LINEAR}',
-    'G5.1': f'spline moves are not supported; {_LINEAR}',
-    'G5.2': f'spline moves are not supported; {_LINEAR}',
-    'G5.3': f'spline moves are not supported; {_LINEAR}',
+    **dict.fromkeys(('G5', 'G5.1', 'G5.2', 'G5.3'), f'spline moves are not supported; {_LINEAR}'),
     'G7': 'diameter programming is not supported; post with radii',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
     'G32': 'a thread follows the spindle, which is not measured; leave it out',
     'G51': 'scaling is not supported; post at full size',
     'G66': 'modal macro calls are not supported; call with G65',
     'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',
-    'G110': f'polar coordinates are not supported; {_LINEAR}',
-    'G111': f'polar coordinates are not supported; {_LINEAR}',
+    **dict.fromkeys(('G110', 'G111'), f'polar coordinates are not supported; {_LINEAR}'),
 }
 
 #: Of stops before the first motion, M1 and M0.
@@ -155,19 +136,17 @@ REFUSED_KEYS: dict[str, str] = {
     'CUT2': 'write CUT2D; the compensation turns with the frame',
     'CUT3': 'of compensation in space only CUT3DF with normals A5= B5= C5= is supported',
     **dict.fromkeys(('POCKET', 'SLOT', 'LONGHOLE', 'CYCLE'), _SIEMENS_CYCLE),
-    'SCALE': 'scaling is not supported; post at full size',
-    'ASCALE': 'scaling is not supported; post at full size',
-    'MIRROR': 'mirroring is not supported; post the mirrored path',
-    'AMIRROR': 'mirroring is not supported; post the mirrored path',
-    'ROTS': f'space angles are not supported; {_FRAME}',
-    'AROTS': f'space angles are not supported; {_FRAME}',
-    'ASPLINE': 'of the native splines only BSPLINE is supported; post with linear moves',
-    'CSPLINE': 'of the native splines only BSPLINE is supported; post with linear moves',
+    **dict.fromkeys(('SCALE', 'ASCALE'), 'scaling is not supported; post at full size'),
+    **dict.fromkeys(('MIRROR', 'AMIRROR'), 'mirroring is not supported; post the mirrored path'),
+    **dict.fromkeys(('ROTS', 'AROTS'), f'space angles are not supported; {_FRAME}'),
+    **dict.fromkeys(
+        ('ASPLINE', 'CSPLINE'),
+        'of the native splines only BSPLINE is supported; post with linear moves',
+    ),
     'POLY': 'native polynomials are not supported; post with linear moves',
     'CIP': 'arcs by three points are not supported; give I, J, K',
     'CT': 'tangential arcs are not supported; give I, J, K',
-    'CALL': 'subprograms are called by M98, G65, O- CALL, or their name',
-    'SUB': 'subprograms are called by M98, G65, O- CALL, or their name',
+    **dict.fromkeys(('CALL', 'SUB'), 'subprograms are called by M98, G65, O- CALL, or their name'),
     'DEF': 'write DEF REAL NAME=VALUE',
     'GOTO': 'write GOTO with a line number or a label',
     'IF': 'write IF [...] GOTO number, or IF [...] THEN #1=value',

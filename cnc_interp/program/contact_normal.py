@@ -51,8 +51,6 @@ class ToolShape:
 
 
 class ContactPath:
-    """One stretch of compensation along contact normals, from G41.2 or G42.2 to G40."""
-
     def __init__(self, cutter: ToolShape):
         self._cutter = cutter
         self._normal: FloatArray | None = None  # the last one

@@ -1,8 +1,7 @@
 """Dialects: the form of a text, and what its words mean where controls differ.
 
-A profile is declared once for each control. It is chosen by ``--dialect``, else recognised from
-words that only one control has, else from the suffix of the file. A text that shows nothing, or
-words of two controls, has the profile ``PLAIN``: what is read in two ways is refused.
+A profile is chosen by ``--dialect``, else by words that only one control has, else by the suffix
+of the file. Otherwise it is ``PLAIN``: what is read in two ways is refused.
 """
 
 from __future__ import annotations
@@ -12,15 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.files import CL_SUFFIXES
-from cnc_interp.program.source import Source
+from cnc_interp.program.source import CL_SUFFIXES, Source
 from cnc_interp.settings.options import Settings
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """What the words of one control mean where another one reads them otherwise."""
-
     name: str
     title: str
     starts_with: int | None = None  #: The motion code after a reset (0 to 3); None: none.
@@ -86,7 +82,6 @@ def form_of(source: Source) -> str:
 
 
 def as_on(geometry: Transform, settings: Settings) -> Settings:
-    """Return settings in which the control of the machine says what the user does not."""
     control = geometry.machine.control
     return replace(
         settings, **{k: v for k, v in control.items() if getattr(settings, k) == 'auto'}

@@ -1,7 +1,4 @@
-"""The position of the reader in a program: its line, and the active subprogram calls.
-
-Backward jumps and calls are counted, so that an endless program is refused.
-"""
+"""The position of the reader in a program: its line, and the active subprogram calls."""
 
 from __future__ import annotations
 
@@ -13,8 +10,7 @@ from typing import Any
 
 from cnc_interp.core.errors import InterpError, ProgramError
 from cnc_interp.program.expressions import ProgramVariables
-from cnc_interp.program.files import subprogram_file
-from cnc_interp.program.source import LineStart, Source
+from cnc_interp.program.source import LineStart, Source, subprogram_file
 
 _DEEPEST_CALL = 20
 _PERCENT = re.compile(rb'(?m)^[ \t]*%')
@@ -27,7 +23,7 @@ class Structure:
     label: str = ''  #: Tells it from others, as the number of an O word; empty: they nest.
     before: str = ''
     after: str = r'(?![A-Z_])'
-    #: Patterns of its first and last word where they are not those of ``structures.py``.
+    #: Patterns of its first and last word where they are not those of ``flow.py``.
     head: str = ''
     end: str = ''
 
@@ -60,6 +56,7 @@ class _Call:
 class Cursor:
     def __init__(self, source: Source, variables: ProgramVariables, most_jumps: int):
         self.main = self.source = source
+        self.folder = Path(source.name).parent
         self.variables = variables
         self.ended = self.jumped = False
         self._jumps, self._most_jumps = 0, most_jumps
@@ -121,7 +118,6 @@ class Cursor:
         self.main.close()
 
     def back_or_on(self, place: LineStart) -> None:
-        """Jump to a place; backward jumps are counted."""
         if place.offset <= self.window.place(self.row).offset:
             self._count_jump()
         self.go(place)
@@ -189,10 +185,6 @@ class Cursor:
     def saved_state(self) -> Any:
         return self._calls[-1].saved if self._calls else self.saved
 
-    @property
-    def folder(self) -> Path:
-        return Path(self.main.name).parent
-
     def call_file(self, stem: str, rounds: int) -> None:
         self.call(stem, rb'(?!)', rounds, {}, own_variables=False)
 
@@ -202,7 +194,7 @@ class Cursor:
             raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it',
                              stem)  # fmt: skip
         try:
-            return self.main.beside(path)
+            return Source.of_file(path, self.main.folders)
         except InterpError as problem:
             raise self.fault(f'the subprogram {stem}: {problem}', stem) from None
 

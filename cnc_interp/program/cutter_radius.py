@@ -121,10 +121,17 @@ class Element:
 
 
 def crossings(first: Element, second: Element) -> list[complex]:
-    """Return the points in which the line or circle of one element meets that of the next."""
     radius, other = abs(first.end - first.centre), second.radius  # at the vertex
     if first.is_arc and second.is_arc:
-        return _of_circles(first.centre, radius, second.centre, other)
+        apart = abs(second.centre - first.centre)
+        if apart < SHORTEST:
+            return []
+        along = (second.centre - first.centre) / apart
+        share = (apart**2 + radius**2 - other**2) / (2.0 * apart)
+        square = radius**2 - share**2
+        root = np.sqrt(max(square, 0.0))
+        points = [first.centre + (share + side * 1j * root) * along for side in (1, -1)]
+        return points if square > 0.0 else []
     if first.is_arc or second.is_arc:
         line, arc, radius = (second, first, radius) if first.is_arc else (first, second, other)
         foot = line.start + ((arc.centre - line.start) * line.along.conjugate()).real * line.along
@@ -138,21 +145,7 @@ def crossings(first: Element, second: Element) -> list[complex]:
     return [first.start - way.imag / across * first.along]
 
 
-def _of_circles(centre: complex, radius: float, second: complex, other: float) -> list[complex]:
-    apart = abs(second - centre)
-    if apart < SHORTEST:
-        return []
-    along = (second - centre) / apart
-    share = (apart**2 + radius**2 - other**2) / (2.0 * apart)
-    square = radius**2 - share**2
-    if square <= 0.0:
-        return []
-    return [centre + (share + side * 1j * np.sqrt(square)) * along for side in (1, -1)]
-
-
 class CutterRadius:
-    """One stretch of compensation, from G41 or G42 to G40."""
-
     def __init__(
         self, distance: float, frame: FloatArray, before: FloatArray, source: str,
         own_entry: bool, told: Told | None = None,
@@ -327,7 +320,6 @@ class CutterRadius:
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
-        """Raise if the path so far comes too near to an element of the contour."""
         number = self._count
         self._parts.append((number, element))
         self._count += 1
@@ -351,10 +343,7 @@ class CutterRadius:
                 self._check(part.distance(element.at(share)), row, other, number)
 
     def _check(self, distance: float, row: FloatArray, one: int, other: int) -> None:
-        """Raise if the tool centre is nearer to the contour than its radius and the tolerance.
-
-        What may be a lead, before or after a closed contour, is judged when that is known.
-        """
+        """Raise if the tool centre is too near to the contour; possible leads are judged later."""
         if distance >= abs(self._distance) - row[col.CONTOUR]:
             return
         before, after = sorted((one, other))

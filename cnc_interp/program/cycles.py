@@ -1,24 +1,116 @@
-"""Canned cycles: drilling, tapping and boring as rapid and feed moves.
+"""Holes, as the cycles of all dialects describe them; and the canned cycles of G-code.
 
 G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
 G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. G76 and G87
 of Fanuc shift the tool by I and J at the bottom, G88 waits there. Z, R, Q and P stay valid for the
 next holes. G98 retracts to the start level of the cycle, G99 to R.
+
+CYCLE81 to CYCLE89 and CYCLE840 of Siemens begin with the retract plane RTP, the reference plane
+RFP, the safety distance SDIS above it, where the feed begins, and the depth, DP absolute or DPR
+below RFP. With MCALL the cycle runs at the end of every block with a motion in the plane.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import INCH, MM
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
-from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
+from cnc_interp.program.target_row import AT_M0
 from cnc_interp.program.words import BlockWords
+
+#: Kinds of strokes: a rapid, and those at the feed into the hole and out of it.
+RAPID, INTO, OUT_OF = range(3)
+_MOST_PECKS = 10_000
+_NOTHING = 1e-9  #: What is left of a hole and not worth another stroke [m].
+
+
+@dataclass(frozen=True)
+class Hole:
+    """How a hole is made from the level ``retract``; levels are those along the tool [m]."""
+
+    retract: float  #: Where the feed begins.
+    bottom: float
+    clear: float  #: Where the tool has left the hole.
+    pecks: Sequence[float] = ()  #: Where the tool turns back before the bottom.
+    #: Whether it retracts a little after each peck only, and by how much; where it comes back, it
+    #: stops short of the last peck by ``gap``.
+    breaks: bool = False
+    gap: float = 0.0
+    feeds_back: bool = False  #: Whether it comes back from each peck by feed.
+    rests: bool = False
+    waits: bool = False  #: Whether an operator retracts the tool.
+    out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
+    shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
+    #: Feeds into the hole and out of it [m/s]; None: that of the program, and that into it.
+    feed: float | None = None
+    feed_out: float | None = None
+
+    def strokes(self) -> Iterator[tuple[float, int, bool, float]]:
+        """Yield the level, kind, whether it is moved aside, and the stop at the end of strokes."""
+        for peck in self.pecks:
+            yield peck, INTO, False, 0.0
+            if not self.breaks:
+                yield self.retract, INTO if self.feeds_back else RAPID, False, 0.0
+            if self.breaks or not self.feeds_back:
+                yield min(peck + self.gap, self.retract), RAPID, False, 0.0
+        rests = self.rests or self.out is not None
+        yield self.bottom, INTO, False, AT_M0 if self.waits else float(rests)
+        if self.out is not None:
+            yield self.out, OUT_OF, False, 0.0
+        elif self.shift is not None:
+            yield self.bottom, RAPID, True, 0.0
+            yield self.clear, RAPID, True, 0.0
+        yield self.clear, RAPID, False, 0.0
+
+
+def pecks_of(
+    top: float, bottom: float, first: float, fault: Callable[[str], ProgramError],
+    then: Callable[[float, float], float] | None = None,
+) -> list[float]:  # fmt: skip
+    """Return the levels of pecks [m]; ``then``: a stroke by the one before and what is left."""
+    depth, done, stroke, levels = top - bottom, first, first, list[float]()
+    while depth - done > _NOTHING:
+        levels.append(top - done)
+        if len(levels) > _MOST_PECKS:
+            raise fault(f'more than {_MOST_PECKS} pecks; enlarge the peck')
+        stroke = stroke if then is None else then(stroke, depth - done)
+        done = first * (len(levels) + 1) if then is None else done + stroke
+    return levels
+
+
+def go_along(
+    mover: Mover, place: FloatArray, axis: int, along: float, feed_given: bool, rapid: bool = True
+) -> None:
+    target = place.copy()
+    target[axis] = along
+    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
+    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=rapid)
+
+
+def make_hole(
+    mover: Mover, hole: Hole, place: FloatArray, axis: int, feed_given: bool = True
+) -> None:
+    kept = mover.feedrate
+    feed = hole.feed or kept
+    beside = place.copy()
+    beside[:3] += np.zeros(3) if hole.shift is None else hole.shift
+    for level, kind, aside, stop in hole.strokes():
+        mover.feedrate = hole.feed_out or feed if kind == OUT_OF else feed
+        go_along(mover, beside if aside else place, axis, level, feed_given, kind == RAPID)
+        if stop:
+            mover.targets.stop_here(stop)
+    mover.feedrate = kept
+
 
 #: Clearance above the last peck, and retract distance of G73, by unit [m].
 _CLEARANCE = {MM: 0.254 * MM, INCH: 0.01 * INCH}
@@ -132,7 +224,6 @@ class CannedCycle:
         return np.array([self._sticky.get(letter, 0.0) * mover.unit for letter in 'IJK'])
 
     def _pecks(self, mover: Mover, retract: float, bottom: float) -> list[float]:
-        """Return the levels at which the tool turns back before the bottom."""
         if self.code not in _PECKING and not ('Q' in self._sticky and self.code in TAPPING):
             return []
         step = self._sticky.get('Q', 0.0) * mover.unit
@@ -143,3 +234,122 @@ class CannedCycle:
         if not 0.0 < step < FARTHEST:
             raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)
         return pecks_of(retract, bottom, step, lambda text: mover.fault(text, self.code))
+
+
+SIEMENS = {f'CYCLE{number}' for number in (81, 82, 83, 84, 840, 85, 86, 87, 88, 89)}
+PATTERNS = {'HOLES1', 'HOLES2'}
+SIEMENS_WORDS = {'MCALL', 'CYCLE80', *SIEMENS, *PATTERNS}
+_SIEMENS_TAPPING = {'CYCLE84', 'CYCLE840'}
+_SIEMENS_FEED_OUT = {*_SIEMENS_TAPPING, 'CYCLE85', 'CYCLE89'}
+#: How far the tool goes back to break the chip, and how near it comes again [m].
+_BREAK, _NEAR, _NEAR_SHARE, _NEAR_MOST = 1.0 * MM, 0.6 * MM, 0.02, 7.0 * MM
+_MOST_HOLES = 10_000
+
+Given = Sequence[float | None]
+
+
+class SiemensCycle:
+    def __init__(self, name: str, given: Given, mover: Mover):
+        self.name, self._given, self._mover = name, given, mover
+        if None in (self._at(0), self._at(1)) or (self._at(3), self._at(4)) == (None, None):
+            raise mover.fault('give the planes RTP and RFP and the depth DP or DPR', name)
+
+    def _at(self, index: int) -> float | None:
+        return self._given[index] if index < len(self._given) else None
+
+    def _value(self, index: int) -> float:
+        return self._at(index) or 0.0
+
+    def make(self) -> None:
+        mover, unit = self._mover, self._mover.unit
+        axis = PLANES[mover.plane][2]
+        reference, depth = self._value(1) * unit, self._at(3)
+        bottom = reference - self._value(4) * unit if depth is None else depth * unit
+        if reference < bottom:
+            raise mover.fault('the reference plane lies below the depth', self.name)
+        retract, clear = reference + self._value(2) * unit, self._value(0) * unit
+        if clear < retract:
+            raise mover.fault('the retract plane RTP lies below the safety distance', self.name)
+        pecks = self._pecks(reference, bottom) if self.name == 'CYCLE83' else []
+        shift = None
+        if self.name == 'CYCLE86' and any(self._value(i) for i in (7, 8)):
+            shift = np.zeros(3)
+            for index, place in zip((7, 8), PLANES[mover.plane][:2], strict=True):
+                shift[place] = self._value(index) * unit
+        if self.name in _SIEMENS_TAPPING:
+            mover.notice(self.name, 'feed in, feed out; the spindle is not synchronised')
+        rests = self.name in ('CYCLE82', 'CYCLE86', 'CYCLE88', 'CYCLE89') or self._value(5) > 0.0
+        if rests and self._value(5):
+            mover.notice(self.name, DWELL)
+        waits = self.name in ('CYCLE87', 'CYCLE88')
+        breaks = self.name == 'CYCLE83' and not self._value(11)
+        distance = self._value(14) * unit or _BREAK
+        near = self._value(16) * unit or min(
+            max(_NEAR, _NEAR_SHARE * (reference - bottom)), _NEAR_MOST
+        )
+        here = mover.here()
+        for along in (clear, retract) if here[axis] < retract else (retract,):
+            go_along(mover, here, axis, along, feed_given=True)
+        hole = Hole(
+            retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
+            waits=waits, out=retract if self.name in _SIEMENS_FEED_OUT else None, shift=shift,
+            feed=self._feed(), feed_out=self._feed_out(),
+        )  # fmt: skip
+        make_hole(mover, hole, here, axis)
+
+    def _feed(self) -> float | None:
+        """Return the feed into the hole [m/s]: FFR, or pitch by speed; None: the modal one."""
+        unit, speed = self._mover.unit, self._mover.spindle_speed
+        if self.name == 'CYCLE85':
+            return self._value(6) * unit / MINUTE
+        if self.name == 'CYCLE84':
+            return abs(self._value(8)) * MM * (self._value(10) or speed) / MINUTE
+        return abs(self._value(10)) * MM * speed / MINUTE if self.name == 'CYCLE840' else None
+
+    def _feed_out(self) -> float | None:
+        """Return the feed out of the hole [m/s]; None: that into it."""
+        if self.name == 'CYCLE85' and self._value(7):
+            return self._value(7) * self._mover.unit / MINUTE
+        if self.name == 'CYCLE84' and self._value(8) and self._value(11):
+            return abs(self._value(8)) * MM * self._value(11) / MINUTE
+        return None
+
+    def _pecks(self, reference: float, bottom: float) -> list[float]:
+        """Return the levels of the pecks before the bottom: FDEP or FDPR, then less by DAM."""
+        unit, depth = self._mover.unit, reference - bottom
+        first = self._at(5)
+        stroke = self._value(6) * unit if first is None else reference - first * unit
+        if not 0.0 < stroke < depth:
+            return []
+        less, least = self._value(7), max(self._value(13) * unit, 0.0)
+
+        def then(stroke: float, left: float) -> float:
+            if less > 0.0:
+                stroke = max(stroke - less * unit, less * unit)
+            elif less < 0.0:
+                stroke = max(stroke * -less, least, 1e-6)
+            stroke = max(stroke, least)
+            if less > 0.0 and stroke < left < 2.0 * stroke:
+                return 0.5 * left  # the last two strokes are alike
+            return min(stroke, left)
+
+        return pecks_of(reference, bottom, stroke, lambda text: self._mover.fault(text, self.name),
+                        then)  # fmt: skip
+
+
+def places_of(name: str, given: Given, mover: Mover) -> list[tuple[float, float]]:
+    """Return the places of HOLES1 (a row) and HOLES2 (a circle) in the plane [m]."""
+    unit = mover.unit
+    values = [value or 0.0 for value in given] + [0.0] * 6
+    a, b, count = values[0] * unit, values[1] * unit, int(values[5])
+    if not 0 < count <= _MOST_HOLES:
+        raise mover.fault('the number of holes is missing', name)
+    if name == 'HOLES1':
+        along = np.exp(1j * values[2] * DEG)
+        steps = (values[3] + values[4] * np.arange(count)) * unit
+        found = a + 1j * b + steps * along
+    else:
+        turn = values[4] or 360.0 / count
+        angles = (values[3] + turn * np.arange(count)) * DEG
+        found = a + 1j * b + values[2] * unit * np.exp(1j * angles)
+    return [(float(place.real), float(place.imag)) for place in found]

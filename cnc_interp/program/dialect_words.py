@@ -7,7 +7,7 @@ from difflib import get_close_matches
 
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.chamfers import Corner
+from cnc_interp.program.arcs import Corner
 from cnc_interp.program.contact_normal import NORMAL_WORDS
 from cnc_interp.program.expressions import ExpressionError, ProgramVariables
 from cnc_interp.program.modal_state import FARTHEST
@@ -33,7 +33,6 @@ class NamedWords:
         self._modes, self._plane, self._variables = modes, plane, variables
 
     def execute(self, words: BlockWords) -> None:
-        """Execute named words, then assignments; CR and TURN become letters."""
         for key, given in words.keys:
             self._key_word(key, given, words)
         self._assign(words)

@@ -1,9 +1,9 @@
 """Expressions of G-code: the grammar of lines with expressions, and their values.
 
 One grammar contains the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B, and the
-``=``, names and parentheses of Siemens. If they conflict, the form of the word decides (``X[...]``
-or ``X=...``). Formulas of Heidenhain (``Q2 + 5 * SIN Q3``) have rules of their own, where a
-function stands before its value and a sign binds first. Angles are in deg, as on the controls.
+``=``, names and parentheses of Siemens; the form of the word decides (``X[...]`` or ``X=...``).
+In formulas of Heidenhain (``Q2 + 5 * SIN Q3``) a function stands before its value, and a sign
+binds first. Angles are in deg, as on the controls.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import cache, lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 from lark import Lark, Transformer
 from lark.exceptions import LarkError
@@ -105,22 +105,6 @@ class ExpressionError(Exception):
     """An expression cannot be read or has no value; the reader adds file and line."""
 
 
-class Variables(Protocol):
-    """The variables that an expression can read."""
-
-    def number(self, index: int) -> float:
-        """Return the value of ``#index``."""
-
-    def named(self, name: str) -> float:
-        """Return the value of ``#<name>``, a Siemens name or an R parameter."""
-
-    def exists(self, name: str) -> bool:
-        """Tell whether a name is known."""
-
-    def is_vacant(self, index: int) -> bool:
-        """Tell whether ``#index`` has no value."""
-
-
 class _Nodes(Transformer):  # type: ignore[type-arg]
     def __default__(self, data: Any, children: list[Any], meta: Any) -> Node:
         return (str(data), *children)
@@ -153,14 +137,14 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
         ) from None
 
 
-def formula(text: str, variables: Variables) -> float:
+def formula(text: str, variables: ProgramVariables) -> float:
     try:
         return float(text)
     except ValueError:
         return evaluate(parse(text.replace('DIV', '/'), 'formula')[0], variables)
 
 
-def evaluate(node: Node, variables: Variables) -> float:
+def evaluate(node: Node, variables: ProgramVariables) -> float:
     try:
         value = _value(node, variables)
     except RecursionError:
@@ -172,14 +156,16 @@ def evaluate(node: Node, variables: Variables) -> float:
     return value
 
 
-def _value(node: Node, variables: Variables) -> float:
+def _value(node: Node, variables: ProgramVariables) -> float:
     kind = node[0]
     if kind == 'number':
         return float(node[1])
     if kind == 'group':
         return _value(node[1], variables)
+    if kind == 'parameter' and node[1][0] == 'own_name':
+        return variables.named(str(node[1][1]))
     if kind == 'parameter':
-        return _parameter(node[1], variables)
+        return variables.number(parameter_index(node[1], variables))
     if kind == 'name':
         return variables.named(str(node[1]))
     if kind == 'sign':
@@ -206,21 +192,14 @@ NOTHING = ('parameter', ('number', '0'))
 _EQUAL = ('EQ', 'NE', '==', '<>')
 
 
-def _parameter(index: Node, variables: Variables) -> float:
-    if index[0] == 'own_name':
-        return variables.named(str(index[1]))
-    return variables.number(parameter_index(index, variables))
-
-
-def parameter_index(index: Node, variables: Variables) -> int:
-    """Return the number of a parameter ``#number``, which may itself be an expression."""
+def parameter_index(index: Node, variables: ProgramVariables) -> int:
     value = _value(index, variables)
     if not (abs(value - round(value)) < 1e-4 and 0 <= value < 1e6):
         raise ExpressionError(f'#{value:g} is not a parameter; write a whole number after #')
     return round(value)
 
 
-def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float:
+def _call(name: str, arguments: tuple[Node, ...], variables: ProgramVariables) -> float:
     if name == 'EXISTS' and len(arguments) == 1 and arguments[0][0] == 'parameter':
         index = arguments[0][1]
         if index[0] == 'own_name':
@@ -237,7 +216,7 @@ def _call(name: str, arguments: tuple[Node, ...], variables: Variables) -> float
     return float(function(*(_value(argument, variables) for argument in arguments)))
 
 
-def element_name(name: str, indices: tuple[Node, ...], variables: Variables) -> str:
+def element_name(name: str, indices: tuple[Node, ...], variables: ProgramVariables) -> str:
     """Return the name of an element of an array of Siemens, as ``A[2,0]``."""
     if name in _FUNCTIONS:
         return ''
@@ -266,11 +245,6 @@ OPERATORS: dict[str, Callable[[float, float], float]] = {
 }
 
 
-def _nearest(x: float) -> float:
-    """Round to the nearest integer; halves are rounded away from zero, as controls do."""
-    return math.copysign(math.floor(abs(x) + 0.5), x)
-
-
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'ABS': ((1,), abs),
     'SQRT': ((1,), math.sqrt),
@@ -291,7 +265,8 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'SGN': ((1,), lambda x: float((x > 0) - (x < 0))),
     'FIX': ((1,), lambda x: float(math.floor(x))),
     'FUP': ((1,), lambda x: float(math.ceil(x))),
-    'ROUND': ((1,), _nearest),
+    # Halves are rounded away from zero, as controls do.
+    'ROUND': ((1,), lambda x: math.copysign(math.floor(abs(x) + 0.5), x)),
     **dict.fromkeys(('TRUNC', 'INT'), ((1,), lambda x: float(math.trunc(x)))),
     'MINVAL': ((2,), min),
     'MAXVAL': ((2,), max),
@@ -310,9 +285,7 @@ UNSET = 'is read before it is set; set it in the program'
 
 class ProgramVariables:
     def __init__(
-        self,
-        system: Callable[[], Mapping[int, float]],
-        names: Callable[[], Mapping[str, float]],
+        self, system: Callable[[], Mapping[int, float]], names: Callable[[], Mapping[str, float]]
     ):
         self._system, self._predefined = system, names
         self._numbers: dict[int, float] = {}
@@ -339,34 +312,33 @@ class ProgramVariables:
         now = self._numbers, self._names, self._locals
         return now == before[:3] and dict(self._system()) == before[3]
 
+    def _with(self, index: int) -> dict[int, float]:
+        local = self._locals and 1 <= index <= MOST_LOCAL
+        return self._locals[-1][0] if local else self._numbers
+
     def number(self, index: int) -> float:
         """Return ``#index``; local variables of an O- SUB are 0 until they are set."""
-        if self._locals and 1 <= index <= MOST_LOCAL:
-            found = self._locals[-1][0]
-            if index in found or not self._vacant[-1]:
-                return found.get(index, 0.0)
-        elif index in self._numbers:
-            return self._numbers[index]
+        found = self._with(index)
+        if index in found:
+            return found[index]
+        if found is not self._numbers and not self._vacant[-1]:
+            return 0.0
         if index >= 5000 and index in (system := self._system()):
             return system[index]
         raise ExpressionError(f'#{index} {UNSET}')
 
     def is_vacant(self, index: int) -> bool:
-        if self._locals and 1 <= index <= MOST_LOCAL:
-            return index not in self._locals[-1][0]
-        return index not in self._numbers and (index < 5000 or index not in self._system())
+        return index not in self._with(index) and (index < 5000 or index not in self._system())
 
     def set_number(self, index: int, value: float) -> None:
         """Set ``#index`` to a value; NaN takes its value away."""
+        found = self._with(index)
         if math.isnan(value):
-            (self._locals[-1][0] if self._locals else self._numbers).pop(index, None)
-            return
-        if self._locals and 1 <= index <= MOST_LOCAL:
-            self._locals[-1][0][index] = value
-            return
-        if index == 0 or index >= 5000:
+            found.pop(index, None)
+        elif found is self._numbers and (index == 0 or index >= 5000):
             raise ExpressionError(f'#{index} cannot be set from a program; use #100 to #4999')
-        self._numbers[index] = value
+        else:
+            found[index] = value
 
     def named(self, name: str) -> float:
         names = self._table(name)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, Position, SetupChange
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 
 Vector = FloatArray
 
@@ -23,7 +23,7 @@ class Frames:
 
     def __init__(self, setup: JobSetup, zero: Vector, rotary_letters: tuple[str, ...]):
         self._zero = np.concatenate([zero, np.zeros(2)])
-        self._letters = ('X', 'Y', 'Z', *rotary_letters)
+        self.letters = ('X', 'Y', 'Z', *rotary_letters)
         self.named = ''  #: The work offset that the program has named last; empty before.
         self.local = np.zeros(5)
         self.length = 0.0
@@ -35,9 +35,9 @@ class Frames:
 
     def take(self, setup: JobSetup) -> None:
         self._setup = setup
-        self._work, self._base = self.work(setup.offset), self.base(setup.offset)
+        self._work, self._base = self.work(setup.offset), rotation(2, setup.rotation(setup.offset))
         self.g92 = np.zeros(5)
-        for i, letter in enumerate(self._letters):
+        for i, letter in enumerate(self.letters):
             self.g92[i] = setup.g92.get(letter, 0.0) if setup.g92_on else 0.0
         self.update()
 
@@ -45,31 +45,20 @@ class Frames:
         """Return a work offset, from the workpiece zero of the machine file, shape (5,)."""
         position = self._setup.work_offsets.get(name, {})
         offset = np.zeros(5)
-        for i, letter in enumerate(self._letters):
+        for i, letter in enumerate(self.letters):
             offset[i] = position.get(letter, float(self._zero[i])) - self._zero[i]
         return offset
 
-    def base(self, name: str) -> FloatArray:
-        return rotation(2, self._setup.rotation(name))
-
     def follow(self, before: Frames) -> None:
-        self.named, self.length, self.local = before.named, before.length, before.local.copy()
-        self.shift, self.programmed_turn = before.shift, before.programmed_turn
-        self.along = before.along
-        self.tilt_code = before.tilt_code
+        for name in ('named', 'length', 'shift', 'programmed_turn', 'along', 'tilt_code'):
+            setattr(self, name, getattr(before, name))
+        self.local = before.local.copy()
         self.update()
-
-    def known(self, name: str) -> bool:
-        return name in self._setup.work_offsets
 
     def work_change(
         self, index: int, words: dict[int, float], here: Vector | None, angle: float | None = None
     ) -> SetupChange:
-        """Return the change of a work offset by G10 L2, or by L20 where the position is given.
-
-        With L20 the coordinates of the offset read the words. Those without a word keep what they
-        read, so both X and Y of a turned offset change.
-        """
+        """Return the change by G10 L2, or by L20 (``here``): its coordinates read the words."""
         name = WORK_OFFSETS[index - 1] if index else self._setup.offset
         position = dict(self._setup.work_offsets.get(name, {}))
         if angle is not None:
@@ -77,12 +66,13 @@ class Frames:
         if here is not None:
             words = self.origin_of(name, words, here)
         for i, value in words.items():
-            position[self._letters[i]] = value
+            position[self.letters[i]] = value
         return SetupChange('work_offsets', position, name)
 
     def origin_of(self, name: str, words: dict[int, float], here: Vector) -> dict[int, float]:
         """Return the machine coordinates of a zero where the words are what is read here."""
-        turn, added, zero = self.base(name), self.local + self.g92, self.work(name)
+        turn = rotation(2, self._setup.rotation(name))
+        added, zero = self.local + self.g92, self.work(name)
         gone = here - np.array([*(self.length * self.along), 0.0, 0.0])
         reads = gone - zero - added
         reads[:3] = turn.T @ (gone - zero)[:3] - added[:3]
@@ -94,9 +84,6 @@ class Frames:
         if self._setup.rotation(name) and changed & {0, 1}:
             changed |= {0, 1}
         return {i: float(origin[i]) for i in sorted(changed)}
-
-    def g92_of(self, amounts: Vector) -> Position:
-        return dict(zip(self._letters, amounts.tolist(), strict=False))
 
     def update(self) -> None:
         added = self.local + self.g92
@@ -122,12 +109,7 @@ class Frames:
         return np.asarray(turned + self.origin)
 
     def program(self, point: Vector) -> Vector:
-        """Convert a point to program coordinates, (3,) [m]."""
         return np.asarray(self.turn.T @ (point - self.origin))
-
-    def machine_point(self, axis: int, coordinate: float) -> float:
-        """Convert a machine coordinate of X, Y or Z (0, 1, 2) to that of a point [m]."""
-        return coordinate - float(self._zero[axis])
 
     def reset_frame(self) -> None:
         self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''

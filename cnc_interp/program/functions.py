@@ -21,7 +21,6 @@ def acting(
     signals: Signals, words: Iterable[str], given: Mapping[str, float],
     fault: Callable[[str, str], ProgramError],
 ) -> tuple[list[Acting], list[Acting]]:  # fmt: skip
-    """Return the steps of words before and after the motion of their block; values are given."""
     moments: tuple[list[Acting], list[Acting]] = [], []
     for word in words:
         for number in signals.words.get(word, ()):
@@ -34,8 +33,6 @@ def acting(
 
 
 class Functions(Table):
-    """The steps of the functions of a program, in their order."""
-
     #: Row of the block at whose begin it acts; the number of rows: at the end of the program.
     block: IntArray = column()
     line_number: IntArray = column()  #: Line of the program text.
@@ -59,15 +56,11 @@ class Functions(Table):
         return dict(Counter(first[k] for k in self.step.tolist() if k in first))
 
     def waits(self, signals: Signals) -> IntArray:
-        """Return the blocks before which the path rests for an answer, each once."""
         waiting = np.array([step.wait != NO_WAIT for step in signals.steps], dtype=np.bool_)
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
 
     def from_row(self, row: int, signals: Signals) -> Functions:
-        """Return the functions of a run that starts at a row: what still counts acts before it.
-
-        Of the words before, those are kept that were the last to set one of their outputs.
-        """
+        """Return the functions of a run from a row on; what still counts acts before it."""
         after = self.until(row)
         starts = {words.start for words in signals.words.values()}
         calls: list[list[int]] = []  # the rows of each word

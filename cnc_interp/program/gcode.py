@@ -17,13 +17,12 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import INCH, MINUTE
 from cnc_interp.machine_model.signals import NO_WAIT
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import codes, probing, scan, siemens_cycles
+from cnc_interp.program import codes, cycles, probing, scan
 from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.arcs import OF_PLACE, PLANES
-from cnc_interp.program.axis_codes import AxisCodes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
-from cnc_interp.program.cycles import TAPPING, CannedCycle
+from cnc_interp.program.cycles import TAPPING, CannedCycle, SiemensCycle
 from cnc_interp.program.dialect_words import NamedWords
 from cnc_interp.program.expressions import UNSET, ProgramVariables
 from cnc_interp.program.flow import Flow
@@ -35,7 +34,6 @@ from cnc_interp.program.motion import Mover
 from cnc_interp.program.notices import Notices, Refusals
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.runs import SHORTEST, move_along
-from cnc_interp.program.siemens_cycles import SiemensCycle
 from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.target_row import AT_M0, AT_M1
@@ -77,8 +75,8 @@ class GcodeReader:
         self.finished = False  # whether M2 or M30 was read
         self.waits_at_probes = False  # so that what follows is read with its answer
         self.probe: Probe | None = None  # that is waited for
-        self._in_flow = False  # whether a statement that changes the order of lines is executed
-        self._axis_codes, self._modes = AxisCodes(self.mover), Modes(self.mover)
+        self._in_flow = False  # whether a refusal leaves it open which line is the next
+        self._modes = Modes(self.mover)
         self._plane = TiltedPlane(self.mover)
         self._named = NamedWords(self.mover, self._modes, self._plane, self.variables)
 
@@ -108,15 +106,13 @@ class GcodeReader:
 
     def active_modes(self, offset: str, tool: int) -> ActiveModes:
         _, motion, feed = self._state()
-        return self.mover.modes(self._cycle_code, offset, tool, self._outputs).moving(motion, feed)
-
-    @property
-    def _cycle_code(self) -> str:
-        return '' if self._cycle is None else self._cycle.code
+        code = '' if self._cycle is None else self._cycle.code
+        return self.mover.modes(code, offset, tool, self._outputs).moving(motion, feed)
 
     def _state(self) -> tuple[float, float, float]:
         """Return the modal state of the next target, as ``ModesOfBlocks.see`` takes it."""
-        mover, code, tool = self.mover, self._cycle_code, self._tool
+        mover, tool = self.mover, self._tool
+        code = '' if self._cycle is None else self._cycle.code
         motion = NONE if code or mover.motion is None else float(mover.motion)
         number = mover.targets.modes.number(
             (code, tool, *self._outputs.values(), *mover.modal_values()),
@@ -127,8 +123,12 @@ class GcodeReader:
     def blocks(self) -> Iterator[Blocks]:
         """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
         flow, targets, refused = self.flow, self.targets, Refusals()
-        while self.probe is None and self._goes_on(refused):
+        while self.probe is None:
             try:
+                self._in_flow = True
+                if not flow.here():
+                    break
+                self._in_flow = False
                 self._next_lines(together=not refused)
             except ProgramError as problem:
                 if self._in_flow:  # what follows may not be what would be executed
@@ -153,13 +153,6 @@ class GcodeReader:
         if targets.empty and targets.switches:  # a program that moves nothing
             self.mover.go(self.mover.point, self.mover.rotary, rapid=True)
         yield from targets.finish()
-
-    def _goes_on(self, refused: Refusals) -> bool:
-        try:
-            return self.flow.here()
-        except ProgramError as problem:
-            refused.add(problem, of_place=False)
-            raise refused.error() from None
 
     def _next_lines(self, together: bool) -> None:
         flow = self.flow
@@ -205,7 +198,7 @@ class GcodeReader:
             and self._called is None
             and not self.mover.radius_code
             and not self.splines.open
-            and not self._plane.is_incomplete
+            and not self._plane.parts
             and self.settings.numbers != 'increments'
         )
         if len(rows) >= SHORTEST and in_main and free:
@@ -318,7 +311,7 @@ class GcodeReader:
         elif taking and taking[0] in probing.CODES:
             self._probe(taking[0], words)
         elif taking and 'G65' not in taking:
-            self._axis_codes.execute(taking[0], words)
+            self._modes.axis_code(taking[0], words)
         if any(key == 'BSPLINE' for key, _ in words.keys):
             self._cycle = None
             self.splines.begin()
@@ -336,8 +329,11 @@ class GcodeReader:
             self.flow.ended = self.finished = True
         elif calling:
             self.flow.call_number(*calling)
-        elif not codes.RETURN_M.isdisjoint(words.m):
-            self._return(min(codes.RETURN_M.intersection(words.m)))
+        elif (returns := codes.RETURN_M & set(words.m)) and self.flow.depth:
+            self.flow.leave()
+        elif returns:
+            self.notice(min(returns), 'in the main program: its end')
+            self.flow.ended = True
 
     def _siemens_cycle(self, words: BlockWords) -> list[SiemensCycle]:
         mover, modal, found = self.mover, False, list[SiemensCycle]()
@@ -346,11 +342,11 @@ class GcodeReader:
         for key, given in words.keys:
             if key == 'MCALL':
                 modal, self._called = True, None
-            elif key in siemens_cycles.CYCLES:
+            elif key in cycles.SIEMENS:
                 found.append(SiemensCycle(key, given, mover))
-            elif key in siemens_cycles.PATTERNS:
+            elif key in cycles.PATTERNS:
                 self._drill_pattern(key, given)
-        words.keys[:] = [key for key in words.keys if key[0] not in siemens_cycles.WORDS]
+        words.keys[:] = [key for key in words.keys if key[0] not in cycles.SIEMENS_WORDS]
         if modal and found:
             self._called = found.pop()
         return found
@@ -359,7 +355,7 @@ class GcodeReader:
         mover = self.mover
         if self._called is None:
             raise self.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) before', key)
-        for place in siemens_cycles.places_of(key, given, mover):
+        for place in cycles.places_of(key, given, mover):
             target = mover.here()
             target[list(PLANES[mover.plane][:2])] = place
             mover.go(mover.frames.point(target[:3]), mover.rotary, rapid=True)
@@ -463,7 +459,6 @@ class GcodeReader:
                 self.notice(code, 'no effect, it does not move the tool')
 
     def _functions(self, words: BlockWords) -> tuple[list[Acting], list[Acting]]:
-        """Return the steps of the functions of a block, before and after its motion."""
         values = words.values
         found = [letter for letter in 'ST' if letter in values]
         found += sorted(words.m, key=lambda code: codes.FIRST_M.get(code, len(codes.FIRST_M)))
@@ -598,13 +593,3 @@ class GcodeReader:
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
         self.notice('G4', codes.DWELL)
         self.splines.stop_here()
-
-    # --- subprograms ---------------------------------------------------------------------------
-
-    def _return(self, code: str) -> None:
-        """Process M99 and M17: return from a subprogram; in the main program, end it."""
-        if self.flow.depth:
-            self.flow.leave()
-        else:
-            self.notice(code, 'in the main program: its end')
-            self.flow.ended = True

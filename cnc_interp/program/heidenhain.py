@@ -1,9 +1,7 @@
 """Heidenhain plain text: its lines become the words of the reader of G-code, which executes them.
 
-L, LN, LP, CC, C, CP, CR, CT, RND and CHF are motions, with FMAX, R0 RL RR, M91. Datum shifts,
-rotations and planes are frames. Cycles 1, 2 and 200 to 207 drill, by CYCL CALL, M99 or M89. LBL,
-CALL LBL and FN 9 to FN 12 are flow, Q parameters have formulas. All other words are refused with
-their line.
+Motions, datum shifts, rotations, planes, drilling cycles, labels and formulas of Q parameters are
+read. All other words are refused with their line.
 """
 
 from __future__ import annotations
@@ -17,13 +15,12 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.program import codes
-from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.chamfers import Corner
+from cnc_interp.program.arcs import PLANES, Corner
 from cnc_interp.program.cursor import Loop
+from cnc_interp.program.cycles import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_frames import HeidenhainFrames
-from cnc_interp.program.holes import Hole, go_along, make_hole, pecks_of
 from cnc_interp.program.motion import NO_CORNER
 from cnc_interp.program.source import LineStart
 from cnc_interp.program.words import BlockWords
@@ -54,6 +51,9 @@ _IDLE_M = {'M94', 'M97', 'M98', 'M101', 'M102', 'M103', 'M107', 'M108', 'M109', 
            'M116', 'M117', 'M120', 'M124', 'M138', 'M141', 'M143', 'M148', 'M149'}  # fmt: skip
 #: Those that mean something here only.
 _OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
+#: Those that say what codes of G-code do.
+_AS_CODES = {'M91': ['G53'], 'M136': ['G95'], 'M137': ['G94'], 'M13': ['M3', 'M8'],
+             'M14': ['M4', 'M8']}  # fmt: skip
 _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M140', 'M144', 'M150'}
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
@@ -265,7 +265,6 @@ class HeidenhainReader(GcodeReader):
     def _machine_words(
         self, words: BlockWords, values: dict[str, float], found: list[str]
     ) -> None:
-        """Take M codes that mean something of their own, and R0 RL RR, out of a line."""
         for code in words.m[:]:
             if code in _REFUSED_M:
                 raise self.fault('this M code is not supported; post without it', code)
@@ -273,18 +272,12 @@ class HeidenhainReader(GcodeReader):
                 words.m.remove(code)
             if code in _IDLE_M:
                 self.notice(code, 'no effect, it does not move the tool')
-            elif code == 'M91':
-                words.g.append('G53')
-            elif code in ('M136', 'M137'):
-                words.g.append('G95' if code == 'M136' else 'G94')
             elif code in ('M126', 'M127'):
                 self.shortest = code == 'M126'
-            elif code in ('M13', 'M14'):
-                words.m += ['M3' if code == 'M13' else 'M4', 'M8']
-            elif code == 'M89':
-                self.modal_cycle = True
-            elif code == 'M99':
-                self.modal_cycle = False
+            elif code in ('M89', 'M99'):
+                self.modal_cycle = code == 'M89'
+            for other in _AS_CODES.get(code, ()):
+                (words.g if other[0] == 'G' else words.m).append(other)
         for word in found:
             if word in ('R0', 'R') and self.mover.radius_code:
                 words.g.append('G40')
@@ -382,7 +375,6 @@ class HeidenhainReader(GcodeReader):
     # --- tools, frames, cycles -----------------------------------------------------------------
 
     def _tool_call(self, number: str | None, axis: str, rest: str, named: bool) -> None:
-        """Process TOOL CALL: the tool, its length, and the plane of its axis."""
         values, _, _ = self._words(rest)
         if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
             raise self.fault('DL and DR are not supported; put them into the setup', 'TOOL CALL')
@@ -402,7 +394,7 @@ class HeidenhainReader(GcodeReader):
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
         if number in (7, 10, 19) and part == '0':
             if number == 19:
-                self._frames.begin_angles()
+                self._frames.angles = {}
         elif number in (7, 10, 19) and part:
             frames = self._frames
             act = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}[number]

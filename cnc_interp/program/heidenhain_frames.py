@@ -25,7 +25,7 @@ class HeidenhainFrames:
         self._shift: dict[str, float] = {}
         self._turn: FloatArray | None = None
         self._angle = 0.0
-        self._angles: dict[str, float] = {}
+        self.angles: dict[str, float] = {}
 
     def shift(self, values: Mapping[str, float]) -> None:
         """Process cycle 7; I before a letter is incremental."""
@@ -38,17 +38,13 @@ class HeidenhainFrames:
         self._frame()
 
     def rotate(self, values: Mapping[str, float]) -> None:
-        """Process cycle 10."""
         self._angle = values.get('ROT', self._angle)
         self._frame()
 
-    def begin_angles(self) -> None:
-        self._angles = {}
-
     def add_angles(self, values: Mapping[str, float]) -> None:
         """Process a line of cycle 19: A, B, C are angles in space, or positions of axes."""
-        self._angles |= values
-        angles = {name: value for name, value in self._angles.items() if name in 'ABC'}
+        self.angles |= values
+        angles = {name: value for name, value in self.angles.items() if name in 'ABC'}
         turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
         others = [name for name, value in angles.items() if value]
         if len(others) > 1:
@@ -125,7 +121,7 @@ class HeidenhainFrames:
         axis = np.cross(up, z)
         if np.linalg.norm(axis) < 1e-9:
             return np.eye(3)
-        if not _along(axis):
+        if np.abs(axis).max() <= (1.0 - 1e-12) * np.linalg.norm(axis):
             raise self._fault('the turn of X and Y in this plane depends on the machine; post '
                               'with PLANE SPATIAL', 'PLANE AXIAL')  # fmt: skip
         which = int(np.argmax(np.abs(axis)))
@@ -147,7 +143,3 @@ class HeidenhainFrames:
             raise self._fault('the tool does not stand upright on the plane; turn the axes '
                               'before it, or write TURN or MOVE', 'PLANE')  # fmt: skip
         mover.set_oriented(True)
-
-
-def _along(axis: FloatArray) -> bool:
-    return bool(np.abs(axis).max() > (1.0 - 1e-12) * np.linalg.norm(axis))

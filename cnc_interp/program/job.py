@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -40,7 +40,6 @@ class Tool:
 
     @property
     def fault(self) -> str:
-        """What is not possible about it; empty if nothing is."""
         if self.radius < 0.0:
             return 'the radius must not be below 0'
         if not 0.0 <= (self.corner_radius or 0.0) <= self.radius:
@@ -59,7 +58,6 @@ class SetupChange:
 
     @property
     def name(self) -> str:
-        """What changes, in the words of the shop floor."""
         names = {'active': 'active offset', 'tool': 'spindle', 'g92': 'G92', 'g92_on': 'G92'}
         if self.field == 'tools':
             return f'tool {self.key}'
@@ -86,10 +84,6 @@ class JobSetup:
     @property
     def offset(self) -> str:
         return self.active or WORK_OFFSETS[0]
-
-    @property
-    def loaded_length(self) -> float:
-        return self.tools.get(self.tool, Tool()).length
 
     def rotation(self, name: str) -> float:
         return self.work_offsets.get(name, {}).get(ROTATION, 0.0)
@@ -124,7 +118,6 @@ class JobSetup:
 
     @staticmethod
     def of(settings: Settings) -> JobSetup:
-        """Return the setup of the file that the settings name, else an empty one."""
         return JobSetup.load(settings.setup) if settings.setup else JobSetup()
 
     @staticmethod
@@ -140,40 +133,21 @@ class JobSetup:
 
     @staticmethod
     def of_text(text: str) -> JobSetup:
-        """Read a setup from the text of a setup file; raises ProgramError as ``load``."""
         return _Reading('<setup>').setup(parse_yaml(text)) if text else JobSetup()
 
     def text(self) -> str:
         content: dict[str, Any] = {
-            'work_offsets': {
-                name: _position_shown(self.work_offsets[name])
-                for name in ALL_OFFSETS
-                if name in self.work_offsets
-            },
+            'work_offsets': _positions_shown(self.work_offsets, ALL_OFFSETS),
             'active': self.active,
             'g92': _position_shown(self.g92),
+            'g92_on': None if self.g92_on or not self.g92 else False,
+            'tools': {number: _tool_shown(self.tools[number]) for number in sorted(self.tools)},
+            'tool': self.tool,
+            'reference_points': _positions_shown(self.reference_points, REFERENCE_POINTS),
         }
-        if self.g92 and not self.g92_on:
-            content['g92_on'] = False
-        content['tools'] = {
-            number: _tool_shown(self.tools[number]) for number in sorted(self.tools)
-        }
-        content['tool'] = self.tool
-        content['reference_points'] = {
-            name: _position_shown(self.reference_points[name])
-            for name in REFERENCE_POINTS
-            if name in self.reference_points
-        }
-        filled = {
-            key: value
-            for key, value in content.items()
-            if value not in ({}, '', 0) or value is False
-        }
-        return str(
-            yaml.safe_dump(
-                filled, sort_keys=False, allow_unicode=True, width=10_000, default_flow_style=None
-            )
-        )
+        filled = {k: v for k, v in content.items() if v is False or v not in ({}, '', 0, None)}
+        style = {'sort_keys': False, 'allow_unicode': True, 'width': 10_000}
+        return str(yaml.safe_dump(filled, default_flow_style=None, **style))
 
 
 def _shown(value: float, unit: float) -> float:
@@ -189,8 +163,13 @@ def _position_shown(position: Position) -> dict[str, float]:
     }
 
 
+def _positions_shown(
+    positions: Mapping[str, Position], names: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    return {name: _position_shown(positions[name]) for name in names if name in positions}
+
+
 def _tool_shown(tool: Tool) -> dict[str, Any]:
-    """Return a tool in mm; what is 0, empty or not known is left out, but for the length."""
     shown: dict[str, Any] = {'length': _shown(tool.length, MM)}
     if tool.radius:
         shown['radius'] = _shown(tool.radius, MM)
@@ -245,7 +224,6 @@ class _Reading:
         return float(value)
 
     def _position(self, content: Any, name: Any, known: tuple[str, ...]) -> dict[str, float]:
-        """Return one position by axis letters [m, rad], from mm and deg."""
         if name not in known:
             shown = ', '.join(known[: len(WORK_OFFSETS)])
             raise self.fault(f'{name}: unknown; known: {shown}')

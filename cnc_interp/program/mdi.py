@@ -1,8 +1,7 @@
 """Lines by hand (MDI): single lines of G-code that share one modal state.
 
-A line starts where the machine stands, because it may have been moved by hand since the line
-before. Everything else (units, plane, feed, offsets, variables) is taken over from there. A line
-that is refused changes nothing, because its reader is not kept.
+A line starts where the machine stands, because it may have been moved by hand. All else is taken
+over from the line before. A line that is refused changes nothing: its reader is not kept.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ MDI = 'MDI'  #: Name of a line in messages.
 
 
 class MdiLine(ProgramStream):
-    """One line on its way to blocks; block 0 is the pose at which the machine stands."""
-
     def __init__(self, reader: GcodeReader, notices: Notices):
         self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
         self._reader = self.reader = reader
@@ -33,8 +30,6 @@ class MdiLine(ProgramStream):
 
 
 class MdiReader:
-    """Reads lines by hand, one after the other."""
-
     def __init__(self, geometry: Transform, settings: Settings):
         self._geometry, self._settings = geometry, as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())

@@ -94,8 +94,6 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 
 
 class ModalState:
-    """The position and the modal settings of a program, and the targets so far."""
-
     def __init__(
         self, geometry: Transform, settings: Settings, setup: JobSetup, flow: Flow,
         notices: Notices,
@@ -177,7 +175,6 @@ class ModalState:
         return values | {'offset': self.setup.offset, 'length': self.frames.length}
 
     def restore_values(self, values: Mapping[str, object]) -> None:
-        """Restore the settings, feed, tolerances and tool length that ``saved_values`` gave."""
         if values['tcp'] != self.tcp:
             self.switch_tcp(str(values['tcp']))
         for name in (*_SETTINGS[1:], *_VALUES):
@@ -192,7 +189,6 @@ class ModalState:
         return (*values, self.radius_code, self.setup.offset, bool(frames.length), *frames.shifts)
 
     def modes(self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]) -> ActiveModes:
-        """Return the modal state without motion code and feed; what is not kept here is given."""
         length = 'G43' if self.frames.length else 'G49'
         turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
         settings = self.codes_of_settings()
@@ -256,7 +252,6 @@ class ModalState:
 
     @property
     def on_great_circle(self) -> bool:
-        """True where the tool axis turns on a great circle, or cannot turn."""
         return self.great_circle and not (self.by_axes and self.rotary_letters)
 
     def here(self) -> FloatArray:
@@ -265,10 +260,7 @@ class ModalState:
         return np.concatenate([self.frames.program(self.point), rotary])
 
     def switch_tcp(self, word: str) -> None:
-        """Switch tool-tip programming on by a word, or off (empty); the axes do not move.
-
-        On a tilted plane X Y Z stay positions of the tool tip.
-        """
+        """Switch tool-tip programming on by a word, or off (empty); the axes do not move."""
         word = word or (ORIENTED if self.oriented else '')
         if bool(word) == bool(self.tcp):
             self.tcp = word
@@ -326,7 +318,6 @@ class ModalState:
                              f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}')  # fmt: skip
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
-        """Give a notice if rotary words turn an axis by more than 180 deg while cutting."""
         if rapid or not self.rotary_letters or self.targets.empty:
             return
         which = int(np.argmax(turned))
@@ -389,16 +380,13 @@ class ModalState:
             found[5210 + 20 * index] = setup.rotation(name) / DEG
         for base, name in ((5160, 'G28'), (5180, 'G30')):
             positions[base] = none | dict(setup.reference_points.get(name, {}))
+        here = dict(zip(letters, self.here().tolist(), strict=False))
+        positions |= dict.fromkeys((5419, 5000, 5040), here)
         for base, position in positions.items():
             for letter in letters:
                 i = 'XYZABC'.index(letter)
                 size = self.unit if i < 3 else DEG
                 found[base + 1 + i] = position[letter] / size
-        for letter, value in zip(letters, self.here().tolist(), strict=False):
-            number = 'XYZABC'.index(letter)
-            shown = value / (self.unit if number < 3 else DEG)
-            for base in (5420, 5001, 5041):
-                found[base + number] = shown
         return found | self.probed
 
     def predefined_names(

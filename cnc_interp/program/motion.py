@@ -9,12 +9,11 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG
 from cnc_interp.program import codes
-from cnc_interp.program.arcs import AS_ABSOLUTE, AS_REVERSED, FAULTS, PLANES, TOLD, arcs_of
-from cnc_interp.program.chamfers import Corner
+from cnc_interp.program.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of
 from cnc_interp.program.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST, ModalState
@@ -29,8 +28,6 @@ MOST_TURN = 1e3 * 360.0 * DEG
 
 
 class Mover(ModalState):
-    """The motions of a program: executes the words of a block that move the tool."""
-
     corner = NO_CORNER  #: At the end of the next line.
     #: A line that waits for the next one: its corner, place in the text, start [m] and row.
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
@@ -83,7 +80,6 @@ class Mover(ModalState):
         target[wanted] = here[wanted] + (target[given] - here[given]) * slope
 
     def stand_at(self, q: FloatArray) -> None:
-        """Begin where the machine stands: its pose becomes the first target."""
         own = 3 + len(self.rotary_letters)
         for letter, value in zip(self.extra_letters, q[own:], strict=True):
             self.extra[EXTRA_LETTERS.index(letter)] = value
@@ -151,7 +147,6 @@ class Mover(ModalState):
             self.go(point, rotary, rapid=True)
 
     def _check_aim(self) -> None:
-        """Raise if the tool has turned while its length counts along the axis that it had."""
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
             raise self.fault('the tool turns with tool-tip programming on and a tool length; turn '
@@ -191,7 +186,6 @@ class Mover(ModalState):
         return target
 
     def _from_polar(self, words: BlockWords, here: FloatArray) -> None:
-        """Process G16: the words of the plane are a radius about its zero, and an angle."""
         a, b, _ = PLANES[self.plane]
         letters = 'XYZ'[a], 'XYZ'[b]
         if words.values.keys().isdisjoint(letters):
@@ -233,9 +227,9 @@ class Mover(ModalState):
     def machine_words(self, words: BlockWords) -> str:
         """Decide what machine coordinates mean while X Y Z are tool tips.
 
-        With the rotary axes at zero all controls agree. Otherwise they are axis positions on
-        Fanuc, for which tool-tip programming is switched off; the result is the word that switches
-        it on again. On LinuxCNC and Siemens they are positions of the tip without offsets.
+        On Fanuc they are axis positions, for which tool-tip programming is switched off; the
+        result is the word that switches it on again. On LinuxCNC and Siemens they are tips without
+        offsets.
         """
         turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
@@ -258,7 +252,7 @@ class Mover(ModalState):
         for i, letter in enumerate('XYZ'):
             if (value := words.values.pop(letter, None)) is not None:
                 self.shifted[i] = 0.0
-                point[i] = self.frames.machine_point(i, value * self.unit)
+                point[i] = value * self.unit - self.zero[i]
         return point
 
     def _rotary_target(self, words: BlockWords, target: FloatArray, machine: bool) -> FloatArray:
@@ -278,11 +272,7 @@ class Mover(ModalState):
         self, point: FloatArray, rotary: FloatArray, vector: FloatArray | None = None,
         arc: tuple[float, ...] = NO_ARC, feed_given: bool = True, rapid: bool | None = None,
     ) -> None:  # fmt: skip
-        """Add the target of one block.
-
-        ``point`` (3,): target [m]; ``rotary`` (2,): rotary axes [rad]; ``vector`` (3,): unit tool
-        axis of direction words; ``arc``: its columns; ``rapid``: None for the modal motion code.
-        """
+        """Add a target [m, rad], with an axis of direction words; ``rapid`` None: as G0 to G3."""
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
             raise self.fault('a rotary axis beyond 1000 turns; correct the angle',
@@ -383,17 +373,16 @@ class Mover(ModalState):
             raise self.fault('the number of turns of an arc must be a whole number, 1 to 500',
                              f'P{turns:g}')  # fmt: skip
         plane = self._plane_told(target, offset, bool(absolute.any()))
-        arcs = arcs_of(
-            plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
-            offset, np.array([radius]), absolute, turns, self.unit,
-        )  # fmt: skip
-        if arcs.fault[0] == 3 and not absolute.any():
-            for fits, told in ((self._fits(target, offset, absolute=True), AS_ABSOLUTE),
-                               (self._fits(target, -offset), AS_REVERSED)):  # fmt: skip
-                if fits:
-                    raise self.fault(told, 'G2' if self.motion == 2 else 'G3')
-        if arcs.fault[0]:
-            raise self.arc_fault(int(arcs.fault[0]), float(arcs.mismatch[0]))
+        arcs = self._arcs_to(target, offset, absolute, plane, radius, turns)
+        kind = int(arcs.fault[0])
+        if kind == 3 and not absolute.any():
+            if self._fits(target, offset, absolute=True):
+                kind = 8
+            elif self._fits(target, -offset):
+                kind = 9
+        if kind:
+            amount = f' (by {arcs.mismatch[0] / self.unit:.4g})' if kind in (3, 4) else ''
+            raise self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
         if arcs.mismatch[0] > TOLD:
             self.notice('arcs', 'the distance from the centre differs at their ends by up to '
                         f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '
@@ -437,15 +426,16 @@ class Mover(ModalState):
         self, target: FloatArray, offset: FloatArray, absolute: bool = False, plane: str = ''
     ) -> bool:
         """Tell whether there is an arc with another centre or in another plane to a target."""
-        arcs = arcs_of(
-            plane or self.plane, np.array([self.motion == 3]), self.here()[None, :3],
-            target[None, :3], offset, np.array([nan]), absolute, 1.0, self.unit,
-        )  # fmt: skip
-        return not arcs.fault[0]
+        return not self._arcs_to(target, offset, absolute, plane or self.plane).fault[0]
 
-    def arc_fault(self, kind: int, mismatch: float) -> ProgramError:
-        amount = f' (by {mismatch / self.unit:.4g})' if kind in (3, 4) else ''
-        return self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
+    def _arcs_to(
+        self, target: FloatArray, offset: FloatArray, absolute: BoolArray | bool, plane: str,
+        radius: float = nan, turns: float = 1.0,
+    ) -> Arcs:  # fmt: skip
+        return arcs_of(
+            plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
+            offset, np.array([radius]), absolute, turns, self.unit,
+        )  # fmt: skip
 
     def _take_vector(self, words: BlockWords) -> tuple[float, float, float] | None:
         """Return the direction words of a block: A3 B3 C3, or I J K with G43.5."""
@@ -457,7 +447,6 @@ class Mover(ModalState):
         return None
 
     def _vector_of(self, words: BlockWords, arc_words: BlockWords | None) -> FloatArray | None:
-        """Return the unit tool axis in W from direction words; None without them."""
         given = self._take_vector(words)
         if given is None:
             if any(letter in words.values for letter in self.rotary_letters):

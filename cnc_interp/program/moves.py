@@ -32,13 +32,12 @@ FARTHEST = 1000  #: At most so many motions before one near the pole are joined 
 class Moves:
     """Motions between consecutive targets, which can be evaluated at any parameter.
 
-    ``interpolation`` (n,): what runs linearly in each motion, as in ``Blocks``; ``dense``,
-    ``led``, ``since_arc``: the same before the next motion; ``undecided``: number of last motions
-    whose ``interpolation`` depends on the next ones; ``beside`` (n,): motions of axes in which
-    extra axes move and rotary axes do not; ``rests`` (n,): motions with tool-tip programming in
-    which words turn the rotary axes about a resting tip; ``beside_arcs`` (n,): motions that have
-    the tolerance of an arc: arcs, however short, and short lines beside them. A curve of dense
-    programs ends where the tolerance changes, and both shall become one curve.
+    ``interpolation`` (n,): what runs linearly in each motion, as in ``Blocks``; ``undecided``:
+    number of last motions whose ``interpolation`` depends on the next ones; ``beside`` (n,):
+    motions of axes in which extra axes move and rotary axes do not; ``rests`` (n,): words turn the
+    rotary axes about a resting tip; ``beside_arcs`` (n,): motions with the tolerance of an arc:
+    arcs and short lines beside them, because a curve of dense programs ends where the tolerance
+    changes.
     """
 
     def __init__(
@@ -77,13 +76,13 @@ class Moves:
     def _interpolation(self, settings: Settings) -> IntArray:
         """Say what runs linearly; without tool-tip programming, the axes where one turns.
 
-        So do extra axes with rotary axes beside them: both are coordinates of the same corners.
         Short blocks whose poses run linearly as well become curves with their neighbours.
         """
         rows, cuts = self.rows, self.rows[:, col.RAPID] == 0.0
         linear = rows[:, col.GREAT_CIRCLE] == 0.0
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & linear
-        drifts = (np.abs(self._extra_step()) > SAME).any(axis=1) & ~turns
+        step = rows[:, col.EXTRA] - self._before[:, col.EXTRA]  # of U V W
+        drifts = (np.abs(step) > SAME).any(axis=1) & ~turns
         drifts &= np.isfinite(rows[:, col.ROTARY]).all(axis=1)
         self.beside = drifts & (rows[:, col.AXES] != 0.0)
         kind = np.where(turns & (rows[:, col.AXES] != 0.0) | self.beside, AXES_LINEAR, POSES)
@@ -110,9 +109,9 @@ class Moves:
     def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
         """Return in which motions the rotary axes run linearly to their words, shape (n,).
 
-        Motions with rotary ``words`` do that come near the pole, and so do those that long ones
-        join with them: no corner joins poses with linear rotary axes while both turn. So do extra
-        axes that move alone (``drifts``). Short motions stay poses, because poses become curves.
+        Those near the pole do, and the long ones that corners join with them: no corner joins
+        poses with linear rotary axes while both turn. So do extra axes that move alone
+        (``drifts``).
         """
         near = np.zeros(len(self.rows), dtype=np.bool_)
         near[words] = self._near_pole(words, settings.flank_height)
@@ -163,12 +162,10 @@ class Moves:
         return np.asarray((way <= settings.longest_block) & (way > SLOW_TIP * turn))
 
     def _travels(self) -> BoolArray:
-        """Return which end points differ from their start points, shape (n,)."""
         gone = np.abs(self.rows[:, col.POINT] - self._start).max(axis=1)
         return np.asarray((gone > SAME) | self._arc)
 
     def _starts(self) -> FloatArray:
-        """Return the start points of the motions, in the same coordinates as their ends."""
         points = self._before[:, col.POINT].copy()
         was, now = self._before[:, col.AXES] != 0.0, self.rows[:, col.AXES] != 0.0
         to_tips, to_axes = was & ~now, ~was & now
@@ -185,10 +182,6 @@ class Moves:
         if np.isnan(rotary).all():  # a machine without rotary axes
             return np.asarray(stands)
         return self._geometry.forward(np.concatenate([stands + self._zero, rotary], axis=1))[0]
-
-    def _extra_step(self) -> FloatArray:
-        """Return what U V W move by in each motion, shape (n, 3) [m]."""
-        return np.asarray(self.rows[:, col.EXTRA] - self._before[:, col.EXTRA])
 
     def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
         """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
@@ -232,11 +225,7 @@ class Moves:
         return np.asarray(point)
 
     def chordal(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what a chord must be near to: poses, or points where rotary axes run linearly.
-
-        The tip deviates from a chord in the axes as much as X Y Z do, because the rotary axes of
-        both are the same. The parameters are those of ``poses``.
-        """
+        """Return poses; where rotary axes run linearly, points: they deviate like the tip."""
         tip, axis = self.poses(row, u)
         linear = self.interpolation[row] != POSES
         if linear.any():
@@ -269,10 +258,9 @@ class Moves:
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Return feedrate [m/s] and duration [s] of the motions, (n,); one of both is NaN.
 
-        If axis positions are programmed and rotary axes turn, F is the speed of X Y Z. If the
-        rotary axes turn alone, F is their speed. The duration follows from it. Where the rotary
-        axes run linearly beside the tip, the duration follows from its speed. So it does where
-        extra axes move; F is the speed of the faster one of tip and extra axis.
+        With axis positions F is the speed of X Y Z, or of the rotary axes where they turn alone;
+        where extra axes move, of the faster one of tip and extra axis. The duration follows from
+        it.
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
@@ -286,7 +274,7 @@ class Moves:
                 self._start[arc], *(self.rows[arc, column] for column in shape)
             )
             more = np.flatnonzero(self.beside[row] & ~self._arc[row])
-            step = self._extra_step()[row[more]]
+            step = (self.rows[:, col.EXTRA] - self._before[:, col.EXTRA])[row[more]]
             tip = self.rows[row[more], col.POINT] - self._start[row[more]] + step @ self._along
             way[more] = np.maximum(np.linalg.norm(tip, axis=1), np.linalg.norm(step, axis=1))
             angle = np.linalg.norm(self.sweep[row], axis=1)
@@ -297,7 +285,6 @@ class Moves:
 
 
 def merge_repeated(rows: FloatArray) -> FloatArray:
-    """Drop rows without motion; their exact stops are moved to the row before."""
     # Row 0 is always kept: it begins the program, or the batch before held it back.
     same = np.zeros(len(rows), dtype=np.bool_)
     same[1:] = _moves_nothing(rows[:-1], rows[1:])

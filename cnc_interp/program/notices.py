@@ -28,8 +28,6 @@ def tell(notices: Sequence[str]) -> None:
 
 
 class Notices:
-    """Notices about harmless words, each one recorded once with its first line."""
-
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}
 
@@ -51,9 +49,8 @@ _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 class Refusals:
     """Refused lines of a program, collected while the rest of it is read.
 
-    No motion comes of a program after its first refusal. Lines with the same refusal count as
-    one. A refusal that may only follow from a line that was passed over is not kept: an arc that
-    no longer begins where it should, a feed or a variable that is missing.
+    A refusal that may only follow from a line that was passed over is not kept: an arc that no
+    longer begins where it should, a feed or a variable that is missing.
     """
 
     def __init__(self) -> None:
@@ -66,11 +63,7 @@ class Refusals:
         return self._count > 0
 
     def add(self, problem: ProgramError, of_place: bool, of_state: bool = False) -> None:
-        """Keep a refusal; raise all of them if there are too many to go on.
-
-        ``of_place``: it may only follow from a wrong position before the line; ``of_state``: it
-        may only follow from any line that was passed over.
-        """
+        """Keep a refusal unless it may only follow from a lost position or state."""
         follows = (of_place and self._is_lost) or (of_state and self._count > 0)
         self._count += 1
         if not follows:

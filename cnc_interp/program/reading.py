@@ -62,14 +62,10 @@ class ProgramStream:
                     'zero of the machine file',
                 )  # fmt: skip
         else:
-            plain_text = self.dialect == 'heidenhain'
-            profile, why = (
-                (HEIDENHAIN, 'by BEGIN PGM')
-                if plain_text
-                else dialect_of(source, settings.dialect)
-            )
+            kind, profile, why = HeidenhainReader, HEIDENHAIN, 'by BEGIN PGM'
+            if self.dialect == 'gcode':
+                kind, (profile, why) = GcodeReader, dialect_of(source, settings.dialect)
             self.read_as = (f'read as {profile.title}: {why}',)
-            kind = HeidenhainReader if plain_text else GcodeReader
             self._reader = kind(geometry, settings, setup, source, self._notices, profile)
 
     def __iter__(self) -> Iterator[Blocks]:
@@ -123,15 +119,15 @@ class ProgramStream:
     @property
     def functions(self) -> Functions:
         """Return what the program switches, for a run from its start; complete at its end."""
-        functions, row = self._reader.targets.functions, self.start.row
+        functions = Functions.of_rows(self._reader.targets.functions)
+        row = self.start.row
         if row is None or not self.start.line:
             return functions
         return functions.from_row(row, self._signals)
 
     @property
     def changes(self) -> tuple[ProgramChange, ...]:
-        """Return what the program changes of the setup; complete after the last block."""
-        return self._reader.targets.changes
+        return tuple(self._reader.targets.changes)
 
     @property
     def modes(self) -> ModesOfBlocks:
@@ -139,7 +135,6 @@ class ProgramStream:
 
     @property
     def used(self) -> frozenset[str]:
-        """Return what the program uses of the setup, as G54, G92, tool 1; complete at its end."""
         return frozenset(self._reader.used)
 
     @property
@@ -168,13 +163,4 @@ def read_program(
 def read_text(
     text: str, source: str, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
 ) -> Program:  # fmt: skip
-    """Read a part program from a string.
-
-    Examples
-    --------
-    >>> program = read_text('G1 X10 F600', '<text>', machine, Settings())
-    >>> program.blocks.tip
-    array([[0.01, 0.  , 0.  ]])
-
-    """
     return ProgramStream(Source.of_text(text, source), geometry, settings, setup).read()

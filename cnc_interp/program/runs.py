@@ -88,21 +88,14 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         cutting = turned.max(axis=1) * ~rapid
         if cutting.max() > LONG_WAY:
             return False  # a long way round: the general reader gives the notice
-    _set_state(mover, motion, values[:, scan.F], points, rotary, named)
-    mover.targets.extend(rows)
-    return True
-
-
-def _set_state(
-    mover: Mover, motion: FloatArray, feed_words: FloatArray, points: FloatArray,
-    rotary: FloatArray, named: NDArray[np.bool_],
-) -> None:  # fmt: skip
     if np.isfinite(motion[-1]):
         mover.motion = int(motion[-1])
-    given = feed_words[np.isfinite(feed_words)]
+    given = values[np.isfinite(values[:, scan.F]), scan.F]
     if len(given):
         mover.set_feed(float(given[-1]), 'F', mover.unit)
     mover.point, mover.rotary, mover.named = points[-1], rotary[-1], float(named[-1])
+    mover.targets.extend(rows)
+    return True
 
 
 def _feeds(
@@ -155,7 +148,6 @@ def _arcs(
     mover: Mover, motion: FloatArray, on_arc: NDArray[np.bool_], program: FloatArray,
     values: FloatArray, rows: FloatArray, moves: NDArray[np.bool_],
 ) -> bool:  # fmt: skip
-    """Fill the arc columns of the rows; return False if an arc does not exist."""
     before = np.vstack([mover.here(), program[:-1]])
     unit, sense = mover.unit, 1.0 if mover.centre_absolute else mover.centre_sense
     arcs = arcs_of(

@@ -36,9 +36,8 @@ def scan_lines(
 ) -> int:  # fmt: skip
     """Scan lines that end with a newline; return their number.
 
-    ``first``, ``last`` (m,): offsets of the first character and the newline; ``kind``, ``code``
-    (m,): EMPTY, PLAIN or RARE, and G0 to G3 or NO_CODE; ``values`` (m, 11): numbers of plain lines
-    in mm, deg or mm/min, NaN for missing words.
+    ``first``, ``last`` (m,): offsets of the first character and the newline; ``values`` (m, 11):
+    numbers of plain lines in mm, deg or mm/min, NaN for missing words.
     """
     at, line, size = 0, 0, len(text)
     while at < size:
@@ -116,7 +115,3 @@ def scan_lines(
         at += 1
         line += 1
     return line
-
-
-def empty_columns(lines: int) -> tuple[NDArray[np.int8], NDArray[np.int8], NDArray[np.float64]]:
-    return np.empty(lines, np.int8), np.empty(lines, np.int8), np.empty((lines, len(COLUMNS)))

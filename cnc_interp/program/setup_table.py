@@ -1,17 +1,29 @@
-"""SetupTable: the setup of the machine, kept in its file, and the log of its changes."""
+"""The setup of the machine in its file, with a log; and what operators ask to be changed in it."""
 
 from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
+from math import isfinite
 from pathlib import Path
 from typing import TextIO
 
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, write_whole
-from cnc_interp.program.job import JobSetup, SetupChange
+from cnc_interp.core.units import MM
+from cnc_interp.program.frames import Frames
+from cnc_interp.program.job import MOST_TOOL, WORK_OFFSETS, JobSetup, Position, SetupChange, Tool
+
+LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
+#: What can be changed of a tool.
+TOOL_FIELDS = ('length', 'radius', 'corner_radius', 'remark')
+_NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
 class SetupTable:
@@ -79,3 +91,122 @@ class SetupTable:
     def close(self) -> None:
         if self._log is not None:
             self._log.close()
+
+
+def values_by_axis(
+    letters: Sequence[str], values: Sequence[float], axes: Sequence[str]
+) -> dict[str, float]:
+    """Return the value of each axis named [m, rad]; InterpError if one is not possible."""
+    if len(letters) != len(values) or len(set(letters)) != len(letters):
+        raise InterpError('name each axis once, with one value for each')
+    for letter, value in zip(letters, values, strict=True):
+        if letter not in axes:
+            raise InterpError(f'no axis {letter} takes an offset here; there are {" ".join(axes)}')
+        if not isfinite(value) or abs(value) > LARGEST:
+            raise InterpError(f'{letter}: an offset beyond 100,000 mm; correct it or its unit')
+    return dict(zip(letters, values, strict=True))
+
+
+def offset_changes(
+    setup: JobSetup, name: str, values: Position, clear: bool, activate: bool
+) -> list[SetupChange]:
+    """Return the changes of a work offset or G92 [m, rad], or raise InterpError."""
+    name = name or setup.offset
+    if not values and not clear and not activate:
+        raise InterpError(f'{name}: nothing to change; give an axis and its value, such as X 10')
+    if name == 'G92':
+        if activate:
+            raise InterpError('G92 is added to the active work offset; it cannot be one')
+        amounts = {**({} if clear else setup.g92), **values}
+        return [SetupChange('g92', amounts), SetupChange('g92_on', bool(amounts))]
+    if name not in WORK_OFFSETS:
+        raise InterpError(f'{name}: no such offset; there are {_NAMES}, and G92')
+    changes = []
+    if values or clear:
+        before = {} if clear else setup.work_offsets.get(name, {})
+        changes.append(SetupChange('work_offsets', {**before, **values} or None, name))
+    if activate:
+        changes.append(SetupChange('active', name))
+    return changes
+
+
+def tool_changes(
+    setup: JobSetup, number: int, given: Mapping[str, float | str], remove: bool, load: bool
+) -> list[SetupChange]:
+    """Return the changes of a tool; ``load``: it is in the spindle from now on. Or InterpError."""
+    if not 1 <= number <= MOST_TOOL and not (load and number == 0 and not given and not remove):
+        raise InterpError(f'tool {number}: tools have numbers from 1 to {MOST_TOOL}')
+    changes = []
+    if remove and (given or load):
+        raise InterpError(f'tool {number}: remove it, or change it; not both')
+    if remove:
+        if number not in setup.tools:
+            raise InterpError(f'tool {number} is not in the table')
+        changes.append(SetupChange('tools', None, number))
+    elif given:
+        changes.append(SetupChange('tools', _tool(setup, number, given), number))
+    if load:
+        changes.append(SetupChange('tool', number))
+    if not changes:
+        raise InterpError(f'tool {number}: nothing to change; give a length, radius or remark')
+    return changes
+
+
+def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Tool:
+    unknown = set(given) - set(TOOL_FIELDS)
+    if unknown:
+        raise InterpError(f'tool {number}: no {unknown.pop()}; there are {", ".join(TOOL_FIELDS)}')
+    tool = replace(setup.tools.get(number, Tool()), **given)  # type: ignore[arg-type]
+    for name in ('length', 'radius', 'corner_radius'):
+        value = getattr(tool, name) or 0.0
+        if not isfinite(value) or abs(value) > LARGEST:
+            raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')
+    if tool.fault:
+        raise InterpError(f'tool {number}: {tool.fault}')
+    return tool
+
+
+def touch_off_changes(
+    setup: JobSetup, name: str, values: Position, machine: Position, zero: Position
+) -> list[SetupChange]:
+    """Return the change of a work offset after which coordinates read given values here.
+
+        machine = work offset + Rz (value + G92) + length of the tool in the spindle (Z)
+
+    Rz is the rotation of the work offset about Z. Where it is not 0, the zeros of X and Y both
+    change, so that the other coordinate reads what it did.
+
+    ``values``: what they shall read; ``machine``: where the axes stand; ``zero``: workpiece zero
+    of the machine file [m, rad]. Raises InterpError if it is not possible.
+    """
+    if name == 'G92':
+        raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
+    frames, here = _frames(setup, name, machine, zero)
+    letters = list(machine)
+    words = {letters.index(letter): value for letter, value in values.items()}
+    found = frames.origin_of(name or setup.offset, words, here)
+    origin = {letters[i]: value for i, value in found.items()}
+    return offset_changes(setup, name, origin, clear=False, activate=False)
+
+
+def work_coordinates(
+    setup: JobSetup, name: str, machine: Position, zero: Position
+) -> dict[str, float]:
+    """Return what the coordinates read with G92 and the tool in the spindle [m, rad]."""
+    frames, here = _frames(setup, name, machine, zero)
+    reads = [*frames.program(here[:3]), *(here[3:] - frames.rotary_origin)]
+    return {letter: float(value) for letter, value in zip(machine, reads, strict=False)}
+
+
+def _frames(
+    setup: JobSetup, name: str, machine: Position, zero: Position
+) -> tuple[Frames, FloatArray]:
+    letters = list(machine)
+    origin = np.array([zero[letter] for letter in letters[:3]])
+    used = setup.changed(SetupChange('active', name or setup.offset))
+    frames = Frames(used, origin, tuple(letters[3:5]))
+    frames.length = setup.tools.get(setup.tool, Tool()).length
+    frames.update()
+    here = np.zeros(5)
+    here[: len(letters)] = [machine[letter] - zero[letter] for letter in letters]
+    return frames, here

@@ -1,4 +1,4 @@
-"""Text of a part program, read in windows: lines with their place, searches, small memory."""
+"""Text of a part program, read in windows with small memory; and the files of programs."""
 
 from __future__ import annotations
 
@@ -34,8 +34,6 @@ class LineStart:
 
 @dataclass(frozen=True)
 class LineWindow:
-    """Consecutive lines of a program, scanned."""
-
     start: LineStart  #: Place of the first line.
     text: bytes  #: The lines, each with its newline.
     #: (n,): Offsets in ``text`` of the first character and of the newline of each line.
@@ -100,9 +98,6 @@ class Source:
             raise ProgramError(f'cannot be opened: {error.strerror}', str(path)) from error
         return Source(file, str(path), folders and [*folders, str(path.parent)])
 
-    def beside(self, path: Path) -> Source:
-        return Source.of_file(path, self.folders)
-
     def close(self) -> None:
         self._stream.close()
 
@@ -140,7 +135,6 @@ class Source:
         return text if text.endswith(b'\n') else text + b'\n'
 
     def find(self, pattern: re.Pattern[bytes], place: LineStart) -> LineStart | None:
-        """Return the first line from a place on that matches a pattern with the flag (?m)."""
         while text := self.lines(place):
             if match := pattern.search(text):
                 begin = text.rfind(b'\n', 0, match.start()) + 1
@@ -161,7 +155,8 @@ class Source:
 def _scanned(place: LineStart, text: bytes) -> LineWindow:
     count = text.count(b'\n')
     first, last = np.empty(count, np.int64), np.empty(count, np.int64)
-    kind, code, values = scan.empty_columns(count)
+    kind, code = np.empty(count, np.int8), np.empty(count, np.int8)
+    values = np.empty((count, len(scan.COLUMNS)))
     if count:
         scan.scan_lines(np.frombuffer(text, np.uint8), first, last, kind, code, values)
     return LineWindow(
@@ -195,3 +190,50 @@ def leader_lines(source: Source) -> int:
 def is_name(line: str) -> bool:
     """Tell whether a line, in upper case and without comments, is only the name of a program."""
     return _NAME.fullmatch(line) is not None
+
+
+#: Suffixes of a subprogram in a file of its own, in the order in which they are tried.
+SUBPROGRAM_SUFFIXES = (
+    '.ngc', '.nc', '.tap', '.NC', '.TAP', '.spf', '.SPF', '.mpf', '.MPF', '.SUB', '',
+)  # fmt: skip
+#: Suffixes of CL data, in lower case.
+CL_SUFFIXES = frozenset(('.apt', '.cl', '.cls', '.ncl', '.aptsource'))
+#: Suffixes by which programs are found in a folder, in lower case.
+PROGRAM_SUFFIXES = CL_SUFFIXES | {'.ngc', '.nc', '.tap', '.mpf', '.cnc', '.gcode', '.h'}
+#: What may name a subprogram: ``o<name>``, or a number after O or P.
+_CALLED, _NUMBER = (
+    re.compile(rb'[Oo]\s*<\s*([\w-]+)\s*>'),
+    re.compile(rb'[OoPp]\s*(\d{1,9})(?!\d)'),
+)
+#: A number that is computed.
+_COMPUTED = re.compile(rb'[OoPp]\s*[#\[]')
+
+
+def subprogram_file(folder: Path, stem: str) -> Path | None:
+    if not re.fullmatch(r'[\w-]+', stem):
+        return None
+    paths = (folder / (stem + suffix) for suffix in SUBPROGRAM_SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def called_files(path: Path, text: bytes) -> dict[str, bytes]:
+    found: dict[str, bytes] = {}
+    waiting = [text]
+    while waiting:
+        for stem in sorted(_stems(waiting.pop(), path.parent)):
+            file = subprogram_file(path.parent, stem)
+            if file is not None and file.name != path.name and file.name not in found:
+                found[file.name] = file.read_bytes()
+                waiting.append(found[file.name])
+    return dict(sorted(found.items()))
+
+
+def _stems(text: bytes, folder: Path) -> set[str]:
+    stems = {name.decode().lower() for name in _CALLED.findall(text)}
+    if _COMPUTED.search(text):
+        stems |= {path.stem for path in folder.glob('O[0-9]*')}
+    for digits in set(_NUMBER.findall(text)):
+        number = int(digits)
+        # Fanuc writes the number of calls before the last four digits.
+        stems |= {digits.decode(), f'O{number:04d}', f'O{number % 10_000:04d}'}
+    return stems

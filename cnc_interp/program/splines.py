@@ -97,7 +97,6 @@ class ProgrammedCurve:
         return ProgramError(message, self._source, int(line))
 
     def blocks(self, line_number: int) -> Blocks | None:
-        """Return the curve as spline rows, None if it has only its start; errors name the line."""
         count = len(self._rows) + 1
         if count == 1:
             return None
@@ -255,7 +254,6 @@ class Splines:
             raise fault('a knot interval must not be negative', f'PL={given["PL"]:g}')
 
     def _second_point(self, given: dict[str, float]) -> FloatArray | None:
-        """Return the second point of a block in program coordinates; None if it names none."""
         if not given.keys() & set(_SECOND):
             return None
         mover = self._mover
@@ -269,7 +267,6 @@ class Splines:
         return second
 
     def _linear(self, words: BlockWords, given: dict[str, float]) -> None:
-        """Convert the second point of a linear block to a tool direction."""
         mover = self._mover
         if given.keys() - {'XH', 'YH', 'ZH', 'SD', 'PW'}:
             raise mover.fault('this word belongs into a spline; write BSPLINE first', 'PL')

@@ -24,10 +24,7 @@ class StartBlock:
 class StartLine:
     """Counts how often the line is reached, and notes the row with the first motion of each pass.
 
-    The reader reads the program from its top, so that all state is as if it had been run.
-
-    ``line`` is 0 where the run starts at the top; ``which``: the execution of the line that is
-    wanted, 0 where there must be only one; ``row``: where it is known before: of a recorded run.
+    ``line``: 0 at the top; ``which``: execution of it, 0: the only one; ``row``: if known before.
     """
 
     def __init__(self, line: int, which: int, source: str, row: int | None = None):

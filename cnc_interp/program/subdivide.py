@@ -1,9 +1,8 @@
 """Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
-Rotary axes that move linearly do not turn the tool axis on a great circle. If the words are axis
-positions, the tip does not move on a line. Arcs are not lines either. The deviation of a piece
-from the programmed motion at the same parameter falls with the square of its length. So the number
-of pieces follows from the deviation that is measured on a trial division.
+Linear rotary axes turn the tool axis on no great circle, and arcs are no lines. The deviation of a
+piece from the programmed motion falls with the square of its length. So the number of pieces
+follows from the deviation that is measured on a trial division.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Motion targets to blocks: rows of numbers are collected and converted in batches.
 
-A reader appends one row of numbers per motion statement. When a batch is full, its rows become
-blocks together. Positions become poses, arcs become chords, repeated points are merged, and curved
-motion is divided. Lines in machine axes stay whole. So the memory does not depend on the length
-of the program, and Python does not process single rows.
+When a batch is full, positions become poses, arcs become chords, repeated points are merged, and
+curved motion is divided. So the memory does not depend on the length of the program, and Python
+does not process single rows.
 """
 
 from __future__ import annotations
@@ -11,25 +10,33 @@ from __future__ import annotations
 from array import array
 from collections import deque
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import inf, nan
 
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import DEG
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import target_row as col
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP, Blocks
 from cnc_interp.program.cutter_radius import CutterRadius, Told
-from cnc_interp.program.divided_moves import blocks_of, portions, start_pose, waits_at
-from cnc_interp.program.functions import Functions
 from cnc_interp.program.job import SetupChange
-from cnc_interp.program.moves import BESIDE_ARC, Moves, merge_repeated
+from cnc_interp.program.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
 from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.subdivide import MOST_PIECES, angle_between, piece_counts, ragged
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
 MOST_CHANGES = 1000  #: More changes of the setup than this are not kept one by one.
+#: How the program waits, by EXACT_STOP of a target.
+_WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
+_ANTIPARALLEL = 1e-4  # [rad]
+_MOST_TURN = 500.0 * 360.0 * DEG
+#: Largest turn of a piece whose rotary axes run linearly while the tip keeps its line [rad].
+_LONGEST_TURN = 8.0 * 360.0 * DEG
 
 
 @dataclass(frozen=True)
@@ -51,8 +58,9 @@ class TargetColumns:
         self._coming: deque[tuple[int, SetupChange | tuple[int, float], int]] = deque()
         self._at_last = 0  # changes before the last target
         self._stops: deque[tuple[int, int]] = deque()  # changes between target and program stop
-        self._changes: list[ProgramChange] = []
-        self._functions = array('d')
+        #: Those of which the place is known; of very many changes, only what still counts.
+        self.changes: list[ProgramChange] = []
+        self.functions = array('d')
         self._emitted = 0  # rows of the blocks so far
         self.modes = ModesOfBlocks()
         self.state = (NONE, NONE, NONE)  # of the next target, as ``ModesOfBlocks.see`` takes it
@@ -68,10 +76,6 @@ class TargetColumns:
         self._extra = [col.EXTRA.start + col.EXTRA_LETTERS.index(name) for name in names]
 
     def add(self, row: tuple[float, ...], changed: int | None = None) -> None:
-        """Add one target: the columns of ``moves.py`` up to EXTRA, NaN for no arc.
-
-        ``changed``: the changes before a target that has waited for the next one.
-        """
         if len(self._rows) >= self._full:
             self._convert(last=False)
         changed = self._at_last = self.changed if changed is None else changed
@@ -102,15 +106,6 @@ class TargetColumns:
     @property
     def switches(self) -> bool:
         return any(not isinstance(change, SetupChange) for _, change, _ in self._coming)
-
-    @property
-    def functions(self) -> Functions:
-        return Functions.of_rows(self._functions)
-
-    @property
-    def changes(self) -> tuple[ProgramChange, ...]:
-        """The changes of the setup whose place is known; of very many, only what still counts."""
-        return tuple(self._changes)
 
     def extend(self, rows: FloatArray) -> None:
         """Add many targets, (n, WIDTH); passes, changes and state are filled in here."""
@@ -172,10 +167,7 @@ class TargetColumns:
         return self.take()
 
     def _convert(self, last: bool) -> None:
-        """Convert the collected rows to blocks.
-
-        The last ones wait: for rows that repeat them, and for an arc beside which they are.
-        """
+        """Convert the collected rows; the last ones wait for repeated points and for arcs."""
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, col.WIDTH).copy()
         by_rotary = np.isnan(rows[:, col.AXIS.start])
         if by_rotary.any():
@@ -218,17 +210,16 @@ class TargetColumns:
         while self._coming and self._coming[0][0] <= count:
             number, change, line = self._coming.popleft()
             if isinstance(change, SetupChange):
-                self._changes.append(ProgramChange(change, line, block))
+                self.changes.append(ProgramChange(change, line, block))
             else:
                 while self._stops and self._stops[0][1] < number:
                     self._stops.popleft()
                 before_stop = bool(self._stops) and self._stops[0][0] < number
-                self._functions.extend((block, line, *change, before_stop))
-        if len(self._changes) > MOST_CHANGES:
+                self.functions.extend((block, line, *change, before_stop))
+        if len(self.changes) > MOST_CHANGES:
             half = MOST_CHANGES // 2
-            last = {(c.change.field, c.change.key): c for c in self._changes[:half]}
-            older = sorted(last.values(), key=lambda c: c.block)
-            self._changes[:half] = older
+            last = {(c.change.field, c.change.key): c for c in self.changes[:half]}
+            self.changes[:half] = sorted(last.values(), key=lambda c: c.block)
 
     def _beginning(self, row: FloatArray) -> Blocks:
         if self._curve is None:
@@ -245,3 +236,122 @@ class TargetColumns:
             self._geometry, self._zero, np.vstack([start, rows])[:-1], rows, self._settings,
             self._dense, self._led, self._since_arc, coming,
         )  # fmt: skip
+
+
+def portions(moves: Moves) -> list[slice]:
+    turned = np.nan_to_num(np.abs(moves.rows[:, col.SWEEP])) + np.abs(moves.sweep).sum(axis=1)
+    portion = np.floor(np.cumsum(turned) / _MOST_TURN)
+    edges = [0, *(np.flatnonzero(np.diff(portion)) + 1).tolist(), len(turned)]
+    return [slice(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def blocks_of(
+    moves: Moves, settings: Settings, extra: list[int], source: str
+) -> tuple[Blocks, IntArray]:
+    rows = moves.rows
+    counts = _piece_counts(moves, settings, source)
+    row, piece = ragged(counts)
+    u = (piece + 1.0) / counts[row]
+    final = piece + 1 == counts[row]
+    rotary = moves.rotary(row, u)
+    tip, axis = moves.poses(row, u)
+    end = rows[row]
+    on_circle = end[:, col.GREAT_CIRCLE] != 0.0
+    interpolation = moves.interpolation[row]
+    linear = interpolation != POSES
+    rotary[~linear & (on_circle | (end[:, col.NAMED] == 0.0))] = nan
+    rotary_from = np.full((len(row), 2), nan)
+    named = linear | moves.rests[row]
+    rotary_from[named] = moves.rotary(row[named], piece[named] / counts[row[named]])
+    # Chords have used a part of the tolerance; the rest remains for the smoothing.
+    share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
+    feedrate, duration = moves.speeds()
+    blocks = Blocks(
+        tip=tip,
+        axis=axis,
+        rotary=rotary,
+        feedrate=feedrate[row],
+        duration=duration[row] / counts[row],
+        rapid=end[:, col.RAPID] != 0.0,
+        exact_stop=(end[:, col.EXACT_STOP] != 0.0) & final,
+        contour_tolerance=share * end[:, col.CONTOUR],
+        orientation_tolerance=end[:, col.ORIENTATION].copy(),
+        line_number=end[:, col.LINE].astype(np.int64),
+        program_stop=np.where(final, waits_at(end), GO_ON),
+        extra=moves.extra(row, u)[:, [column - col.EXTRA.start for column in extra]],
+        interpolation=interpolation,
+        rotary_from=rotary_from,
+    )
+    return blocks, row
+
+
+def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
+    rows = moves.rows
+
+    def fault(row: FloatArray, message: str) -> ProgramError:
+        return ProgramError(message, source, int(row[col.LINE]))
+
+    counts = np.ones(len(rows), dtype=np.int64)
+    on_circle = rows[:, col.GREAT_CIRCLE] != 0.0
+    if on_circle.any():
+        angle = angle_between(moves.axis_before[on_circle], rows[on_circle, col.AXIS])
+        if (angle > np.pi - _ANTIPARALLEL).any():
+            raise fault(rows[on_circle][np.argmax(angle)],
+                        'the tool axis turns by 180 deg in one block, so its plane of rotation is '
+                        'undefined; add a block between')  # fmt: skip
+        counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
+    curved = np.flatnonzero(moves.curved())
+    if len(curved):
+        turned = np.abs(moves.sweep[curved]).sum(axis=1) + np.nan_to_num(
+            np.abs(rows[curved, col.SWEEP])
+        )
+        if (turned > _MOST_TURN).any():
+            worst = rows[curved[np.argmax(turned)]]
+            raise fault(
+                worst, 'more than 500 turns in one block; correct it or cut it into blocks'
+            )
+        pieces = piece_counts(
+            lambda block, u: moves.chordal(curved[block], u),
+            turned,
+            CHORD_SHARE * rows[curved, col.CONTOUR],
+            CHORD_SHARE * rows[curved, col.ORIENTATION],
+            settings.flank_height,
+        )
+        if pieces.max() > MOST_PIECES:
+            worst = rows[curved[np.argmax(pieces)]]
+            raise fault(
+                worst, f'more than {MOST_PIECES:,} chords in one block; widen the tolerances'
+            )
+        counts[curved] = np.maximum(counts[curved], pieces)
+    turning = moves.interpolation == ROTARY_LINEAR
+    if turning.any():
+        turns = np.abs(moves.sweep[turning]).max(axis=1) / _LONGEST_TURN
+        counts[turning] = np.maximum(counts[turning], np.ceil(turns).astype(np.int64))
+    return counts
+
+
+def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
+    row = here.rows
+    tip, _ = here.poses(np.zeros(1, np.int64), np.ones(1))
+    rotary = row[:, col.ROTARY].copy()
+    if np.isfinite(rotary).all():
+        axis = geometry.tool_axis(rotary)
+        if np.abs(axis - row[:, col.AXIS]).max() > SAME:
+            rotary[:] = nan  # the tool axis came from a direction
+    return Blocks(
+        tip=tip,
+        axis=row[:, col.AXIS].copy(),
+        rotary=rotary,
+        feedrate=np.full(1, inf),
+        duration=np.full(1, nan),
+        rapid=row[:, col.RAPID] != 0.0,
+        exact_stop=row[:, col.EXACT_STOP] != 0.0,
+        contour_tolerance=row[:, col.CONTOUR].copy(),
+        orientation_tolerance=row[:, col.ORIENTATION].copy(),
+        line_number=row[:, col.LINE].astype(np.int64),
+        extra=row[:, extra],
+    )
+
+
+def waits_at(rows: FloatArray) -> IntArray:
+    return np.asarray(_WAITS[rows[:, col.EXACT_STOP].astype(np.int64)])

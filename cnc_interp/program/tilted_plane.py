@@ -39,15 +39,10 @@ class TiltedPlane:
     def __init__(self, mover: Mover):
         self._mover, self.fault, self.notice = mover, mover.fault, mover.notice
         #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
-        self._parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
-
-    @property
-    def is_incomplete(self) -> bool:
-        """Whether a plane by points or directions lacks some of them."""
-        return bool(self._parts)
+        self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
     def takes(self, codes: Sequence[str]) -> bool:
-        if self._parts and not DEFINING & set(codes):
+        if self.parts and not DEFINING & set(codes):
             raise self.fault('the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
                              'Q3, P3 two directions')  # fmt: skip
         return not CODES.isdisjoint(codes)
@@ -105,23 +100,22 @@ class TiltedPlane:
         return self.plane_of(along, normal) @ rotation(2, angles[2])
 
     def _collect(self, form: int, code: str, origin: FloatArray, words: BlockWords) -> None:
-        """Keep one block of a plane by three points (P2) or two directions (P3); define it."""
         part = words.values.pop('Q', 0.0)
         if part not in range(4 if form == 2 else 3):
             raise self.fault('Q must be the number of the point or direction', f'Q{part:g}')
         direction = self._take(words, 'IJK', 1.0)
-        if part in self._parts:
-            self._parts.clear()  # another definition begins
-        self._parts[int(part)] = origin, direction, self._angle(words, 'R')
-        if form == 2 and {1, 2, 3} <= self._parts.keys():
-            first, second, third = (self._parts[k][0] for k in (1, 2, 3))
+        if part in self.parts:
+            self.parts.clear()  # another definition begins
+        self.parts[int(part)] = origin, direction, self._angle(words, 'R')
+        if form == 2 and {1, 2, 3} <= self.parts.keys():
+            first, second, third = (self.parts[k][0] for k in (1, 2, 3))
             # Q0 gives the origin, if it comes before; else that is the first point.
-            origin, _, angle = self._parts.get(0, self._parts[1])
+            origin, _, angle = self.parts.get(0, self.parts[1])
             along = second - first
             turn = self.plane_of(along, np.cross(along, third - first))
             self._set(code, origin, turn, angle)
-        elif form == 3 and len(self._parts) == 2:
-            (origin, along, angle), (_, normal, _) = (self._parts[k] for k in sorted(self._parts))
+        elif form == 3 and len(self.parts) == 2:
+            (origin, along, angle), (_, normal, _) = (self.parts[k] for k in sorted(self.parts))
             lengths = float(np.linalg.norm(along) * np.linalg.norm(normal))
             if abs(along @ normal) > SMALL * lengths:
                 raise self.fault('X and Z of the plane are not at right angles; correct I J K',
@@ -158,7 +152,7 @@ class TiltedPlane:
 
     def _set(self, code: str, origin: FloatArray, turn: FloatArray, angle: float) -> None:
         """Use a frame, turned by an angle about its own Z; G68.4 counts from the frame so far."""
-        self._parts.clear()
+        self.parts.clear()
         frames = self._mover.frames
         if code != 'G68.4':
             frames.reset_frame()
@@ -177,12 +171,15 @@ class TiltedPlane:
         for i, letter in enumerate('XYZ'):
             if letter in words.values:
                 centre[i] = words.values.pop(letter) * mover.unit
-        turn = _about(axis, angle)
+        x, y, z = axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        # Rodrigues' formula.
+        turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
         frames.tilt('G68', centre - turn @ centre, turn)
 
     def cancel(self) -> None:
         """Process G69 and CYCLE800(): end the plane and all rotations. Nothing moves."""
-        self._parts.clear()
+        self.parts.clear()
         self._mover.set_oriented(False)
         self._mover.frames.reset_frame()
         self._mover.frames.update()
@@ -192,8 +189,8 @@ class TiltedPlane:
     def _orient(self, code: str, words: BlockWords) -> None:
         """Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
 
-        P0 takes the nearest solution, P1 a tilting axis above zero, P2 below. X Y Z of the machine
-        stay with G53.1, the tool tip with G53.6; with G53.3 it moves to the words of the block.
+        P1 takes a tilting axis above zero, P2 below, P0 the nearest. X Y Z of the machine stay
+        with G53.1, the tool tip with G53.6; with G53.3 it moves to the words of the block.
         """
         choice = words.values.pop('P', 0.0)
         if choice not in (0.0, 1.0, 2.0):
@@ -268,8 +265,8 @@ class TiltedPlane:
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
         """Return the rotation that a mode of CYCLE800 makes of three angles, (3, 3).
 
-        The mode has the axes of the three rotations in two bits each (1 is X), the first one in
-        the lowest, and the kind of the angles in the next two bits.
+        ``mode``: the axes of the three rotations in two bits each, the first one lowest; then the
+        kind.
         """
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
         if kind == DIRECT:
@@ -298,10 +295,3 @@ class TiltedPlane:
 
     def _angle(self, words: BlockWords, letter: str) -> float:
         return words.values.pop(letter, 0.0) * DEG
-
-
-def _about(axis: FloatArray, angle: float) -> FloatArray:
-    """Return the rotation about a unit axis, shape (3, 3) (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

@@ -13,7 +13,7 @@ from cnc_interp.program.codes import HARMLESS_KEYS, refused_key
 from cnc_interp.program.expressions import (
     NOTHING,
     ExpressionError,
-    Variables,
+    ProgramVariables,
     element_name,
     evaluate,
     parameter_index,
@@ -73,11 +73,7 @@ Fault = Callable[[str, str], ProgramError]
 
 
 def without_comments(line: str, fault: Fault) -> str:
-    """Remove the comments from a line in upper case.
-
-    A parenthesis opens a comment, except after an operator or directly after a name. So the
-    arguments of ``CYCLE832(...)`` and ``Z=(R1+2)`` are kept.
-    """
+    """Remove comments; after an operator or a name a parenthesis opens none: CYCLE832(...)."""
     if ';' not in line and '(' not in line:
         return line
     kept, at, size, quoted, depth = [], 0, len(line), False, 0
@@ -88,7 +84,7 @@ def without_comments(line: str, fault: Fault) -> str:
         elif not quoted and sign == ';':
             break
         elif not quoted and sign == '(':
-            if not depth and not _opens_group(line[max(0, at - 80) : at]):
+            if not depth and not _GROUP_BEFORE.search(line[max(0, at - 80) : at]):
                 at = _end_of_comment(line, at, fault)
                 kept.append(' ')
                 continue
@@ -100,12 +96,7 @@ def without_comments(line: str, fault: Fault) -> str:
     return ''.join(kept).strip()
 
 
-def _opens_group(before: str) -> bool:
-    return bool(_GROUP_BEFORE.search(before))
-
-
 def _end_of_comment(line: str, at: int, fault: Fault) -> int:
-    """Return the position after a comment; comments may contain pairs of parentheses."""
     depth = 0
     for here in range(at, len(line)):
         depth += (line[here] == '(') - (line[here] == ')')
@@ -114,7 +105,7 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
     raise fault('the comment is not closed; add )', line[at:].split()[0])
 
 
-def split_words(line: str, variables: Variables, fault: Fault) -> BlockWords:
+def split_words(line: str, variables: ProgramVariables, fault: Fault) -> BlockWords:
     """Split one line of G-code into words. The line is in upper case and without comments."""
     if '(' in line:
         line = _IDLE_CALL.sub(r'\1 ', line)
@@ -157,7 +148,7 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
     words.texts[letter] = text
 
 
-def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
+def _by_grammar(line: str, variables: ProgramVariables, fault: Fault) -> BlockWords:
     words = BlockWords()
     if name := _TOOL_NAME.search(line):
         _add(words, 'T', 0.0, name[0], fault)
@@ -167,9 +158,10 @@ def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
         for item in parse(line):
             kind, word = item[0], str(item[1])
             if kind == 'word':
-                value, way = _with_way(item[2], variables)
-                if way:
-                    words.ways[word] = way
+                node = item[2]
+                if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
+                    words.ways[word], node = str(node[1]), node[2]
+                value = evaluate(node, variables)
                 _add(words, word, value, f'{word}{value:g}', fault)
             elif kind == 'set_name':
                 words.sets.append((word, evaluate(item[2], variables)))
@@ -192,15 +184,7 @@ def _by_grammar(line: str, variables: Variables, fault: Fault) -> BlockWords:
     return words
 
 
-def _with_way(node: Any, variables: Variables) -> tuple[float, str]:
-    """Return the value of an axis word, and the function that tells how it is meant."""
-    if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
-        return evaluate(node[2], variables), str(node[1])
-    return evaluate(node, variables), ''
-
-
-def _given(node: Any, variables: Variables) -> float | None:
-    """Return the value of an argument; None if it is empty or a text."""
+def _given(node: Any, variables: ProgramVariables) -> float | None:
     if len(node) == 1 or isinstance(node[1], str):
         return None
     return evaluate(node[1], variables)

@@ -6,7 +6,7 @@ The writers know only words and formats. ``convert/conversion.py`` decides what 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite, isnan, nan
 
 from cnc_interp.core.arrays import FloatArray
@@ -34,11 +34,7 @@ def feed_word(feedrate: float) -> str:
 class Modal:
     """The last value of each modal word, so that only changes are written."""
 
-    kept: dict[str, str]
-
-    @staticmethod
-    def empty() -> Modal:
-        return Modal({})
+    kept: dict[str, str] = field(default_factory=dict)
 
     def words(self, pairs: Iterable[tuple[str, str]]) -> str:
         changed = [(letter, text) for letter, text in pairs if self.kept.get(letter) != text]
@@ -67,7 +63,7 @@ class WrittenMove:
 
 
 def gcode(moves: Iterable[WrittenMove], rotary_letters: tuple[str, ...], notes: list[str]) -> str:
-    state = Modal.empty()
+    state = Modal()
     lines = [*(f'; {note}' for note in notes), 'G21 G90 G94']
     if rotary_letters:
         lines.append('TRAORI')
@@ -106,7 +102,7 @@ def gcode(moves: Iterable[WrittenMove], rotary_letters: tuple[str, ...], notes: 
 
 
 def siemens(moves: Iterable[WrittenMove], notes: list[str]) -> str:
-    state = Modal.empty()
+    state = Modal()
     moves = list(moves)
     lines = [f'; {note}' for note in notes]
     if any(move.second is not None for move in moves):

@@ -58,7 +58,6 @@ def with_beside(
 
 
 def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
-    """Add to a proof the error at the tool by the drives of the machine, if it was limited."""
     told = plan.summary.get('settings')
     if not isinstance(told, dict) or told.get('tool_error') is None:
         return proof

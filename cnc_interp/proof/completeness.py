@@ -22,7 +22,6 @@ POLE_TOLERANCES = 4.0
 
 
 def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
-    """Check that the motion passes every vertex, begins and ends on the program, and stops."""
     blocks, height, machine = plan.blocks, plan.flank_height, program.machine
     vertex_top, tips, tops = blocks['tip'] + height * blocks['axis'], program.tips, program.tops
     rows, count = np.arange(len(blocks['tip'])), len(plan.position)
@@ -93,9 +92,9 @@ def _prove_rotary_words(
 ) -> None:
     """Check that rotary axes pass their words, each on its own branch and whole turn.
 
-    A rounded vertex may turn the tool axis by the tolerances at flank height. So each rotary axis
-    may miss its word by this angle over the sine of the angle between itself and the tool axis.
-    The samples ``where`` the vertices are passed are replaced where the rotary axes tell better.
+    A rounded vertex may turn the tool axis by the tolerances at flank height, so each rotary axis
+    by this angle over the sine of the angle between both. ``where`` is replaced where they tell
+    better.
     """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))
@@ -160,8 +159,6 @@ def _prove_extra_words(
 
 
 class VertexSearch:
-    """The search for the samples at which a motion passes vertices of its program."""
-
     def __init__(self, plan: PlanFiles):
         self.plan, self.count = plan, len(plan.position)
         # First sample of each row or of a later one.
@@ -179,16 +176,14 @@ class VertexSearch:
     ) -> tuple[FloatArray, IntArray]:  # fmt: skip
         """Return the distance of each vertex from the motion, and the sample before that place.
 
-        Searched among the samples of its rows; if missed, among more. ``points_of``: points of
-        axis positions; ``unit`` (M, 3): units in which the distance counts; then the tolerance is
-        1 of them.
+        Searched among the samples of its rows; if missed, among more. With ``unit`` (M, 3) the
+        tolerance is 1 of them.
         """
         allowed = tolerance if unit is None else np.ones(len(vertices))
         rows = np.arange(len(vertices))
         unit = np.broadcast_to(np.ones(3) if unit is None else unit, vertices.shape)
         # A vertex lies between its own row and the next. Rounding may shift the row of a sample by
-        # one more, except at a stop: a tool that turns back has passed the vertex in the row
-        # before.
+        # one more, except at a stop, where a tool that turns back has passed it a row before.
         spread = np.where(self.plan.blocks['exact_stop'], 0, 1)
         nearest, where = self._among(rows - spread, rows + 1 + spread, points_of, vertices, unit)
         far = nearest > (allowed + SLACK if unit is None else allowed)

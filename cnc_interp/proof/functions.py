@@ -68,7 +68,6 @@ def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
 
 
 def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
-    """Compare the functions with the words of a plain program; return what differs."""
     read: Counter[tuple[int, str, float]] = Counter()
     for number, line in enumerate(text.upper().splitlines(), start=1):
         for letter, value, probe in _WORD.findall(_COMMENT.sub(' ', line)):

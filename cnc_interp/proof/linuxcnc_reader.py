@@ -200,14 +200,12 @@ class _Printed:
         return np.asarray(np.array(numbers) * np.repeat([self.unit, DEG], 3))
 
     def absolute(self, numbers: list[float]) -> FloatArray:
-        """Return printed coordinates with the offsets added; G92 turns with the work offset."""
         work, g92, tool = self.offsets.values()
         return np.asarray(self.turn @ (self.sized(numbers) + g92) + work + tool)
 
     def move(
         self, rapid: bool, end: FloatArray, centre: FloatArray | None = None, turns: int = 0
     ) -> ReadMove:
-        """Return the motion to a position, which is then the present one."""
         before, self.here = self.here, end
         feed, duration, unsure, digit = float('nan'), float('nan'), 0.0, LAST_DIGIT * self.unit
         if not rapid and self.mode == 'G94':

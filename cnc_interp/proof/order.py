@@ -28,8 +28,6 @@ CHORD_SHARE = 0.05  #: The pieces that replace a circle are so near to it, in to
 
 @dataclass(frozen=True)
 class Pieces:
-    """The program as straight pieces, in some coordinates."""
-
     row: IntArray  #: (P,): Program row of each piece.
     #: (P, D): Coordinates at both ends of each piece.
     start: FloatArray
@@ -66,11 +64,9 @@ class Pursuit:
     lost: int = -1  #: Sample at which no piece can be reached, or -1.
 
     def follow(self, points: FloatArray, first: int, count: int) -> tuple[IntArray, IntArray]:
-        """Follow the pieces with k samples; return first and last piece each can have reached.
+        """Follow with k samples; return first and last piece each can have reached, or -1.
 
-        ``points`` (k + 3, D) has two samples before and one after, repeated beyond the ends;
-        ``first`` and ``count`` are the number of the first and of all samples. -1 where no piece
-        can be reached.
+        ``points`` (k + 3, D) has two samples before and one after, repeated beyond the ends.
         """
         # The chord of the motion at a sample begins one before; no chord bulges beyond the ends.
         bulge, more = np.abs(np.diff(points, 2, axis=0)) / 8.0, peaks(points)
@@ -144,8 +140,6 @@ def order_of(program: ProgramShapes, tolerances: tuple[FloatArray, FloatArray]) 
 
 
 class _Shapes:
-    """The rows of a program cut into pieces: tip, top and rotary axes at the end of each."""
-
     def __init__(self, shapes: ProgramShapes):
         plan, machine, program, lines = shapes.plan, shapes.machine, shapes.path, shapes.lines
         blocks, height = plan.blocks, plan.flank_height
@@ -269,7 +263,6 @@ def _follow(
 ) -> tuple[int, int, int, int]:  # fmt: skip
     """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
-    The first of the points is the one before. ``low`` is changed, and ``reached`` is filled.
     ``passed`` is the earliest part of the present chord of the motion at which the end of the
     piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
     """

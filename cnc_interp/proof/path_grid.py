@@ -25,7 +25,6 @@ ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
 
 def prove_grid(ledger: Ledger) -> None:
-    """Check the grid of the planner: poses, continuity, setpoints, feeds, limits and stops."""
     plan, machine = ledger.plan, ledger.machine
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
     points, transform = len(s), Transform.of(machine)
@@ -113,8 +112,7 @@ def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
     """Return the rows that the path names, and the highest feed of the blocks around each [m/s].
 
-    A curve names one row for each half, so the rows up to the next named ones count. Rapids,
-    durations, turns about a resting tip and linear rotary axes have no bound.
+    A curve names one row for each half, so the rows up to the next named ones count.
     """
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
@@ -131,10 +129,6 @@ def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArra
 def _prove_programmed_feed(
     ledger: Ledger, rows: IntArray, part: tuple[int, int], written: tuple[IntArray, FloatArray]
 ) -> None:
-    """Demand that the path has no higher programmed feed than its blocks, at some grid points.
-
-    Where the path length counts more than the way of the tip, the speed is higher by as much.
-    """
     (a, b), path, (named, feed) = part, ledger.plan.path, written
     way = np.linalg.norm(np.diff(held(path['tip'], a, b, 1, 1), axis=0), axis=1)
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -209,7 +203,10 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
         return
     # Before the first sample and after the last one the axes rest.
     speed = np.diff(held(s, a, b, 2, 2)) / plan.period
-    least, most = _speeds_around(speed)
+    # Bounds of the speed in each inner period, from mean speeds in it and around.
+    around = np.stack([speed[:-2], speed[1:-1], speed[2:]])
+    spread = np.abs(np.diff(around, axis=0)).sum(axis=0)
+    least, most = around.min(axis=0) - spread, around.max(axis=0) + spread
     periods = b - a - last
     at = np.searchsorted(s[a:b], grid[low:high], 'right') - 1
     at = np.clip(at, 0, max(periods - 1, 0)) + 1
@@ -221,13 +218,6 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
     own = rows[low:high]
     ledger.check('feed of path against the setpoints', off, allowed, rows=own)
     ledger.check('stop of path', least[at[stops]].clip(0.0), allowed[stops], rows=own[stops])
-
-
-def _speeds_around(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return bounds of the speed in each inner period, from mean speeds in it and around [m/s]."""
-    around = np.stack([speed[:-2], speed[1:-1], speed[2:]])
-    spread = np.abs(np.diff(around, axis=0)).sum(axis=0)
-    return around.min(axis=0) - spread, around.max(axis=0) + spread
 
 
 def _septic(

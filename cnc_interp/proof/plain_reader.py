@@ -1,9 +1,7 @@
 """A second reader of part programs, for plain words only; it shares no code with the first one.
 
-G-code: G0 to G3 (I J K or R), G17 to G19, G20, G21, G90, G91, G93, G94, F, axis words, contact
-normals (G41.2 D R Q P, I J K), and words that move nothing. CL data: GOTO, FEDRAT, RAPID, UNITS,
-TLAXIS, and words that move nothing. All else is refused, because a word that is not understood
-cannot be compared.
+All but plain motion (lines, arcs, contact normals; GOTO) and words that move nothing is refused,
+because a word that is not understood cannot be compared.
 """
 
 from __future__ import annotations
@@ -178,7 +176,6 @@ class _State:
             self.moves[-1] = replace(self.moves[-1], stop=True)
 
     def take_cutter(self, line: str, words: dict[str, float]) -> None:
-        """Take the cutter of a block with G41.2: D R, less that of the program: Q P."""
         found = {letter: re.search(rf'{letter}\s*(\d+\.?\d*)', line) for letter in 'DQP'}
         number = int(float(found['D'][1])) if found['D'] else -1
         if number not in self.tools:

@@ -23,8 +23,7 @@ from cnc_interp.core.small_files import UnreadableError, read_json
 
 Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``Stored``).
 
-# A default makes a column optional. Where it is NaN, values may be missing. n is the number of
-# axes.
+# A default makes a column optional. Where it is NaN, values may be missing. n: number of axes.
 REAL, WHOLE, LOGICAL = Column(), Column((), np.int64), Column((), np.bool_)
 POINT, AXES = Column((3,)), Column(('n',))
 SETPOINT_COLUMNS = {
@@ -56,8 +55,7 @@ PATH_CELLS = ('cell_left', 'cell_right')
 MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
 # Largest feed override that the nodes accept, and the periods that can be chosen [s].
 LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
-# Largest number of columns of a file. A larger file than this [bytes] may unpack to so many times
-# its length.
+# Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
 # What the readers of archives and arrays raise for files that are not sound.
 READING_FAULTS = (
@@ -81,7 +79,6 @@ class Stored:
 
     @staticmethod
     def empty(rows: int, dtype: DTypeLike) -> Stored:
-        """Return a column of zeros in a temporary file, which is gone with the column."""
         file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
         file.truncate(rows * np.dtype(dtype).itemsize)
         return Stored(file, 0, dtype, (rows,))
@@ -126,7 +123,6 @@ class Stored:
 
 
 def spans(count: int) -> Iterator[tuple[int, int]]:
-    """Yield first and last row (exclusive) of each chunk."""
     for first in range(0, count, CHUNK):
         yield first, min(first + CHUNK, count)
 
@@ -203,7 +199,6 @@ class PlanFiles:
 
     @property
     def flank_height(self) -> float:
-        """Return the height over the tool tip where the orientation tolerance is measured [m]."""
         return float(self.summary['flank_height'])
 
 
@@ -388,7 +383,6 @@ def _plain(shape: tuple[int, ...], in_columns: bool, kind: np.dtype[Any]) -> boo
 
 
 def _array_header(column: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Read the header of an array: shape, whether it is in columns, type; or raise ValueError."""
     version = np.lib.format.read_magic(column)  # type: ignore[no-untyped-call]
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,

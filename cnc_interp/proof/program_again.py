@@ -25,8 +25,7 @@ from cnc_interp.proof.linuxcnc_reader import (
 from cnc_interp.proof.plain_reader import ReadMove, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 
-# Ends agree within this [m, -, rad] and so many last digits, and feeds and durations by this
-# share [-].
+# Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 ROUNDED = 0.75  #: An angle is printed within so many last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: some curves of the
@@ -41,8 +40,6 @@ LONGEST = 64 << 20  #: Longest program that is read [bytes].
 
 @dataclass(frozen=True)
 class Agreement:
-    """What was compared, and what differs."""
-
     #: Motions of the text, and arcs among them.
     motions: int
     arcs: int
@@ -183,7 +180,6 @@ class _Comparison:
         return tip[0], axes[0]
 
     def room(self, move: ReadMove) -> float:
-        """Return how far from the end of a motion its row may be [m]: angles have digits, too."""
         room = _place(move)
         if move.digit and not move.tcp:
             tip = self.pose(move)[0]
@@ -427,7 +423,6 @@ def _tip_of(move: ReadMove, axis: FloatArray) -> FloatArray:
 
 
 def _place(move: ReadMove) -> float:
-    """Return how far from the end of a motion its row may be [m]."""
     return SAME_PLACE + DIGITS * move.digit
 
 

@@ -28,8 +28,7 @@ class ProgrammedAxes:
     machine: Transform  #: The forward kinematics.
     #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
     known: BoolArray
-    #: (M,): Rows whose rotary axes run linearly, and known rows whose coordinates are machine
-    #: axes.
+    #: (M,): Rows whose rotary axes run linearly; known rows in coordinates of the machine axes.
     linear: BoolArray
     in_axes: BoolArray
     #: (M, n): Coordinates at the start of known rows, and what they move by [m, rad].
@@ -94,7 +93,6 @@ class ProgrammedAxes:
         return scale
 
     def improve(self, result: Deviation, position: FloatArray, block: IntArray) -> FloatArray:
-        """Compare positions with the lines near them and keep what is nearer."""
         least = np.full(len(block), np.inf)
         beside = np.full(len(block), np.inf)
         tip, axis = self.machine.forward(position)
@@ -120,10 +118,6 @@ class ProgrammedAxes:
             result.orientation[at] = np.minimum(result.orientation[at], orientation)
             result.twist[at] = np.minimum(result.twist[at], orientation)
         return np.where(self.linear[block] & self.in_axes[block], beside, 0.0)
-
-    @property
-    def lengths(self) -> FloatArray:
-        return np.asarray(np.linalg.norm(self.step * self.scale, axis=1))
 
     def speeds(
         self, position: FloatArray, tip: FloatArray, row: IntArray, period: float
@@ -213,8 +207,6 @@ REACH = 142.0
 
 @dataclass(frozen=True)
 class ProgramShapes:
-    """What a plan was made for, in the shapes that its motion is compared with."""
-
     plan: PlanFiles  #: The plan, with M program rows.
     machine: Machine  #: The machine.
     transform: Transform  #: Its forward kinematics.
@@ -277,7 +269,6 @@ def measure_widely(
     program: ProgramShapes, tip: FloatArray, axis: FloatArray, block: IntArray,
     position: FloatArray,
 ) -> Deviation:  # fmt: skip
-    """Measure near the executed row; where a tolerance is exceeded, search more rows."""
     result = program.path.deviation(tip, axis, block)
     if program.lines is not None:
         program.lines.improve(result, position, block)

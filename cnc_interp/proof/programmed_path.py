@@ -24,8 +24,6 @@ TIE = 1e-9  #: Two distances that differ by less than this are equal [m].
 
 @dataclass(frozen=True)
 class Deviation:
-    """Distance of poses from the program."""
-
     contour: FloatArray  #: (K,): Distance of the tip from the nearest programmed line [m].
     row: IntArray  #: (K,): Program row of the nearest point.
     part: FloatArray  #: (K,): Place of the nearest point on its row, 0 to 1 [-].
@@ -104,8 +102,7 @@ class ProgrammedPath:
 def peaks(points: FloatArray) -> FloatArray:
     """Bound by how much more than an eighth of its second difference a motion bulges over a chord.
 
-    That eighth takes the acceleration from both samples. A peak between them is larger by at most
-    half of what it changes in a period nearby: half a third difference.
+    The acceleration changes between samples by at most half a third difference nearby.
     """
     return np.asarray(np.abs(np.diff(points, 3, axis=-2)) / 16.0)
 
@@ -116,8 +113,7 @@ def distances_to_vertices(
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Return the distance of each vertex from a sampled motion, and the sample before that place.
 
-    A motion bulges over its chord by up to an eighth of the second difference, and the ``peaks``.
-    The former is taken off, because a vertex lies outside its rounding.
+    What the motion bulges over its chord is taken off, because a vertex lies outside its rounding.
     """
     bulge = np.zeros(points.shape)
     bulge[1:-1] = np.diff(points, 2, axis=0) / 8.0

@@ -26,7 +26,6 @@ REACH = 2e-4  #: A pose is searched up to twice its movement plus this along the
 
 
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
-    """Replace native splines by short linear rows that samples name; raises InterpError."""
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
         return plan
@@ -58,7 +57,6 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
 
 
 def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
-    """Divide the program rows (M,) into linear parts and native splines: first, after last."""
     changes = (on_spline[1:] != on_spline[:-1]) | (on_spline & exact_stop)[:-1]
     return list(pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(on_spline)]))
 
@@ -87,11 +85,7 @@ def _renumbered(
 def chords(
     blocks: Columns, first: int, last: int, height: float
 ) -> tuple[dict[str, NDArray[Any]], FloatArray]:
-    """Replace a native spline, rows ``first`` to ``last``, by n linear rows and poses (n, 6).
-
-    Poses are tips and points at flank height, within ``CHORD`` of the curve. Raises
-    InterpError if the control points do not form a clamped curve.
-    """
+    """Replace a native spline, rows ``first`` to ``last``, by n linear rows and poses (n, 6)."""
     line = int(blocks['line'][first])
     interval = np.asarray(blocks['knot_interval'][first:last], dtype=float)
     if len(interval) < 4 or interval[0] or interval[-2:].any():

@@ -27,8 +27,6 @@ TORQUE = 'torque'  #: The limit that only some axes have.
 
 @dataclass(frozen=True)
 class Finding:
-    """The place where one quantity uses most of its limit, or exceeds it most."""
-
     #: Name of the quantity, and name of its axis or ''.
     what: str
     axis: str
@@ -45,8 +43,6 @@ class Finding:
 
 @dataclass(frozen=True)
 class Proof:
-    """What is proven about a plan, and what is not."""
-
     machine: str  #: Name of the machine whose limits were used.
     axis_names: tuple[str, ...]  #: Names of the axes of that machine.
     #: Number of setpoints and of program rows after the start pose.
@@ -77,7 +73,6 @@ class Proof:
         return (*kinds, TORQUE) if any(f.what == TORQUE for f in self.findings) else kinds
 
     def use_of(self, kind: str, axis: str) -> float:
-        """Return the largest use of a limit of an axis; NaN if it has no such limit [-]."""
         uses = (f.ratio for f in self.findings if f.what == kind and f.axis == axis)
         return next(uses, float('nan'))
 
@@ -249,8 +244,6 @@ DIGITS = 12  #: Digits of a hash that are shown.
 
 @dataclass(frozen=True)
 class Given:
-    """One thing that is not proven but given."""
-
     #: Its name, its value in shop units, and where it comes from.
     what: str
     value: str
@@ -263,7 +256,6 @@ class Given:
 
 
 def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tuple[Given, ...]:
-    """List what the proof of a plan for a machine, by name or file, takes as given."""
     blocks, summary = plan.blocks, plan.summary
     in_bag = not (source / 'blocks.npz').is_file()
     of_blocks = 'the recorded blocks' if in_bag else 'blocks.npz'
@@ -311,7 +303,6 @@ def machine_source(machine: Machine, file: Path) -> str:
 
 
 def digest_of(columns: Columns) -> str:
-    """Return the first digits of a hash of the names, types and values of columns."""
     digest = hashlib.sha256()
     for name in sorted(columns):
         column = np.ascontiguousarray(columns[name])

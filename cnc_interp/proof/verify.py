@@ -31,13 +31,7 @@ from cnc_interp.proof.functions import prove_functions
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans, with_override
-from cnc_interp.proof.program_shapes import (
-    REACH,
-    SLACK,
-    ProgramShapes,
-    measure,
-    measure_widely,
-)
+from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes, measure, measure_widely
 from cnc_interp.proof.programmed_path import WINDOW
 from cnc_interp.proof.programmed_splines import with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
@@ -282,7 +276,8 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
     turning = 1 + np.flatnonzero(timed[1:] & (chord[1:] < SLACK) & (turned > SLACK))
     if lines is not None:
         turning = turning[~lines.linear[turning]]
-        chord = np.where(lines.linear, lines.lengths, chord)
+        length = np.linalg.norm(lines.step * lines.scale, axis=1)
+        chord = np.where(lines.linear, length, chord)
     feed[timed] = chord[timed] / duration[timed]
     feed[np.asarray(blocks['rapid'], dtype=bool) | (chord < SLACK)] = np.inf
     feed[0] = feed[1]
@@ -296,8 +291,7 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
         before, after = np.sort(np.stack([block[:-1], block[1:]]), axis=0)
         if lines is not None:
             along = lines.speeds(position, tip, before, period)
-            # In a row whose tip moves alone, one corner may be in coordinates, the other one in
-            # poses.
+            # Where the tip moves alone, one corner may be in coordinates, the other in poses.
             known = lines.known[before] | lines.known[after]
             speed = np.where(known, np.minimum(speed, along), speed)
             speed = np.where(lines.linear[before] | lines.linear[after], along, speed)
@@ -319,7 +313,6 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
 
 
 def _highest(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """Return the largest of the values ``first`` to ``last`` (inclusive), one for each pair."""
     if not len(first):
         return np.zeros(0)
     low = int(first.min())

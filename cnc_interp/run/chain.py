@@ -30,15 +30,13 @@ STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
 class Chain:
-    """All stages: blocks in; segments, planned pieces and setpoints into the plan files."""
-
     def __init__(
         self, machine: Machine, settings: Settings, sink: PlanWriter,
         clock: Callable[[], float] = working_time, start: StartFinder | None = None,
         processes: int = 1,
     ):  # fmt: skip
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
-        self._path = PathChain(Transform.of(machine), settings, self._watch)
+        self.path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
         options = PlanOptions(law=settings.law, step=min(period, LONGEST_STEP))
         tool = wanted_tool(machine, settings)
@@ -52,11 +50,6 @@ class Chain:
     @property
     def seconds(self) -> dict[str, float]:
         return {stage: self._watch.seconds.get(stage, 0.0) for stage in STAGES}
-
-    @property
-    def notice(self) -> tuple[int, str] | None:
-        """Notices about the path for the operator: source line and text."""
-        return self._path.notice
 
     def close(self) -> None:
         if self._parallel is not None:
@@ -74,10 +67,10 @@ class Chain:
             raise
 
     def push(self, blocks: Blocks) -> None:
-        self._plan(self._path.push(blocks))
+        self._plan(self.path.push(blocks))
 
     def finish(self) -> None:
-        self._plan(self._path.finish(), last=True)
+        self._plan(self.path.finish(), last=True)
         self._pass_on(self._watch.timed('feedrate', self._planner.finish))
         if self.moved:
             self._sink.setpoints(self._interpolator.finish())
@@ -105,10 +98,8 @@ def plan_to_files(
 ) -> dict[str, Any]:  # fmt: skip
     """Plan a program while it is read and write its plan files; memory does not grow with it.
 
-    ``directory``: files in it are replaced once all is planned; ``progress``: told the share that
-    has been planned, 0 to 1; ``processes``: how many plan motion; the files are the same.
-    Returns the summary as written to ``summary.json``; SI units.
-    Raises InterpError if the program cannot be read, or cannot run on the machine.
+    ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the
+    same files. Returns the summary in SI units, or raises InterpError.
     """
     settings = settings or Settings()
     start = None
@@ -130,7 +121,7 @@ def plan_to_files(
                         told = max(told, stream.share * chain.row_planned / rows_read)
                         progress(told)
             chain.finish()
-            stream.note(chain.notice)
+            stream.note(chain.path.notice)
             writer.functions = stream.functions
             if start is not None:
                 writer.figures.start = start.found().after(writer.functions, machine.signals)

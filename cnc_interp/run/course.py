@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -37,33 +37,18 @@ STILL = 1e-9  #: Speed below which the end of a law is rest [m/s].
 SAME_TIME = 1e-9  #: Times nearer than this are the same [s].
 
 
-@dataclass(frozen=True)
-class LegEnd:
-    """The end of a leg between parts of the path."""
-
-    wait: Wait
-
-
 class Course:
-    """Parts of the path, and the ends of legs between them, in order."""
-
     def __init__(self) -> None:
-        self.items: deque[AxisPath | LegEnd] = deque()
+        self.items: deque[AxisPath | Wait] = deque()
 
     def push(self, path: AxisPath) -> list[AxisPath]:
-        """Add a part of the path and return it in portions."""
         portions = portions_of(path, PORTION)
         self.items.extend(portions)
         return portions
 
-    def end_leg(self, wait: Wait) -> LegEnd:
-        end = LegEnd(wait)
-        self.items.append(end)
-        return end
-
     def lead(self, way: AxisPath, s: float) -> None:
         """Put a way of its own, down to rest, in the place of the path before a place [m]."""
-        self.items = deque([way, LegEnd(Wait.NOTHING), *self.after(s)])
+        self.items = deque([way, Wait.NOTHING, *self.after(s)])
 
     def release(self, s: float) -> None:
         while len(self.items) > 1:
@@ -71,7 +56,7 @@ class Course:
             if isinstance(first, AxisPath) and first.s[-1] >= s:
                 return
             following = self.items[1]
-            if isinstance(first, LegEnd) and not (
+            if isinstance(first, Wait) and not (
                 isinstance(following, AxisPath) and following.s[0] < s
             ):
                 return
@@ -89,7 +74,7 @@ class Course:
         parts: list[AxisPath] = []
         cells = 0
         for item in self.items:
-            if isinstance(item, LegEnd):
+            if isinstance(item, Wait):
                 if parts:
                     break
             elif item.s[-1] > s or parts:
@@ -112,14 +97,14 @@ class Course:
     def first_rest(self) -> Setpoints | None:
         return next((self.rest_at(float(part.s[0])) for part in self._parts()), None)
 
-    def after(self, s: float) -> deque[AxisPath | LegEnd]:
+    def after(self, s: float) -> deque[AxisPath | Wait]:
         """Return all items after a place [m]; the part that contains it is cut there."""
-        rest: deque[AxisPath | LegEnd] = deque()
+        rest: deque[AxisPath | Wait] = deque()
         passed = False
         for item in self.items:
-            if isinstance(item, LegEnd):
+            if isinstance(item, Wait):
                 # at the very place: only the end of the program still counts
-                if passed or item.wait is Wait.END:
+                if passed or item is Wait.END:
                     rest.append(item)
             elif item.s[-1] > s + SAME:
                 passed = True
@@ -128,17 +113,16 @@ class Course:
 
 
 def portions_of(path: AxisPath, cells: int) -> list[AxisPath]:
-    """Cut a path into portions of ``cells`` cells; the last may have fewer."""
     borders = [*range(0, len(path.s) - 1, cells), len(path.s) - 1]
     return [cut(path, a, b) for a, b in pairwise(borders)]
 
 
-def finely(items: deque[AxisPath | LegEnd]) -> deque[AxisPath | LegEnd]:
+def finely(items: deque[AxisPath | Wait]) -> deque[AxisPath | Wait]:
     """Cut the first parts into small portions, so that the first motion is planned soon."""
-    rest: deque[AxisPath | LegEnd] = deque()
+    rest: deque[AxisPath | Wait] = deque()
     cells = 0
     for item in items:
-        if isinstance(item, LegEnd) or cells >= PORTION:
+        if isinstance(item, Wait) or cells >= PORTION:
             rest.append(item)
         else:
             rest.extend(portions_of(item, FINE))
@@ -200,8 +184,6 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
 
 
 class Leg:
-    """One leg of a stream: planned, then sampled slice by slice."""
-
     def __init__(
         self, limits: AxisLimits, period: float, begun: int = 0, start: tuple[float, float] = (0.0,
         0.0), tool: ToolLimit | None = None,

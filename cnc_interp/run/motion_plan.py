@@ -16,7 +16,7 @@ from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.run.course import Course, Leg, LegEnd, finely, slowed
+from cnc_interp.run.course import Course, Leg, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.run.stop_tails import ChunkCutter, FunctionQueue, StopSearch, way_down
 
@@ -50,15 +50,12 @@ class PlanContext:
     functions: FunctionQueue = field(default_factory=FunctionQueue)  #: What the program switches.
 
     def tool_on(self, path: AxisPath) -> ToolLimit | None:
-        """Return the limit on a part of the path; a way to the path or back has none."""
         return self.tool if path.cell_block[0] > 0 else None
 
 
 class MotionPlan:
-    """One plan of a run, from one setpoint on."""
-
     def __init__(
-        self, context: PlanContext, settings: OperatorSettings, todo: deque[AxisPath | LegEnd],
+        self, context: PlanContext, settings: OperatorSettings, todo: deque[AxisPath | Wait],
         number: int = 0, leg: Leg | None = None, way_down: PlannedPiece | None = None,
         before: MotionPlan | None = None, rests: Setpoints | None = None,
     ):  # fmt: skip
@@ -78,7 +75,7 @@ class MotionPlan:
         if not self._legs and not self._history:
             self.settings = settings
 
-    def extend(self, items: Iterable[AxisPath | LegEnd]) -> None:
+    def extend(self, items: Iterable[AxisPath | Wait]) -> None:
         self._todo.extend(items)
 
     def release(self, s: float) -> None:
@@ -87,7 +84,6 @@ class MotionPlan:
 
     @property
     def planned(self) -> float:
-        """Motion planned but not sampled [s]."""
         return sum(leg.planned for leg in self._legs)
 
     @property
@@ -106,8 +102,8 @@ class MotionPlan:
         item = self._todo.popleft()
         if isinstance(item, AxisPath):
             item = self._until_pause(item)
-        if isinstance(item, LegEnd):
-            self._open_leg().finish(item.wait)
+        if isinstance(item, Wait):
+            self._open_leg().finish(item)
             return
         self._block_before = int(item.cell_block[-1])
         leg = self._open_leg(self._context.tool_on(item))
@@ -133,7 +129,7 @@ class MotionPlan:
             self._legs.append(Leg(self._context.limits, self._context.period, tool=tool))
         return self._legs[-1]
 
-    def _until_pause(self, part: AxisPath) -> AxisPath | LegEnd:
+    def _until_pause(self, part: AxisPath) -> AxisPath | Wait:
         """Cut a part where the machine waits for cycle_start. The rest is planned later."""
         found = self._pause(part)
         if found is None:
@@ -142,7 +138,7 @@ class MotionPlan:
         if pause == 0:
             self._todo.appendleft(part)
             self._block_before = int(part.cell_block[0])
-            return LegEnd(wait)
+            return wait
         self._todo.appendleft(cut(part, pause, len(part.s) - 1))
         return cut(part, 0, pause)
 
@@ -167,7 +163,6 @@ class MotionPlan:
         return None
 
     def sample(self) -> list[Chunk]:
-        """Sample a slice of the motion and return the chunks that are complete with it."""
         leg, cutter = self._legs[0], self._cutter
         if leg.number_of_zero is None:
             leg.number_of_zero = cutter.next_number - leg.interpolator.next_number
@@ -224,35 +219,22 @@ class MotionStream:
         tool: ToolLimit | None = None,
     ):  # fmt: skip
         self._context = PlanContext(limits, period, chunk_size, line_of, tool=tool)
-        self._course = self._context.course
+        self.course, self.functions = self._context.course, self._context.functions
         self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
 
     def push(self, path: AxisPath) -> None:
-        self.current.extend(self._course.push(path))
+        self.current.extend(self.course.push(path))
 
     def pause_after(self, blocks: dict[int, Wait]) -> None:
-        """Add blocks after which the machine waits for cycle_start, with the reason."""
         self._context.pause_blocks.update(blocks)
 
-    @property
-    def functions(self) -> FunctionQueue:
-        return self._context.functions
-
     def end_leg(self, wait: Wait) -> None:
-        self.current.extend([self._course.end_leg(wait)])
+        self.course.items.append(wait)
+        self.current.extend([wait])
 
     def release(self, s: float) -> None:
-        self._course.release(s)
+        self.course.release(s)
         self.current.release(s)
-
-    @property
-    def first_block(self) -> int:
-        return self._course.first_block
-
-    def position_at(self, s: float) -> FloatArray | None:
-        """Return the axis positions at a place [m] on the path; None if it was dropped."""
-        rest = self._course.rest_at(s)
-        return None if rest is None else rest.position[0]
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
         """Plan anew after a setpoint that was handed out; None without a stop, or near rest."""
@@ -261,8 +243,8 @@ class MotionStream:
             return None
         leg, (s, v, a) = found
         if v <= 0.0:
-            todo = finely(self._course.after(s))
-            rest = self._course.rest_at(s)
+            todo = finely(self.course.after(s))
+            rest = self.course.rest_at(s)
             return MotionPlan(
                 self._context, settings, todo, number + 1, before=self.current, rests=rest
             )
@@ -274,7 +256,7 @@ class MotionStream:
         if not rests:
             tool = self._context.tool_on(stop.path)
             new = Leg(self._context.limits, period, begun, (v, a), tool)
-            todo = finely(self._course.after(s))
+            todo = finely(self.course.after(s))
             plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self.current)
             with suppress(PlanningError):
                 while plan.can_plan and not plan.can_sample:
@@ -284,7 +266,7 @@ class MotionStream:
         # Stop; then go on from rest, where no law with the new feed was found from the motion.
         new = Leg(self._context.limits, period, begun, (v, a))
         new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
-        todo = finely(self._course.after(float(stop.path.s[-1])))
+        todo = finely(self.course.after(float(stop.path.s[-1])))
         return MotionPlan(self._context, settings, todo, number + 1, new, before=self.current)
 
     def adopt(self, revision: MotionPlan) -> MotionPlan:
@@ -294,8 +276,8 @@ class MotionStream:
     def resume(self, s: float, settings: OperatorSettings, way: AxisPath | None = None) -> None:
         """Plan anew from rest at s [m], numbered from 0; ``way`` leads there, s below 0."""
         if way is not None:
-            self._course.lead(way, s)
+            self.course.lead(way, s)
             s = float(way.s[0])
-        todo = self._course.after(s)
-        rest = self._course.rest_at(s)
+        todo = self.course.after(s)
+        rest = self.course.rest_at(s)
         self.current = MotionPlan(self._context, settings, todo, rests=rest)

@@ -1,9 +1,8 @@
 """A feed planner with several processes, while this one smooths, interpolates and writes.
 
 At a rest nothing of the motion before it counts but its end time. So stretches between exact stops
-are planned by different processes, each from time zero; the clock is set afterwards with the same
-additions as in ``FeedPlanner``, to the same bits. With a limited error at the tool one process
-plans all: the drives swing on while the setpoints rest.
+are planned by different processes, each from time zero; the clock is set afterwards, to the same
+bits as in ``FeedPlanner``.
 """
 
 from __future__ import annotations
@@ -42,15 +41,11 @@ AHEAD = 4  #: Sections that are given out ahead, for each process.
 
 @dataclass(frozen=True)
 class PathSection:
-    """Part of a path that begins where the one before ends."""
-
     path: AxisPath  #: The part.
     rests: bool  #: Whether the motion rests at its end.
 
 
 class RestSections:
-    """Cuts a path that arrives in parts, at its exact stops if possible."""
-
     def __init__(self, at_rests: bool = True) -> None:
         self._at_rests = at_rests
         self._parts: list[AxisPath] = []
@@ -98,22 +93,16 @@ class Planning:
     options: PlanOptions  #: Settings of the planner.
     tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
 
-    @property
-    def afresh_at_rests(self) -> bool:
-        return self.tool is None
-
     def planner(self) -> FeedPlanner:
         return FeedPlanner(self.limits, self.options, tool=self.tool)
 
 
 class PlannerProcess:
-    """A planner in a process of its own; it plans sections in the order given."""
-
     def __init__(self, planning: Planning):
         context = multiprocessing.get_context('fork')
         self.waiting = 0  # sections that were given and not taken back
         self._sections: multiprocessing.Queue[PathSection | None] = context.Queue()
-        self._results, theirs = context.Pipe(duplex=False)
+        self.results, theirs = context.Pipe(duplex=False)
         self._process = context.Process(
             target=_live, args=(planning, os.getpid(), self._sections, theirs)
         )
@@ -124,13 +113,10 @@ class PlannerProcess:
         self._sections.put(section)
         self.waiting += 1
 
-    def ready(self) -> bool:
-        return self._results.poll()
-
     def take(self) -> list[PlannedPiece]:
         """Return the motion of the first section that was not taken yet; raises its refusal."""
         try:
-            answer = self._results.recv()
+            answer = self.results.recv()
         except (EOFError, OSError):
             raise LostProcessError(
                 'a process that planned a part of the program was killed; start again'
@@ -145,7 +131,7 @@ class PlannerProcess:
         self._process.join()
         self._sections.cancel_join_thread()
         self._sections.close()
-        self._results.close()
+        self.results.close()
 
 
 def _live(
@@ -184,11 +170,10 @@ def _send(answers: SimpleQueue[list[PlannedPiece] | Exception], results: Connect
 
 
 class ParallelPlanner:
-    """Plan the motion along a path that arrives in parts with processes, started when needed."""
-
     def __init__(self, planning: Planning, processes: int):
-        self._planning, self._most = planning, processes if planning.afresh_at_rests else 1
-        self._sections = RestSections(planning.afresh_at_rests)
+        afresh = planning.tool is None  # after a rest; drives swing on
+        self._planning, self._most = planning, processes if afresh else 1
+        self._sections = RestSections(afresh)
         self._processes: list[PlannerProcess] = []
         self._given: deque[PlannerProcess] = deque()  # who has the sections, in order
         self._moving: PlannerProcess | None = None  # it has the begin of a stretch
@@ -202,7 +187,6 @@ class ParallelPlanner:
         return pieces
 
     def finish(self) -> list[PlannedPiece]:
-        """Return the rest of the motion; raises as ``push``."""
         for section in self._sections.finish():
             if not self._processes:  # a short program
                 planner = self._planning.planner()
@@ -236,7 +220,7 @@ class ParallelPlanner:
     def _collected(self, most: int) -> list[PlannedPiece]:
         """Return the motion of the first sections, until at most so many are left."""
         pieces: list[PlannedPiece] = []
-        while self._given and (len(self._given) > most or self._given[0].ready()):
+        while self._given and (len(self._given) > most or self._given[0].results.poll()):
             pieces += self._on_the_clock(self._given.popleft().take())
         return pieces
 

@@ -1,8 +1,7 @@
 """Blocks -> smooth segments -> path in machine axes, for whoever starts at blocks.
 
-The nodes use them one by one, because segments come over the wire: the look-ahead node smooths
-(``smoother_of``), the feedrate node goes on (``run_planner.py``). Smoothing proposes stops at
-doubtful corners (``smoothing/stop_choice.py``), ``is_faster`` plans both ways.
+Smoothing proposes stops at doubtful corners (``smoothing/stop_choice.py``), ``is_faster`` plans
+both ways. The look-ahead node only smooths (``smoother_of``).
 """
 
 from __future__ import annotations
@@ -57,18 +56,12 @@ class Stopwatch:
 
 @dataclass(frozen=True)
 class PathPart:
-    """The part of the path that became final with some blocks."""
-
     segments: PathSegments  #: Final segments; possibly none.
     path: AxisPath | None  #: The same in machine axes; None where there are none.
 
 
 class PathChain:
-    """Blocks in, segments and their path in machine axes out.
-
-    Raises InterpError if a block cannot be executed. Without ``chooses`` every corner is rounded
-    and every run of short blocks becomes a curve.
-    """
+    """Blocks in, segments and their path in machine axes out; ``chooses``: whether to stop."""
 
     def __init__(
         self, transform: Transform, settings: Settings, watch: Stopwatch | None = None,

@@ -48,7 +48,6 @@ class ToleranceUse:
         self._rows += len(blocks)
 
     def segments(self, segments: PathSegments) -> BoolArray:
-        """Check further segments, whose blocks are known; return which are of native splines."""
         if not len(segments):
             return np.zeros(0, dtype=np.bool_)
         place = np.searchsorted(self._marks[:, 0], segments.block, 'right') - 1
@@ -59,7 +58,6 @@ class ToleranceUse:
         return native
 
     def require(self, segments: PathSegments) -> None:
-        """Check segments; raise BlockError with the line if one leaves its tolerances."""
         lines, marks = self._lines, self._marks
         self.segments(segments)
         if (self.largest <= ROUNDING).all():
@@ -78,8 +76,6 @@ class ToleranceUse:
 
 
 class PlanFigures:
-    """The figures of ``summary.json``, updated by every batch."""
-
     def __init__(self, machine: Machine, settings: Settings):
         period = settings.interpolation_period
         self._machine, self._settings = machine, settings
@@ -97,7 +93,7 @@ class PlanFigures:
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
         self.cut = ''  # where a record ends before the program does
-        self._samples = self._segments = self._blocks = 0
+        self.samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
         self._over_bound = 0.0  # of the windows that have not converged [s]
         self._planned = self._spanned = self._path_length = self._least = 0.0
@@ -124,7 +120,6 @@ class PlanFigures:
         self._last_row = int(segments.block[-1, 1])
 
     def piece(self, piece: PlannedPiece) -> None:
-        """Record the duration of the motion so far, and the least that is possible."""
         self._planned = piece.law.end_time
         self._least += piece.least_time
         self._windows[piece.solved] += 1
@@ -132,21 +127,16 @@ class PlanFigures:
             self._over_bound += float(piece.law.duration.sum()) - piece.least_time
 
     def setpoints(self, samples: Setpoints) -> None:
-        """Measure the use of every limit by differences of the positions."""
         if not len(samples):
             return
-        self._samples += len(samples)
+        self.samples += len(samples)
         self._path_length = float(samples.s[-1])
         self._spanned = float(samples.time[-1])
         self._measure(samples.position)
-        self._simulate(samples)
-
-    def _simulate(self, samples: Setpoints) -> None:
-        if self._tool is None:
-            return
-        if self._tool_motion is None:
-            self._tool_motion = self._tool.motion_from(samples.position[0])
-        self._note_error(self._tool_motion.push(samples.position, samples.velocity))
+        if self._tool is not None:
+            if self._tool_motion is None:
+                self._tool_motion = self._tool.motion_from(samples.position[0])
+            self._note_error(self._tool_motion.push(samples.position, samples.velocity))
 
     def _note_error(self, error: ToolError) -> None:
         if len(error.tip):
@@ -162,10 +152,6 @@ class PlanFigures:
             self._note_error(self._tool_motion.copy().settle())
         tip, axis = self._tool_error.tolist()
         return {'limit': self._tool.largest, 'tip': tip, 'axis': axis}
-
-    @property
-    def samples(self) -> int:
-        return self._samples
 
     @property
     def cycle_time(self) -> float:
@@ -211,7 +197,7 @@ class PlanFigures:
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
             'functions': self.functions.counts(machine.signals),
-            'samples': self._samples,
+            'samples': self.samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,
             'path_length': self._path_length,

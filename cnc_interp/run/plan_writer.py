@@ -32,6 +32,11 @@ from cnc_interp.smoothing.segments import PathSegments
 Columns = Mapping[str, NDArray[Any]]
 #: Columns of shape (4, cells, axes): they grow along their second axis.
 _CELLS = ('cell_left', 'cell_right')
+#: Columns of ``blocks.npz`` that have the name of their column of ``Blocks``.
+_AS_IN_BLOCKS = (
+    'contour_tolerance', 'orientation_tolerance', 'rapid', 'rotary', 'rotary_from',
+    'interpolation', 'duration', 'exact_stop', 'top', 'knot_interval',
+)  # fmt: skip
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
@@ -120,7 +125,6 @@ class PlanWriter:
         self._path = cut(path, cells - 1, cells), speed[-1:]
 
     def _grid(self, path: AxisPath, feed: FloatArray, rows: slice) -> None:
-        """Write columns at the grid points; their neighbours on both sides must be in the path."""
         tip, axis = self._transform.forward(path.q)
         cells = path.cell_feed
         columns = {
@@ -161,7 +165,10 @@ class PlanWriter:
             self._grid(self._path[0], np.zeros(2), slice(1, 2))
         self.figures.functions = self.functions
         if len(self.functions):
-            acted = self._places() if self.acted is None else self.acted
+            acted = self.acted
+            if acted is None:  # the first setpoint of each block, or the number of setpoints
+                blocks = self._archives['setpoints'].rows('block')
+                acted = np.searchsorted(blocks, self.functions.block)
             self._archives['functions'].append(self.functions.columns() | {'sample': acted})
         else:  # those of another plan may be there
             del self._archives['functions']
@@ -172,11 +179,6 @@ class PlanWriter:
         text = json.dumps(summary, indent=2)
         (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
         return summary
-
-    def _places(self) -> IntArray:
-        """Return the first setpoint of the block of each function, or the number of setpoints."""
-        blocks = self._archives['setpoints'].rows('block')
-        return np.searchsorted(blocks, self.functions.block)
 
 
 class _Archive:
@@ -235,23 +237,13 @@ class _Column:
 
 
 def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
-    """Return the columns of ``blocks.npz``; ``tip_before`` as for `effective_feed`."""
     extra = {'extra_axes': blocks.extra} if blocks.extra.shape[1] else {}
     return extra | {
         'tip': blocks.tip,
         'axis': blocks.axis,
         'feed': effective_feed(blocks, tip_before),
         'line': blocks.line_number,
-        'contour_tolerance': blocks.contour_tolerance,
-        'orientation_tolerance': blocks.orientation_tolerance,
-        'rapid': blocks.rapid,
-        'rotary': blocks.rotary,
-        'rotary_from': blocks.rotary_from,
-        'interpolation': blocks.interpolation,
-        'duration': blocks.duration,
-        'exact_stop': blocks.exact_stop,
-        'top': blocks.top,
-        'knot_interval': blocks.knot_interval,
+        **{name: getattr(blocks, name) for name in _AS_IN_BLOCKS},
     }
 
 

@@ -16,22 +16,17 @@ from typing import Any, Protocol
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError, Refusal
 from cnc_interp.program.functions import Functions
-from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 
 
 class ChunkSender(Protocol):
-    """The sender of the setpoints, as far as planning depends on it."""
-
-    sent: int
-    """Number after the last setpoint that was sent."""
-
-    next_number: int
-    """Number after the last setpoint that was queued."""
+    sent: int  #: Number after the last setpoint that was sent.
+    next_number: int  #: Number after the last setpoint that was queued.
 
     @property
     def unsent(self) -> int:
@@ -45,8 +40,6 @@ class ChunkSender(Protocol):
 
 
 class SessionPort(Protocol):
-    """What a planning session asks of the node around it."""
-
     sender: ChunkSender
 
     def make_planner(
@@ -72,8 +65,6 @@ class SessionPort(Protocol):
 
 @dataclass(frozen=True)
 class Received:
-    """What the machine reported about the setpoints it receives."""
-
     run_id: RunId = NO_RUN  #: The plan that it receives.
     executed: float = -math.inf  #: Number of the next setpoint that it executes, by now.
     turned_away: bool = False  #: The plan sent last was to join where the machine has passed.
@@ -120,8 +111,6 @@ TABLE: dict[tuple[Activity, Change], Activity] = {
 
 
 class PathEnd(IntEnum):
-    """How far the end of the path has got through planning."""
-
     OPEN = 0  # further segments come
     KNOWN = 1  # the last segment is there
     PLANNED = 2  # it is planned, down to rest
@@ -219,7 +208,9 @@ class PlanningSession:
             self._see_join()
         if self.task is not None:
             return None
-        if self._given_up():
+        report = self._machine
+        left = report is not None and not report.run_id.same_attempt(self.run_id)
+        if self._executing and left:
             reason = 'the machine has given up this run; run the program again'
             self.give_up(Refusal.GIVEN_UP, reason)
         if self.activity is Activity.WAITING:
@@ -227,11 +218,6 @@ class PlanningSession:
         if self.activity in (Activity.PLANNING, Activity.JOINING) and self.planner is not None:
             self.task = self._next_task(self.planner, now)
         return self.task
-
-    def _given_up(self) -> bool:
-        report = self._machine
-        left = report is not None and not report.run_id.same_attempt(self.run_id)
-        return self._executing and left
 
     def _find_place(self) -> None:
         report = self._machine
@@ -283,17 +269,14 @@ class PlanningSession:
         followed = planner.stream.current.settings
         if self.settings == followed or self._received.run_id != self.run_id:
             return False
-        number = self._join_after()
+        sent, queued = self._port.sender.sent, self.path_end is PathEnd.QUEUED
+        refilled = queued or (sent - self._received.executed) * self._period > REFILLED
         return (
-            self._port.sender.sent > self.joins_at
-            and not (self.path_end is PathEnd.QUEUED and self._is_last(number))
+            sent > self.joins_at
+            and not (queued and self._is_last(self._join_after()))
             and now - self._revised_at > REVISE_AGAIN
-            and (self._is_refilled() or now - self._asked_at > REFILLING)
+            and (refilled or now - self._asked_at > REFILLING)
         )
-
-    def _is_refilled(self) -> bool:
-        sent = self._port.sender.sent - self._received.executed
-        return sent * self._period > REFILLED or self.path_end is PathEnd.QUEUED
 
     def _is_last(self, number: int) -> bool:
         return number == self._port.sender.next_number - 1
@@ -303,7 +286,6 @@ class PlanningSession:
         return min(max(math.ceil(ahead), self.joins_at), self._port.sender.sent - 1)
 
     def _revise(self, planner: RunPlanner, now: float) -> PlanningTask:
-        """Plan again from a setpoint a little ahead of the machine; the old plan continues."""
         self._change(Change.REVISE)
         number, settings, self._asked_at = self._join_after(), self.settings, now
         return PlanningTask(lambda: planner.revise(number, settings), self._revised)

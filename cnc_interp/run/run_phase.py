@@ -1,11 +1,15 @@
-"""The phases of a run on the sending side, and how it ends: one table."""
+"""The sending side of a run: its phases, how it ends, and what it must know about the machine."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal
+from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import SELF_STARTING, State
 
 
 class Phase(Enum):
@@ -68,8 +72,102 @@ class Outcome:
 
 
 def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
-    """Return the outcome of a run that a node has refused, after it has moved or not."""
     if kind is Refusal.BAD_PATH:
         return Outcome(Code.REFUSED, reason)
     stopped = moved or kind in (Refusal.GIVEN_UP, Refusal.MACHINE_FAULT)
     return Outcome(Code.STOPPED if stopped else Code.REFUSED, reason)
+
+
+SETTLED = 0.1  #: A machine that rests for so long after cycle_start has nothing to execute [s].
+#: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
+FILLED = 0.5
+
+
+@dataclass(frozen=True)
+class MachineReport:
+    run_id: RunId  #: The run that it executes or has executed last.
+    state: State  #: What it is doing.
+    plan_over: bool  #: It left the plan by a stop tail and rests; another plan must follow.
+    #: cycle_start was asked for, and there are not enough setpoints to start with.
+    start_wanted: bool
+    completed: bool  #: The run was executed to its end.
+    path_position: float  #: Path length executed [m].
+    stands: FloatArray  #: (n_axes,): Commanded axis positions [m, rad].
+    time: float  #: Time of the report by the machine's clock [s].
+    message: str  #: The reason for its state, for people.
+    must_home: tuple[str, ...] = ()  #: Axes that must be homed before a program may start.
+    #: The axes were moved away from a hold by hand, and are not back on the path yet.
+    away: bool = False
+    functions: int = 0  #: Functions of the run executed so far.
+    probed: bool = False  #: The run has ended where the probe has answered.
+
+    @property
+    def rests_on_path(self) -> bool:
+        return self.state in (State.HELD, State.STARVED)
+
+    @property
+    def is_free(self) -> bool:
+        return self.state is State.IDLE or (self.state is State.STARVED and self.plan_over)
+
+    @property
+    def moves(self) -> bool:
+        if self.state is State.HELD:
+            return self.start_wanted and not self.plan_over
+        rests = self.is_free or self.state in (State.INACTIVE, State.FAULT)
+        return not rests
+
+    def takes(self, run_id: RunId) -> bool:
+        if self.state is State.HELD:
+            # With cycle_start and enough setpoints of the old plan it would have left the hold.
+            return run_id.attempt > 0 and (self.plan_over or self.start_wanted)
+        waits = self.state in (State.FILLING, State.PAUSED, State.STARVED)
+        if waits and run_id.attempt > 0:  # a node was lost meanwhile
+            return True
+        # A machine whose drives are off refuses the plan itself.
+        return self.is_free or self.state is State.INACTIVE
+
+    def left(self, run_id: RunId) -> bool:
+        return self.run_id == run_id and self.plan_over and self.rests_on_path
+
+
+class LossRecovery:
+    """Watches a machine after a node was restarted, and tells when to send the program again.
+
+    A machine that still has setpoints starts at once on cycle_start; it must not move meanwhile.
+    So the rest is sent where it goes on resting.
+    """
+
+    def __init__(self) -> None:
+        self.node = ''  # the node that has forgotten the run
+        self._restarted = False  # the machine went on with what it had
+        self._wants_since, self._waits = math.inf, -math.inf  # by the machine's clock [s]
+        self._report: MachineReport | None = None
+
+    def see(self, report: MachineReport) -> None:
+        """Take a report of the machine, which is on this run, or free and not on it yet."""
+        before, self._report = self._report, report
+        held = before is not None and before.state is State.HELD
+        if self.node and held and report.moves and report.state is not State.HELD:
+            self._restarted = True
+        wants = report.start_wanted or (self._restarted and report.state is State.STARVED)
+        wants = (wants and report.rests_on_path) or (bool(self.node) and self._starts_by_itself)
+        self._wants_since = min(self._wants_since, report.time) if wants else math.inf
+        self._waits = report.time - self._wants_since
+
+    @property
+    def _starts_by_itself(self) -> bool:
+        """Tell whether the machine moves as soon as it has setpoints; nobody has stopped it."""
+        report = self._report
+        return report is not None and report.state in SELF_STARTING - {State.STARVED}
+
+    @property
+    def is_due(self) -> bool:
+        """Tell whether the program must be sent again now."""
+        report = self._report
+        fills = report is not None and report.state is State.STARVED and not report.plan_over
+        least = FILLED if fills or self._starts_by_itself else SETTLED
+        return bool(self.node) and self._waits >= least
+
+    def begin_again(self) -> None:
+        self.node, self._restarted = '', False
+        self._wants_since, self._waits = math.inf, -math.inf

@@ -41,10 +41,9 @@ class Revision(NamedTuple):
 class RunPlanner:
     """The planning of one run: the approach, then the program; or the rest of a program.
 
-    The machine stands at rest at ``stands`` [m, rad]. The program goes on from the path length
-    ``continue_at`` [m], if that is above 0. A machine that stands elsewhere, or any one if the
-    planner ``asks``, waits for cycle_start and goes there (``approach_inside``). ``push``,
-    ``work``, ``resume`` and ``revise`` may take long. They run in one thread of their own.
+    The machine rests at ``stands`` [m, rad]; the program goes on from ``continue_at`` [m], if
+    above 0. A machine that stands elsewhere, or any one if the planner ``asks``, waits for
+    cycle_start first.
     """
 
     def __init__(
@@ -128,7 +127,8 @@ class RunPlanner:
 
     def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> list[Chunk]:
         """Plan anew from rest at a path length [m]; one moved by hand is led back first."""
-        there = self.stream.position_at(s)
+        rest = self.stream.course.rest_at(s)
+        there = None if rest is None else rest.position[0]
         if there is not None and np.abs(there - stands).max() <= ON_PATH:
             self.stream.resume(s, settings)
             return []
@@ -160,7 +160,7 @@ class RunPlanner:
     def _note_lines(self, segments: PathSegments) -> None:
         lines = self._lines
         if len(lines) > LINES_KEPT + 2 * self._lines_left:
-            first = self.stream.first_block
+            first = self.stream.course.first_block
             lines = {block: line for block, line in lines.items() if block >= first}
             self._lines_left = len(lines)
         for (first, last), line in zip(segments.block, segments.line_number, strict=True):

@@ -197,7 +197,6 @@ class RunState:
 
     @property
     def leaves_plan(self) -> bool:
-        """Tell whether the machine takes the next stop tail, though setpoints are buffered."""
         held = self.by_hand and self.reason is Reason.FEED_HOLD
         return held or self.state in (State.HOLDING, State.STOPPING)
 

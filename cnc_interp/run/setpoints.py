@@ -47,7 +47,6 @@ class Interpolator:
         self._rest: Setpoints | None = None
 
     def parts(self, piece: PlannedPiece, most: int = 1 << 16) -> Iterator[Setpoints]:
-        """Sample a piece in parts: a slow motion has many samples, 10 mm at F0.1 six million."""
         while True:
             yield self.push(piece, most)
             if self.next_number >= self._end_of(piece):
@@ -85,7 +84,6 @@ class Interpolator:
         return int(np.ceil(piece.law.end_time / self.period - 1e-9))
 
     def finish(self) -> Setpoints:
-        """Return the last sample, at rest at the end of the path."""
         assert self._rest is not None, 'nothing was pushed'
         return self._rest
 
@@ -105,8 +103,6 @@ class Wait(IntEnum):
 
 @dataclass(frozen=True)
 class Chunk:
-    """Consecutive setpoints and the stop after them."""
-
     samples: Setpoints  #: The setpoints to be executed.
     #: From the last of them to rest on the path; empty where that is at rest already.
     tail: Setpoints
@@ -122,7 +118,6 @@ class Chunk:
 
     @property
     def rests(self) -> bool:
-        """Tell whether the machine rests after the chunk until an operator continues."""
         return self.wait is not Wait.NOTHING or self.ends_approach
 
     def head(self, count: int) -> Chunk:
@@ -139,9 +134,8 @@ STILL = 1e-12  #: Steps of an axis below this are rest [m, rad].
 def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
     """Divide the first, second and third differences of setpoints by the largest allowed.
 
-    They are means of derivatives, so the largest limit between the setpoints counts.
-    ``positions`` (3 + K, n_axes): the three setpoints before, then K setpoints [m, rad].
-    ``table`` (7, n_axes, m): see ``limits_by_position.py``; ``period``: T [s].
+    They are means of derivatives, so the largest limit between the setpoints counts. ``positions``
+    (3 + K, n_axes) with the three before; ``table`` (7, n_axes, m): see ``limits_by_position.py``.
     Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
     """
     constant = table.shape[2] == 1
@@ -160,8 +154,7 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
 def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
     """Divide the torques that three setpoints in a row need by the largest ones, (K, n_axes).
 
-    Arguments as in ``limit_shares``; zero for axes without a largest torque. Where an axis turns,
-    Coulomb friction has both signs, so the smaller torque counts.
+    Where an axis turns, Coulomb friction has both signs, so the smaller torque counts.
     """
     steps = np.diff(positions[BEFORE - 2 :], axis=0)
     sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))

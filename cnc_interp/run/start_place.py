@@ -2,9 +2,6 @@
 
 A run that does not start at the top begins inside the program. All of it is read and smoothed, so
 the path is that of the full run. Only what lies before the place is not executed.
-
-The way is straight in the axes from point to point. To the start pose all axes run at once. To a
-place inside the tool is drawn back along itself, positioned above the place, and plunges.
 """
 
 from __future__ import annotations
@@ -34,8 +31,6 @@ THERE = 1e-9  #: Axes nearer than this to the next point stay where they are [m,
 
 @dataclass(frozen=True)
 class StartPlace:
-    """Where on the path a run starts."""
-
     block: StartBlock  #: The start in the program.
     line: int  #: Line of the first motion.
     s: float  #: Path length from the top of the program [m].
@@ -95,7 +90,6 @@ class StartFinder:
         self._position = np.zeros(0)
 
     def blocks(self, blocks: Blocks) -> Blocks:
-        """Return those rows that the run has; refuses a start inside a spline."""
         first, row = self._rows, self._start.row
         self._rows += len(blocks)
         before, self._before = self._before, blocks[-1:]
@@ -115,7 +109,6 @@ class StartFinder:
         return Blocks.concatenate([start_pose(self._vertex[:1]), blocks[row - first :]])
 
     def segments(self, segments: PathSegments) -> PathSegments:
-        """Return those segments that reach into the run, with its row numbers."""
         row = self._start.row
         if row is None:
             return segments[:0]
@@ -220,8 +213,7 @@ def way_inside(
 ) -> FloatArray:
     """Return the corners of the way to a place inside, (5, n_axes) [m, rad].
 
-    The tool is drawn back at least by ``retract``, and farther where the other end lies higher
-    along the tool, as far as the travel goes: it positions at one height, above both ends.
+    The tool is drawn back by ``retract``, and farther where the other end lies higher along it.
     """
     here, there = tool_line(transform, stands), tool_line(transform, place)
     plunge = min(retract, there.travel[1])
@@ -240,7 +232,6 @@ def approach_inside(
     transform: Transform, flank_height: float, stands: FloatArray, place: FloatArray,
     retract: float, plunge_feed: float,
 ) -> AxisPath | None:  # fmt: skip
-    """Make the path to a place inside the program: retract, position, plunge."""
     corners = way_inside(transform, stands, place, retract)
     feeds = np.array([np.inf, np.inf, np.inf, plunge_feed])
     return straight(transform, flank_height, corners, feeds)

@@ -61,8 +61,6 @@ class StopSearch:
 
 
 class FunctionQueue:
-    """The functions of a run that the machine may still need."""
-
     def __init__(self) -> None:
         self._kept, self._first, self.done = NO_FUNCTIONS, 0, 0  # done: by the machine
 
@@ -98,7 +96,6 @@ class ChunkCutter:
         self._stops.append((number, stop))
 
     def end_leg(self, wait: Wait) -> None:
-        """Record that the last setpoint is at rest, and what the machine waits for there."""
         self._stops.append((self.next_number - 1, None))
         self._waits[self.next_number - 1] = wait
 

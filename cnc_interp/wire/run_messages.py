@@ -13,9 +13,8 @@ from cnc_interp_msgs.msg import MachineState, ModalState, Offset, SetupTable, To
 
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
-from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_phase import Outcome
+from cnc_interp.run.run_phase import MachineReport, Outcome
 from cnc_interp.run.run_state import State
 
 

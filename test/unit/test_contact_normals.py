@@ -9,7 +9,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
-from cnc_interp.program.setup_requests import tool_changes
+from cnc_interp.program.setup_table import tool_changes
 from cnc_interp.settings.options import Settings
 
 FIVE_AXES = ['xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzacw']

@@ -7,7 +7,6 @@ import pytest
 
 from cnc_interp.core.errors import PlanningError, Refusal
 from cnc_interp.run import planning_session
-from cnc_interp.run.machine_report import MachineReport
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (
     LEAD,
@@ -23,6 +22,7 @@ from cnc_interp.run.planning_session import (
     Received,
 )
 from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import State
 from cnc_interp.run.setpoints import Wait

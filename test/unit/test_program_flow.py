@@ -68,6 +68,7 @@ def test_expressions(expression, value):
         'G0 X[EXISTS[#1] * 1]\nX[1+EXISTS[##1]]\nX[3-EXISTS[#99999]]',
         'G0 X[#<_x>+1]\nX[#<_abs_x>+1]\nX[#<_incremental>+3]',
         'G65 P9 A1\nG65 P9 A2\nG65 P9 B3\nM30\nO9\nIF [#1 NE #0] GOTO 8\n#1=#2\nN8 G0 X#1\nM99',
+        '#100=9\nG65 P9 A1\nIF [#100 EQ #0] THEN #100=2\nX#100\nX3\nM30\nO9\nG0 X#1\n#100=#0\nM99',
         'IF R1<>1\nX9\nELSE\nIF TRUE\nX1\nENDIF\nENDIF\nX2\nX3',
         'DEF INT A_B\nFOR A_B=1 TO 3\nX=A_B\nENDFOR',
         'R2=0\nREPEAT\nR2=R2+1\nX=R2\nUNTIL R2>2',

@@ -12,9 +12,8 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, ProgramRun
-from cnc_interp.run.machine_report import FILLED, SETTLED
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_phase import TABLE, Code, Phase, PhaseChange
+from cnc_interp.run.run_phase import FILLED, SETTLED, TABLE, Code, Phase, PhaseChange
 from cnc_interp.run.run_state import AT_REST, State
 from cnc_interp.wire.run_messages import machine_report
 

@@ -9,7 +9,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
-from cnc_interp.program.setup_requests import (
+from cnc_interp.program.setup_table import (
     offset_changes,
     touch_off_changes,
     values_by_axis,

@@ -54,8 +54,7 @@ class Refusals:
     """
 
     def __init__(self) -> None:
-        self._first: dict[tuple[str, str, str], ProgramError] = {}
-        self._lines: dict[tuple[str, str, str], list[int]] = {}
+        self._alike: dict[tuple[str, str, str], list[ProgramError]] = {}
         self._count = 0
         self._is_lost = False  # whether the position is unknown
 
@@ -68,12 +67,11 @@ class Refusals:
         self._count += 1
         if not follows:
             key = problem.source, problem.message, problem.word
-            self._first.setdefault(key, problem)
-            lines = self._lines.setdefault(key, [])
-            if problem.line_number not in lines[-1:]:
-                lines.append(problem.line_number)
+            alike = self._alike.setdefault(key, [])
+            if not alike or problem.line_number != alike[-1].line_number:
+                alike.append(problem)
         self._is_lost = True
-        if len(self._first) >= MOST or self._count >= MOST_LINES:
+        if len(self._alike) >= MOST or self._count >= MOST_LINES:
             raise self.error(ended=True)
 
     def arrive(self) -> None:
@@ -81,21 +79,20 @@ class Refusals:
 
     def _table(self) -> str:
         counts: Counter[str] = Counter()
-        for key, problem in self._first.items():
-            head = _HEAD.match(problem.word)
-            counts[head[0] if head else problem.message.split(';')[0]] += len(self._lines[key])
+        for (_, message, word), alike in self._alike.items():
+            head = _HEAD.match(word)
+            counts[head[0] if head else message.split(';')[0]] += len(alike)
         words = ', '.join(f'{word} in {count}' for word, count in counts.most_common())
         return f'{counts.total()} refused lines: {words}'
 
     def error(self, ended: bool = False) -> ProgramError:
         """Return the error with all refusals; ``ended``: the reading ended too early."""
-        first = list(self._first.values())
+        first = [problem for problem, *_ in self._alike.values()]
         if len(first) == 1 and self._count == 1:
             return first[0]
         texts = []
-        for key, problem in self._first.items():
-            others = self._lines[key][1:]
-            named = ', '.join(map(str, others[:NAMED]))
+        for problem, *others in self._alike.values():
+            named = ', '.join(str(other.line_number) for other in others[:NAMED])
             rest = f' and {len(others) - NAMED} more' if len(others) > NAMED else ''
             lines = 'lines' if len(others) > 1 else 'line'
             texts.append(f'{problem} (also {lines} {named}{rest})' if others else str(problem))

@@ -195,8 +195,8 @@ class Joins:
         given = [self._portion(rows, a, b) for a, b in ends]
         parts = []
         for k, ((a, b), portion) in enumerate(zip(ends, given, strict=True)):
-            before = given[k - 1].jets(at_end=True) if k else _line_before(blocks, first)
-            after = _line_after(blocks, last) if k == len(given) - 1 else None
+            before = given[k - 1].jets(at_end=True) if k else _line(blocks, first - 1, True)
+            after = _line(blocks, last, False) if k == len(given) - 1 else None
             made = self._linked(portion, before, after, int(rows.line_number[a]))
             source = np.arange(a, b + 1)
             if made is not None:
@@ -249,16 +249,13 @@ def _rate_jump(jets: Jets, other: Jets) -> float:
     return float(norm(jets.axis[1] - other.axis[1])[0])
 
 
-def _line_before(blocks: Blocks, first: int) -> Jets | None:
-    if first < 2 or blocks.exact_stop[first - 1] or blocks.on_spline[first - 1]:
+def _line(blocks: Blocks, row: int, before: bool) -> Jets | None:
+    """Return the jets where a line meets the curve after or before it; None if it does not."""
+    if not 0 < row < len(blocks) or blocks.on_spline[row]:
         return None
-    return line_between(blocks[first - 2 : first - 1], blocks[first - 1 : first], at_end=True)
-
-
-def _line_after(blocks: Blocks, last: int) -> Jets | None:
-    if last >= len(blocks) or blocks.exact_stop[last - 1] or blocks.on_spline[last]:
+    if blocks.exact_stop[row if before else row - 1]:
         return None
-    return line_between(blocks[last - 1 : last], blocks[last : last + 1], at_end=False)
+    return line_between(blocks[row - 1 : row], blocks[row : row + 1], at_end=before)
 
 
 def _rows(rows: Blocks, source: IntArray, portion: Portion, kept: slice) -> Blocks:

@@ -146,7 +146,7 @@ class JobSetup:
             'reference_points': _positions_shown(self.reference_points, REFERENCE_POINTS),
         }
         filled = {k: v for k, v in content.items() if v is False or v not in ({}, '', 0, None)}
-        style = {'sort_keys': False, 'allow_unicode': True, 'width': 10_000}
+        style: dict[str, Any] = {'sort_keys': False, 'allow_unicode': True, 'width': 10_000}
         return str(yaml.safe_dump(filled, default_flow_style=None, **style))
 
 

@@ -62,7 +62,8 @@ class ProgramStream:
                     'zero of the machine file',
                 )  # fmt: skip
         else:
-            kind, profile, why = HeidenhainReader, HEIDENHAIN, 'by BEGIN PGM'
+            kind: type[GcodeReader] = HeidenhainReader
+            profile, why = HEIDENHAIN, 'by BEGIN PGM'
             if self.dialect == 'gcode':
                 kind, (profile, why) = GcodeReader, dialect_of(source, settings.dialect)
             self.read_as = (f'read as {profile.title}: {why}',)

@@ -128,6 +128,45 @@ def mdi_command(options: argparse.Namespace) -> int:
     return FINE if ends[-1].answer.ok else BAD_INPUT
 
 
+def add_probe_command(commands: Any) -> None:
+    probe = command(
+        commands, 'probe', probe_command,
+        'have a running machine find a place with its probe, and set the work offset there',
+        'cnc-interp probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
+    )  # fmt: skip
+    option(probe, 'cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
+    option(
+        probe, 'words', 'what the cycle is told, and its value; may be repeated',
+        metavar='NAME VALUE', nargs='*',
+    )  # fmt: skip
+    nodes_options(probe)
+
+
+def probe_command(options: argparse.Namespace) -> int:
+    """Run a probing cycle from where the machine stands; without one, tell them all."""
+    from cnc_interp.program.probe_cycles import cycles
+
+    cycle = cycles().get(options.cycle)
+    if not options.cycle:
+        for each in cycles().values():
+            print(f'{each.name:<14}{each.text}')
+            for told in each.parameters:
+                print(f'  {told.name:<12}{told.text} ({told.default:g} {told.unit})')
+        return FINE
+    if cycle is None:
+        raise InterpError(f'no cycle {options.cycle!r}; there are {", ".join(cycles())}')
+    from cnc_interp.client.mdi import give_lines
+    from cnc_interp.client.setup_client import setup_console
+
+    values = {name.lower(): value for name, value in pairs(options.words).items()}
+    (end,) = give_lines([cycle.line(values)], options.namespace, options.domain)
+    print(end.text())
+    if end.answer.ok:
+        with setup_console(options.namespace, options.domain) as console:
+            print(console.tools_text() if cycle.name == 'tool' else console.offsets_text())
+    return FINE if end.answer.ok else FAILED
+
+
 def add_setup_commands(commands: Any) -> None:
     offsets = command(
         commands, 'offsets', offsets_command,

@@ -87,6 +87,7 @@ class Refusal(IntEnum):
     BAD_PATH = 3  # a block cannot be executed on this machine
     GIVEN_UP = 4  # the machine was reset or restarted
     MACHINE_FAULT = 5  # the machine stopped by a fault or an emergency stop
+    PROBED = 6  # no fault: the run has ended where the probe answered
     # One message is refused, and the stream continues:
     GAP = 16  # messages before it are missing
     SPOILT = 17  # its checksum is wrong

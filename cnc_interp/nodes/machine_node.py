@@ -166,7 +166,7 @@ class MachineNode(LifecycleNode):
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)
         elif mine and state.reason is Reason.PROBE and state.completed:
-            self._give_up('the probe has answered')
+            self._give_up('the probe has answered', Refusal.PROBED)
         elif mine and state.plan_over and receiver.active:
             receiver.close(self._void())
         homed = tuple(self._controls.homing.homed)

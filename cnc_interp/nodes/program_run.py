@@ -332,7 +332,10 @@ class ProgramRun:
     def result(self, outcome: Outcome) -> RunProgram.Result:
         program = self.preparation.prepared
         notices = program.notices if program is not None else ()
-        return run_result(outcome, self.run_id.program_id, notices)
+        moved = self.run_id.program_id
+        if self.parts and self.rests_throughout:
+            moved = self.parts[-1].program_id
+        return run_result(outcome, moved, notices)
 
 
 MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.

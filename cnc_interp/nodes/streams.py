@@ -155,7 +155,7 @@ class Inlet:
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
         """Accept nothing more of a run, and tell its sender why."""
         self.receiver.refuse(run_id, kind, reason)
-        self._name(ERROR, kind, reason, always=True)
+        self._name(OK if kind is Refusal.PROBED else ERROR, kind, reason, always=True)
         self.tell()
         self._on_refusal()
 

@@ -12,6 +12,7 @@ from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import work_zero
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import TOWARD
 from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
 from cnc_interp.page.contact import (
@@ -27,6 +28,7 @@ from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys
+from cnc_interp.page.probe_dialog import ProbeDialog
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import NOTHING, Messages, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
@@ -189,6 +191,8 @@ class Page:
             key('pose', 'pose', partial(pose.toggle, touch), 'blue-grey-9')
             key('touch off', 'show touch off', partial(touch.toggle, pose), 'blue-grey-9')
             key('offsets', 'offsets', lambda: self._setup.open(), 'blue-grey-9')
+            if TOWARD in machine.signals.words:
+                key('probe', 'probe', lambda: self._probe.open(), 'blue-grey-9')
         self._pad = pad
 
     def _build_program(self) -> None:
@@ -218,6 +222,7 @@ class Page:
         self._listing = Listing()
         self._start = StartField(desk.choose_start, self._command)
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
+        self._probe = ProbeDialog(self._mdi.give)
         self._messages = Messages(self._desk.nodes.alarms)
 
     def _may_set(self) -> bool:

@@ -118,7 +118,10 @@ class MdiField:
         self.field.set_value(line)
 
     async def _enter(self) -> None:
-        line = str(self.field.value or '').strip()
+        await self.give(str(self.field.value or '').strip())
+
+    async def give(self, line: str) -> None:
+        """Have a line executed, as if it was entered here."""
         if not line or self._busy:
             return
 

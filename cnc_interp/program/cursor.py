@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core.ros_share import config_directory
 from cnc_interp.program.expressions import ProgramVariables
 from cnc_interp.program.source import LineStart, Source, subprogram_file
 
@@ -190,6 +191,8 @@ class Cursor:
 
     def _file_beside(self, stem: str) -> Source:
         path = subprogram_file(self.folder, stem)
+        if path is None and (own := subprogram_file(config_directory() / 'subprograms', stem)):
+            return Source.of_file(own)
         if path is None:
             raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it',
                              stem)  # fmt: skip

@@ -1,5 +1,6 @@
 """One run on the sending side: its phases, its outcomes, and going on after a lost node."""
 
+from concurrent.futures import Future
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,10 +9,11 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState, StreamStatus
+from cnc_interp_msgs.msg import MachineState, ProbeContact, StreamStatus
 
 from cnc_interp.core.errors import Refusal
 from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, ProgramRun
+from cnc_interp.program.probing import Probe
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import FILLED, SETTLED, TABLE, Code, Phase, PhaseChange
 from cnc_interp.run.run_state import AT_REST, State
@@ -49,7 +51,7 @@ def waiting():
     """A run that is checked and waits for the machine."""
     run, peers = ProgramRun(RunProgram.Goal(text='M30')), Heard()
     run.preparation.prepared = SimpleNamespace(
-        notices=(), start=None, waits_first=False, path_length=1.0
+        notices=(), start=None, waits_first=False, path_length=1.0, probe=None
     )
     assert run.phase is Phase.QUEUED
     run.take_turn(0.0)
@@ -264,6 +266,33 @@ def test_a_reset_after_the_end_of_a_run_does_not_undo_its_success():
     peers.refused = Refusal.GIVEN_UP, 'given up by reset'
     peers.say(run, MachineState.IDLE, completed=True)
     assert run.step(peers, 0.0, 3.0).code is Code.SUCCEEDED
+
+
+@pytest.mark.parametrize('code', ['G38.2', 'G38.3'])
+def test_a_run_waits_for_the_place_of_the_probe_and_reads_on(code):
+    run, peers = streaming()
+    first, run.preparation.prepared.probe = run.run_id, Probe(code, 7)
+    reason = MachineState.REASON_PROBE
+    peers.say(run, MachineState.IDLE, completed=True, reason=reason, commanded_positions=[2.0])
+    assert run.step(peers, 0.0, 3.0) is None and run.probed is None, 'its message may be later'
+    run.contact = ProbeContact(positions=[1.0])
+    assert run.step(peers, 0.1, 3.0) is None
+    assert [list(place) for place in run.probed] == [[2.0], [1.0]]
+    run.preparation.prepared.blocks = SimpleNamespace(close=lambda: None)
+    run.read_on(Future(), MachineState(program_id=first.program_id), 5, 0.2)
+    assert run.phase is Phase.CHECKING and run.run_id != first and run.sent_in_parts == 4
+
+
+@pytest.mark.parametrize('code', ['G38.2', 'G38.3'])
+def test_without_an_answer_only_some_codes_go_on(code):
+    run, peers = streaming()
+    run.preparation.prepared.probe = Probe(code, 7)
+    peers.say(run, MachineState.IDLE, completed=True, commanded_positions=[2.0])
+    outcome = run.step(peers, 0.0, 3.0)
+    if code == 'G38.2':
+        assert outcome.code is Code.STOPPED and 'line 7: G38.2' in outcome.message
+    else:
+        assert outcome is None and run.probed[1] is None
 
 
 def test_a_run_that_the_machine_has_left_ends_and_a_refusal_says_more():

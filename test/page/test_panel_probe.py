@@ -1,0 +1,46 @@
+"""The probing cycles on the page: chosen, started, and the offset is where the bore is."""
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+pytest.importorskip(
+    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
+)
+pytest.importorskip('websockets', reason='needs requirements/panel.txt')
+
+from browser import found
+from page_under_test import PanelUnderTest
+
+from cnc_interp.processes.node_processes import NODES
+
+pytestmark = pytest.mark.skipif(
+    found() is None, reason='needs a browser: apt-get install chromium'
+)
+
+
+@pytest.mark.thorough
+def test_a_bore_is_found_from_the_dialog(tmp_path):
+    part = tmp_path / 'part.yaml'
+    part.write_text('surfaces: [{bore: [12.3, -4.5, 0], radius_mm: 8}]')
+    own = {'machine_node': {'probe_touches': str(part)}}
+    panel = PanelUnderTest({node: {'machine': 'vmc', **own.get(node, {})} for node in NODES})
+    try:
+        tab = panel.open_in_charge()
+        tab.fill('mdi', 'G0 X12 Y-5 Z-5')
+        tab.type_key('Enter', 13)
+        tab.wait(lambda: 'done' in (tab.text('mdi answer') or ''))
+        tab.click('probe')
+        tab.wait(lambda: tab.text('probe bore'))
+        tab.click('probe bore')
+        tab.wait(lambda: tab.run('!!document.querySelector(\'[data-mark="probe diameter"]\')'))
+        tab.fill('probe diameter', '16')
+        tab.click('start probe')
+        tab.wait(
+            lambda: tab.text('mdi answer') == 'O<probe_bore> CALL [16] [3] [3] [300] [60]: done'
+        )
+        tab.wait(lambda: tab.text('work X') == tab.text('work Y') == '0.000')
+        tip = [float(tab.text(f'tip {letter}')) for letter in 'xy']
+        assert tip == pytest.approx([12.3, -4.5], abs=3e-3)
+        assert tab.faults == []
+    finally:
+        panel.close()

@@ -141,8 +141,12 @@ def _points(
 ) -> tuple[FloatArray, FloatArray]:
     """Return tip and second point at u, and their derivatives by u, shape (n, 6) each [m]."""
     values, rates = np.empty((len(u), 6)), np.empty((len(u), 6))
-    for k, x in enumerate(u):
-        tip, axis = segment_jets(segments, i, float(x))
+    curves = segments.bottom[i], segments.top[i], segments.connection[i]
+    for k, x in enumerate(u.tolist()):
+        if segments.kind[i] == CORNER:
+            tip, axis = corner_jets(*curves, segments.parametrization[i], x, x)
+        else:
+            tip, axis = spline_jets(*curves, x)
         for c in range(3):
             values[k, c], rates[k, c] = tip[c][0], tip[c][1]
             values[k, 3 + c] = tip[c][0] + height * axis[c][0]
@@ -158,17 +162,6 @@ def _points(
 
 def _on_curve(points: FloatArray, u: FloatArray) -> FloatArray:
     return bezier_values(points.T[None], u[:, None])
-
-
-def segment_jets(
-    segments: PathSegments, i: int, u: float
-) -> tuple[tuple[tuple[float, ...], ...], ...]:
-    bottom, top, connection = segments.bottom[i], segments.top[i], segments.connection[i]
-    if segments.kind[i] == CORNER:
-        found = corner_jets(bottom, top, connection, segments.parametrization[i], u, u)
-    else:
-        found = spline_jets(bottom, top, connection, u)
-    return found
 
 
 def _distance(

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
-from pathlib import Path
 from typing import Generic, TypeVar
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.processes.fork_server import begin_loading
+from cnc_interp.processes.fork_server import begin_child, begin_loading
 
 #: What the fork server loads for programs, and for tiles of needles.
 PRELOADED = ('cnc_interp.batch.preload_tasks',)
@@ -181,12 +180,10 @@ def _end_of(connection: Connection, running: _Running[A]) -> EndedCall[R]:
 
 
 def _live(function: Callable[[A], R], argument: A, result: Connection, memory: float) -> None:
-    os.setsid()  # who started it receives Ctrl-C and ends it
+    begin_child(PROCESS_NAME)
     # A long program is planned by processes of its own; multiprocessing refuses them to a daemon.
     multiprocessing.current_process()._config['daemon'] = False  # type: ignore[attr-defined]
     os.nice(19)
-    with contextlib.suppress(OSError):
-        Path('/proc/self/comm').write_text(PROCESS_NAME, encoding='ascii')
     resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))
     result.send(function(argument))
     result.close()

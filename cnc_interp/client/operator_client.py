@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.core.errors import InterpError
-from cnc_interp.nodes.diagnostics import CHECKED, WAITING, WITHOUT
+from cnc_interp.nodes.diagnostics import PREPARED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later
@@ -46,7 +46,7 @@ STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
 ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
-SPIN = 0.01  #: Longest wait for an event [s]. Commands of other threads are sent after it.
+SPIN = 0.1  #: Longest wait for an event [s].
 
 
 class SharedValue:
@@ -125,11 +125,11 @@ class OperatorClient:
         self._executor.add_node(node)
         self.peers = Peers(node)
         self.alarms = AlarmList()
-        self._commands: deque[Callable[[], None]] = deque()
         self._pending: list[Callable[[], bool]] = []  # each returns True once it is answered
         self._sent: list[SentProgram] = []  # programs that have no result yet
         self.waiting = ''
-        self.checked: float | None = None
+        self.prepared: float | None = None  # share of what the program waits for
+        self.waits_for = ''  # what that is, in words
         self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
@@ -208,7 +208,9 @@ class OperatorClient:
             values = {pair.key: pair.value for pair in status.values}
             if WAITING in values:
                 self.waiting = values[WAITING]
-                self.checked = float(values[CHECKED]) if CHECKED in values else None
+                waits = PREPARED in values
+                self.waits_for = status.message if waits else ''
+                self.prepared = float(values[PREPARED]) if waits else None
             if WITHOUT in values:
                 self.uncompensated = float(values[WITHOUT])
 
@@ -242,11 +244,12 @@ class OperatorClient:
         return self.ask(self._home, Home.Request(axes=list(axes)), 'home')
 
     def beat(self, message: Jog) -> None:
-        self._commands.append(lambda: self._beats.publish(message))
+        self._executor.create_task(lambda: self._beats.publish(message))
 
     def set_override(self, share: float, topic: str = 'feed_override') -> None:
         self._overrides[topic].wish(share, time.monotonic())
-        self._commands.append(lambda: self._set_overrides[topic].publish(Float64(data=share)))
+        told = Float64(data=share)
+        self._executor.create_task(lambda: self._set_overrides[topic].publish(told))
 
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
@@ -295,7 +298,7 @@ class OperatorClient:
                 wanted.set_result(Answer(True, 'started'))
             return sent.accepted
 
-        self._commands.append(send)
+        self._executor.create_task(send)
         return wanted
 
     def give_line(self, text: str) -> Future[Answer]:
@@ -312,16 +315,18 @@ class OperatorClient:
             else:
                 wanted.set_result(Answer(False, 'program_node does not answer; start it'))
 
-        self._commands.append(send)
+        self._executor.create_task(send)
         return wanted
 
     def cancel_lines(self) -> None:
-        self._commands.extend(sent.cancel for sent in list(self._sent) if sent.goal.mdi)
+        for sent in [one for one in self._sent if one.goal.mdi]:
+            self._executor.create_task(sent.cancel)
 
     def cancel_waiting(self) -> int:
         """Cancel the waiting programs sent by this client and return their number."""
         found = [sent for sent in list(self._sent) if sent.programs_ahead > 0]
-        self._commands.extend(sent.cancel for sent in found)
+        for sent in found:
+            self._executor.create_task(sent.cancel)
         return len(found)
 
     def ask(self, client: Any, request: Any, name: str) -> Future[Answer]:
@@ -346,14 +351,12 @@ class OperatorClient:
                 wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
             return wanted.done()
 
-        self._commands.append(send)
+        self._executor.create_task(send)
         return wanted
 
     # Serving ------------------------------------------------------------------------------------
 
     def serve(self, timeout: float = SPIN) -> None:
-        while self._commands:
-            self._commands.popleft()()
         self._pending = [ended for ended in self._pending if not ended()]
         with stops_later():
             self._executor.spin_once(timeout_sec=timeout)

@@ -210,13 +210,13 @@ class RunConsole:
     def _show_progress(self, sent: SentProgram) -> None:
         """Show the progress of the program's check, then that of its motion."""
         feedback, name = sent.feedback, Path(sent.goal.program).name
-        if feedback is not None and not feedback.programs_ahead:
+        if self._client.prepared is not None:
+            self._progress.show(self._client.waits_for.partition(':')[0], self._client.prepared)
+        elif feedback is not None and not feedback.programs_ahead:
             line = f'line {feedback.line_number}' if feedback.line_number else ''
             self._progress.show(
                 f'running {name}', feedback.progress, line, feedback.remaining_time
             )
-        elif feedback is None and self._client.checked is not None:
-            self._progress.show(f'checking {name}', self._client.checked)
 
     def _forgotten_result(self) -> RunProgram.Result:
         """Return what is known of a run whose program_node was lost; the words are the default."""

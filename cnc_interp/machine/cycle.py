@@ -80,10 +80,11 @@ class Cycle:
     def __init__(
         self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
         drives: FloatArray, outputs: FloatArray = NO_SIGNALS, inputs: FloatArray = NO_SIGNALS,
-        probe: tuple[int, ...] = (),
+        probe: tuple[int, ...] = (), together: float = 0.0,
     ):  # fmt: skip
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
+        self._together = max(1, round(together / period))  # periods in which calm drives wait
         self._memory = Memory(
             control=np.zeros(WORDS, dtype=np.int64),
             chunks=np.zeros((slots, COLUMNS), dtype=np.int64),
@@ -174,7 +175,7 @@ class Cycle:
 
     def run(self) -> None:
         """Run by the clock in the calling thread until ``quit`` is called."""
-        run_periods(self._memory, self._step, self._period)
+        run_periods(self._memory, self._step, self._period, self._together)
 
     def quit(self, quits: bool = True) -> None:
         """End ``run``, or allow it to begin."""

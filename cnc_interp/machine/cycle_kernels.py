@@ -27,6 +27,7 @@ RESTS, NEXT, COLUMNS = 10, 11, 12
 NONE = -1  #: No chunk comes next, so far.
 #: After a longer stall of the computer the clock starts anew and does not catch up [ns].
 LONGEST_CATCH_UP = 500_000_000
+CALM = 1000  #: Steps at rest after which periods pass together.
 
 
 class Memory(NamedTuple):
@@ -167,12 +168,15 @@ def advance(memory: Memory, step: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def run_periods(memory: Memory, step: int, period: int) -> None:
-    """Advance every ``period`` [ns], shifted by drives with their own clock, until QUIT."""
+def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
+    """Advance every ``period`` [ns], shifted by drives with their own clock, until QUIT.
+
+    Calm drives are called once in ``together`` periods.
+    """
     control, spec = memory.control, np.zeros(2, dtype=np.int64)
-    due = time_now(spec)
+    due, calm = time_now(spec), 0
     while control[QUIT] == 0:
-        due += period
+        due += period * (together if calm > CALM else 1)
         if control[FORGOTTEN] != control[FORGET]:
             control[FORGOTTEN] = control[FORGET]
             memory.late[:] = 0
@@ -185,6 +189,7 @@ def run_periods(memory: Memory, step: int, period: int) -> None:
             if now - due > LONGEST_CATCH_UP:
                 due = now
         advance(memory, step)
+        calm = calm + 1 if control[SOURCE] == REST else 0
         due += np.int64(memory.feedback[3, 0] * NANOSECONDS)
 
 

@@ -71,6 +71,11 @@ class Drives(Protocol):
         """Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does."""
         ...
 
+    @property
+    def calm(self) -> float:
+        """Time between two steps of drives that have stood for long; 0: each period [s]."""
+        ...
+
     def exchange(self, seconds: float) -> None:
         """Take over outputs and inputs, some time after the call before."""
         ...

@@ -161,7 +161,7 @@ class HalDrives:
     thread stands or has another period.
     """
 
-    wired = True
+    wired, calm = True, 0.0
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):

@@ -98,7 +98,7 @@ class Playback:
             step, memory = drives.step, drives.memory
         self.cycle = Cycle(
             period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs,
-            drives.inputs, machine.signals.probe or (),
+            drives.inputs, machine.signals.probe or (), drives.calm,
         )  # fmt: skip
         self._signals = machine.signals
         self.contacts: deque[Contact] = deque()  # until they are published
@@ -166,6 +166,9 @@ class Playback:
         if run_id.program_id == self._given_up:
             text = f'{run_id.program_id} was given up by reset; run the program again'
             raise StreamError(text, Refusal.GIVEN_UP)
+        if run_id.plan and not run_id.same_attempt(mine):
+            text = f'{run_id} began before machine_node was started'
+            raise StreamError(text, Refusal.PLAN_OVER)
         follows = run_id.continues(mine) and state.plan_over
         if run_id.same_attempt(mine) and not follows:
             raise StreamError(

@@ -13,11 +13,13 @@ from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
+CALM = 0.01  #: Time between two steps at rest [s].
+
 
 class SimulatedDrives:
     """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
 
-    wired = False
+    wired, calm = False, CALM
 
     def __init__(self, machine: Machine, period: float, position: FloatArray):
         self.lag, self.step = lag_of(machine), int(follow_once.address)
@@ -82,7 +84,7 @@ def simulate(
 class CompensatedDrives:
     """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
 
-    wired = False
+    wired, calm = False, CALM
 
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None

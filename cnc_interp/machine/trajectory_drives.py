@@ -81,7 +81,7 @@ class TrajectoryDrives:
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
-    wired = False
+    wired, calm = False, 0.0
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(

@@ -68,6 +68,7 @@ class Controls:
         return state
 
     def _set_single_block(self, request: Any, _response: Any) -> str:
+        self._wake()
         self._playback.single_block = request.data
         return f'single block: {request.data}'
 
@@ -138,6 +139,7 @@ class Controls:
 
     def _take_inputs(self, message: MachineSignals) -> None:
         """Take inputs of drives without wires: simulated switches, or those of a controller."""
+        self._wake()
         signals, problem = self._playback.axes.machine.signals, ''
         known = {signal.name: k for k, signal in enumerate(signals.inputs)}
         for name, value in zip(message.inputs, message.input_values, strict=False):
@@ -174,13 +176,14 @@ RANGES = {'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0)}
 class Overrides:
     """Both overrides. Only the machine node listens: a second listener might be found first."""
 
-    def __init__(self, node: Any, diagnostics: Diagnostics):
+    def __init__(self, node: Any, diagnostics: Diagnostics, wake: Callable[[], None]):
         self.feed = self.rapid = 1.0
-        self._diagnostics = diagnostics
+        self._diagnostics, self._wake = diagnostics, wake
         for topic in RANGES:
             node.create_subscription(Float64, topic, partial(self._take, topic), OVERRIDE)
 
     def _take(self, topic: str, message: Float64) -> None:
+        self._wake()
         value, (least, most) = float(message.data), RANGES[topic]
         sound = least <= value <= most
         if sound:

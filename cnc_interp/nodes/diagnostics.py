@@ -6,10 +6,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from cnc_interp.nodes.node_main import every
 from cnc_interp.nodes.qos import DIAGNOSTICS
 
 WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
-CHECKED = 'checked'  #: Key of the share of a program's text that is checked [-].
+PREPARED = 'prepared'  #: Key of the share of what a program waits for before it moves [-].
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -22,7 +23,7 @@ class Diagnostics:
         self._node = node
         self._parts: dict[str, DiagnosticStatus] = {}
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', DIAGNOSTICS)
-        node.create_timer(1.0, self.publish)
+        every(node, 1.0, self.publish)
 
     def say(self, part: str, level: bytes, message: str, **values: object) -> None:
         """Set the status of a part; a change is published and logged at once."""

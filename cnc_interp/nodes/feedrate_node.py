@@ -26,7 +26,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.controls import OperatorInputs
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
-from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
+from cnc_interp.nodes.node_main import Pace, every, run_node, start_lifecycle, transition
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
@@ -131,7 +131,7 @@ class FeedrateNode(LifecycleNode):
         watch_machine(self, self._see_machine, count, self._diagnostics)
         self._inputs = OperatorInputs(self)
         self._pace = Pace(self, WORK_PERIOD, self._work)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._tell_planning)
+        every(self, DIAGNOSTICS_PERIOD, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         self._active = True

@@ -21,7 +21,7 @@ from cnc_interp.nodes.controls import Controls, Overrides
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_topics import MachineTopics
-from cnc_interp.nodes.node_main import Pace, run_node, start_lifecycle, transition
+from cnc_interp.nodes.node_main import Pace, every, run_node, start_lifecycle, transition
 from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import Reason, State
@@ -73,15 +73,15 @@ class MachineNode(LifecycleNode):
             gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
-        self._overrides = Overrides(self, self._diagnostics)
         self._pace = Pace(self, WORK_PERIOD, self._work)
+        self._overrides = Overrides(self, self._diagnostics, self._pace.wake)
         self._controls = Controls(
             self, self._playback, self._diagnostics, self._give_up, self._pace.wake
         )
         self._topics = MachineTopics(
             self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
         )
-        self.create_timer(CLOCK_PERIOD, self._report_clock)
+        every(self, CLOCK_PERIOD, self._report_clock)
 
     def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:
         from cnc_interp.nodes.controller_link import ControllerLink
@@ -180,6 +180,7 @@ class MachineNode(LifecycleNode):
         self._topics.tell_signals()
         self._controls.work(override)  # what was reached before is published
         self._inlet.tick()
+        self._topics.work()
         return self._controls.homing.active or playback.busy
 
     def _report_clock(self) -> None:

@@ -28,21 +28,19 @@ from cnc_interp.nodes.qos import JOINTS, LOADED, STATE, STREAM
 from cnc_interp.wire.function_messages import signals_message
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 
-EXECUTED_PERIOD = 0.1  #: Time between reports of what was executed [s].
-REST_PERIOD = 0.25  #: Time between messages at rest [s]; changes are told at once.
+EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
+EARLY = 2e-3  #: A message may come so much before its time, rather than a period late [s].
 
 
 class Rate:
-    """Publishes at the rate of a parameter while the machine moves, and rarely at rest."""
+    """Publishes at a rate, or whenever asked if that is more seldom, as at rest."""
 
-    def __init__(self, node: Any, rate: float, playback: Playback, publish: Callable[[], None]):
-        self._playback, self._publish, self._told = playback, publish, -math.inf
-        node.create_timer(1.0 / rate, self._call)
+    def __init__(self, rate: float, publish: Callable[[], None]):
+        self._period, self._publish, self._due = 1.0 / rate, publish, -math.inf
 
-    def _call(self) -> None:
-        now = time.monotonic()
-        if self._playback.busy or now - self._told >= REST_PERIOD:
-            self._told = now
+    def work(self, now: float) -> None:
+        if now > self._due - EARLY:
+            self._due = max(self._due, now - self._period) + self._period
             self._publish()
 
 
@@ -69,9 +67,16 @@ class MachineTopics:
         self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
         self._contacts = node.create_publisher(ProbeContact, 'probe_contact', LOADED)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
-        node.create_timer(EXECUTED_PERIOD, self.publish_executed)
-        Rate(node, values['joint_state_rate'], playback, self._publish_joints)
-        Rate(node, values['machine_state_rate'], playback, self.publish_state)
+        self._rates = (
+            Rate(EXECUTED_RATE, self.publish_executed),
+            Rate(values['joint_state_rate'], self._publish_joints),
+            Rate(values['machine_state_rate'], self.publish_state),
+        )
+
+    def work(self) -> None:
+        now = time.monotonic()
+        for rate in self._rates:
+            rate.work(now)
 
     def _now(self) -> Any:
         return self._node.get_clock().now().to_msg()

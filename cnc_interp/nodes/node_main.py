@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from select import select
 from typing import Any
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
@@ -52,11 +54,9 @@ def run_node(
         gc.freeze()  # objects that exist now are never freed, so the collector may ignore them
         run = multiprocessing.parent_process()
         # A node that was started by a run ends when the run ends.
-        looked, lives = time.monotonic(), True
-        while not stop and rclpy.ok() and lives:
+        ended = [] if run is None else [run.sentinel]
+        while not stop and rclpy.ok() and not select(ended, [], [], 0.0)[0]:
             executor.spin_once(timeout_sec=SPIN_TIMEOUT)
-            if run is not None and time.monotonic() - looked > SPIN_TIMEOUT:
-                looked, lives = time.monotonic(), run.is_alive()
         if hasattr(node, 'come_to_rest'):
             until = time.monotonic() + REST_WAIT
             while rclpy.ok() and not node.come_to_rest() and time.monotonic() < until:
@@ -155,7 +155,12 @@ def start_lifecycle(node: Any) -> None:
     node.trigger_activate()
 
 
-REST = 0.05  #: Time between two calls at rest [s].
+def every(node: Any, period: float, act: Callable[[], None]) -> Any:
+    """Call at intervals by a clock that never stands, which ``/clock`` may do."""
+    return node.create_timer(period, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+REST = 0.25  #: Time between two calls at rest [s].
 CALM = 1.0  #: Time after the last need for work until the node rests [s].
 
 
@@ -165,7 +170,7 @@ class Pace:
     def __init__(self, node: Any, period: float, work: Callable[[], bool]):
         self._work, self._period, self._needed = work, period, time.monotonic()
         self._slow = False
-        self._timer = node.create_timer(period, self._call)
+        self._timer = every(node, period, self._call)
 
     def wake(self) -> None:
         """Work at the short intervals from now on; to be called with every command or message."""

@@ -129,6 +129,10 @@ class Peers:
                 return Refusal(status.refusal_kind), str(status.refusal)
         return Refusal.NONE, ''
 
+    def told(self, stream: str, run_id: RunId) -> StreamStatus:
+        """Return what the receiver of a stream told last of a run."""
+        return self._status[stream] if self.knows(stream, run_id) else StreamStatus()
+
     def knows(self, stream: str, run_id: RunId) -> bool:
         status = self._status.get(stream)
         return status is not None and run_id_of(status).same_attempt(run_id)

@@ -22,7 +22,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import CHECKED, OK, WAITING, WARN, Diagnostics
+from cnc_interp.nodes.diagnostics import OK, PREPARED, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
 from cnc_interp.nodes.node_main import Pace, run_node
@@ -213,10 +213,9 @@ class ProgramNode(Node):
     def _tell_programs(self, run: ProgramRun) -> None:
         waiting = ', '.join(self._queue.names)
         values: dict[str, object] = {WAITING: waiting}
-        text = f'running {run.name}'
-        if run.phase not in SENDING and run.phase is not Phase.ENDED:
-            text = f'checking the program {run.name}: {run.preparation.checked:.0%}'
-            values[CHECKED] = run.preparation.checked
+        text, waits_for = f'running {run.name}', run.waits_for(self._peers)
+        if waits_for is not None and not run.trouble:
+            text, values[PREPARED] = waits_for
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)

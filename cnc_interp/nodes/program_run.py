@@ -22,6 +22,7 @@ from cnc_interp.program.probing import Probe
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import (
+    LEFT,
     SENDING,
     TABLE,
     Code,
@@ -174,8 +175,7 @@ class ProgramRun:
             text = f'{MACHINE} does not answer any more; start it again'
             return Outcome(Code.STREAM_LOST, text)
         if self._machine is not None and not self.missing and now - self._machine_at > FORGOTTEN:
-            text = 'the machine was reset, or machine_node started again; run the program again'
-            return Outcome(Code.STOPPED, text)
+            return Outcome(Code.STOPPED, LEFT)
         self._see_nodes(peers, now)
         if self.phase is not Phase.OFFERED:
             return None
@@ -263,8 +263,24 @@ class ProgramRun:
         lost = self.recovery.node
         if not lost:
             return ''
-        stands = self._machine is not None and self._machine.rests_on_path
+        stands = lost != MACHINE and self.rests
         return f'{lost} was restarted' + ('; cycle_start goes on from here' if stands else '')
+
+    def waits_for(self, peers: Peers) -> tuple[str, float] | None:
+        """Say what the run waits for before it moves, and which share of that is there."""
+        program, state = self.preparation.prepared, peers.state
+        if self.phase is Phase.CHECKING:
+            share = self.preparation.checked
+            return f'checking {self.name}: {share:.0%}', share
+        moved = state is not None and state.program_id == self.run_id.program_id and state.samples
+        if self.phase not in SENDING or program is None or moved:
+            return None
+        motion = peers.told('setpoints', self.run_id)
+        full = motion.window_limit * peers.period
+        share = motion.buffered_time / full if full else 0.0
+        blocks = f'{peers.told("blocks", self.run_id).next_sequence} of {len(program.blocks)}'
+        text = f'{blocks} blocks taken, {share:.0%} of the motion with which it starts'
+        return f'planning {self.name}: {text}', share
 
     def may_go_on(self) -> bool:
         """Tell whether the operator wants to continue after a loss and all nodes answer."""

@@ -39,7 +39,7 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
             state, desk.plan_of(state), desk.nodes.override, desk.start_position(), unit
         )
     words['state'] = 'no answer' if silent else state_of(state).value
-    words['why'] = f'{silent} does not answer' if silent else state.message
+    words['why'] = f'{silent} does not answer' if silent else state.message or desk.nodes.waits_for
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
     least = state.least_buffered_time
     words['least'] = NOTHING if math.isnan(least) else f'{least / MS:.0f} ms'

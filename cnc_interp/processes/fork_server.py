@@ -10,8 +10,10 @@ import threading
 from collections.abc import Sequence
 from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.context import ForkServerContext
+from pathlib import Path
 from typing import Any
 
+from cnc_interp.processes.stop_signals import STOPS
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 COMMAND = 'cnc_interp.commands.cli'  #: Multiprocessing imports it in every child.
@@ -20,7 +22,7 @@ _sockets: TemporaryFolder | None = None  #: Where multiprocessing has its socket
 
 
 def begin_loading(modules: Sequence[str]) -> ForkServerContext:
-    """Start the fork server, which loads for seconds and outlives Ctrl-C; returns at once."""
+    """Start the fork server, which loads for seconds and outlives all signals; returns at once."""
     global _sockets
     multiprocessing.set_forkserver_preload([*modules, COMMAND])
     if _sockets is None:
@@ -30,12 +32,20 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
         util.Finalize(None, _end, exitpriority=AFTER_CHILDREN)
     # They inherit it. A thread cannot ignore signals, nor can it be interrupted by one.
     in_main = threading.current_thread() is threading.main_thread()
-    ignored = (signal.SIGINT, signal.SIGHUP) if in_main else ()
+    ignored = STOPS if in_main else ()
     before = [signal.signal(number, signal.SIG_IGN) for number in ignored]
     forkserver.ensure_running()
     for number, handler in zip(ignored, before, strict=True):
         signal.signal(number, handler)
     return multiprocessing.get_context('forkserver')
+
+
+def begin_child(name: str) -> None:
+    """Name a child of the fork server in ps, top and pgrep; who started it receives Ctrl-C."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.setsid()
+    with contextlib.suppress(OSError):
+        Path('/proc/self/comm').write_text(name, encoding='ascii')
 
 
 def _end() -> None:

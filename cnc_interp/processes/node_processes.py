@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import sys
@@ -13,7 +12,7 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.processes.fork_server import begin_loading
+from cnc_interp.processes.fork_server import begin_child, begin_loading
 from cnc_interp.processes.shared_memory import remove_dead_segments
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
@@ -48,13 +47,11 @@ def load_nodes() -> ForkServerContext:
 def _live(node: str, arguments: list[str], environment: Mapping[str, str], log: Path) -> None:
     if not log.parent.is_dir():
         return  # the run was interrupted before the fork server was ready
-    os.setsid()  # the run receives Ctrl-C and ends the nodes in order
+    begin_child(node)
     os.environ.update(environment)
     with log.open('ab') as output, open(os.devnull, 'rb') as nothing:
         for stream, number in ((nothing, 0), (output, 1), (output, 2)):
             os.dup2(stream.fileno(), number)
-    with contextlib.suppress(OSError):  # the name in ps, top and pgrep
-        Path('/proc/self/comm').write_text(node, encoding='ascii')
     sys.exit(importlib.import_module(f'cnc_interp.nodes.{node}').main([node, *arguments]))
 
 

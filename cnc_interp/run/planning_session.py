@@ -18,7 +18,7 @@ from cnc_interp.core.errors import InterpError, Refusal
 from cnc_interp.program.functions import Functions
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_phase import MachineReport
+from cnc_interp.run.run_phase import LEFT, MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
@@ -211,8 +211,7 @@ class PlanningSession:
         report = self._machine
         left = report is not None and not report.run_id.same_attempt(self.run_id)
         if self._executing and left:
-            reason = 'the machine has given up this run; run the program again'
-            self.give_up(Refusal.GIVEN_UP, reason)
+            self.give_up(Refusal.GIVEN_UP, LEFT)
         if self.activity is Activity.WAITING:
             self._find_place()
         if self.activity in (Activity.PLANNING, Activity.JOINING) and self.planner is not None:

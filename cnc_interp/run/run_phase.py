@@ -81,6 +81,8 @@ def refused(kind: Refusal, reason: str, moved: bool) -> Outcome:
 SETTLED = 0.1  #: A machine that rests for so long after cycle_start has nothing to execute [s].
 #: A machine with a plan whose buffer is not full after so long gets no more setpoints [s].
 FILLED = 0.5
+#: What the operator reads of a run that the machine has left.
+LEFT = 'the machine was reset, or machine_node started again; run the program again'
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Real processes: hold, override, single block, stops, nodes frozen and killed in motion."""
 
 import os
+import re
 import signal
 import time
 
@@ -18,6 +19,7 @@ from std_msgs.msg import Float64
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
+from cnc_interp.processes.node_processes import NODES
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_messages import run_id_of
@@ -53,10 +55,20 @@ def test_a_program_started_at_an_override_of_0_begins_when_it_is_raised(bench):
     bench.spin_until(lambda: bench.state.feed_override == 0.0)
     bench.text = PROGRAM
     handle = bench.start(text=PROGRAM)
-    bench.spin_until(lambda: dict(bench.diagnostics).get('feedrate_node: planning') == 'at work')
-    bench.spin_for(0.5)
+    begun = r'planning <text>: (\d+) of \1 blocks taken, 0% of the motion with which it starts'
+    bench.spin_until(lambda: any(re.fullmatch(begun, text) for _, text in bench.diagnostics))
     bench.override.publish(Float64(data=1.0))
     bench.finish(handle)
+
+
+@pytest.mark.thorough
+def test_a_program_runs_while_the_clock_of_ros_stands():
+    still = ['-p', 'use_sim_time:=true']  # nobody publishes /clock
+    bench = Bench(arguments=dict.fromkeys(NODES, still))
+    try:
+        assert bench.run(text=waves(1)).code == Result.SUCCEEDED
+    finally:
+        bench.close()
 
 
 @pytest.mark.thorough

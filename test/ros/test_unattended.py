@@ -32,9 +32,9 @@ def program(tmp_path):
     return file
 
 
-def start(program, *words, stdin=subprocess.DEVNULL):
+def start(program, *words, stdin=subprocess.DEVNULL, **options):
     command = [sys.executable, '-m', 'cnc_interp', 'run', str(program), *words]
-    return subprocess.Popen(command, stdin=stdin, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(command, stdin=stdin, stderr=subprocess.PIPE, text=True, **options)
 
 
 def place_told(run):
@@ -84,6 +84,16 @@ def test_without_a_terminal_it_waits_for_cycle_start(program, loses_a_node):
         assert run.wait(PATIENCE) != 0
     finally:
         run.kill()
+
+
+@pytest.mark.thorough
+def test_a_signal_to_all_its_processes_cancels_a_run(program):
+    """As ``timeout`` sends it: nodes and what starts them end in order."""
+    run = start(program, start_new_session=True)
+    place_told(run)
+    os.killpg(run.pid, signal.SIGTERM)
+    told = run.communicate(timeout=PATIENCE)[1]
+    assert run.returncode == 1 and 'cancelled' in told and ' ended' not in told
 
 
 @pytest.mark.thorough

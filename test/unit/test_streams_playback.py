@@ -319,6 +319,9 @@ def test_what_cannot_begin_is_refused():
         play.make_room(Q)
     play.make_room(P1)
     play.make_room(P.next_attempt())
+    with pytest.raises(StreamError, match='began before machine_node was started') as told:
+        playback(50).make_room(P1)
+    assert told.value.kind is Refusal.PLAN_OVER
 
 
 @cache

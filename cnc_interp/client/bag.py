@@ -123,7 +123,6 @@ class BagWriter:
         }  # fmt: skip
 
     def note(self, node: str, parameters: dict[str, Any]) -> None:
-        """Write the parameters of a node into the bag."""
         self.keep({f'{PARAMETER}{node}.{k}': json.dumps(v) for k, v in parameters.items()})
 
     def keep(self, noted: dict[str, str]) -> None:
@@ -199,7 +198,6 @@ class SpooledMessages(Sequence[Any]):
         return self._read(self._file.read(self._ends[place + 1] - self._ends[place]))
 
     def where(self, holds: Callable[[Any], bool]) -> SpooledMessages:
-        """Return the messages for which something holds."""
         places = array('q', (k for k, m in zip(self._places, self, strict=True) if holds(m)))
         return SpooledMessages(self._file, self._ends, self._read, places)
 
@@ -247,7 +245,6 @@ class Bag:
             raise InterpError(f'{self.path}: cannot be read to its end ({why(fault)})') from None
 
     def read(self, topic: str) -> list[Any]:
-        """Return all sound messages of a topic."""
         return list(self.messages(topic))
 
     def messages(self, topic: str) -> Iterator[Any]:

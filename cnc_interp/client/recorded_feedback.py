@@ -27,8 +27,6 @@ from cnc_interp.wire.run_messages import run_id_of
 
 @dataclass(frozen=True)
 class RecordedFeedback:
-    """What the drives were told and what they did."""
-
     period: float  #: Interpolation period [s].
     #: (K, n_axes): Commanded position and velocity, measured position [m, rad, per s].
     setpoint: FloatArray
@@ -83,8 +81,6 @@ NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node
 
 @dataclass(frozen=True)
 class Lesson:
-    """What was learnt, and how far the tool was off in the run."""
-
     motion: LearntMotion  #: For the next run.
     #: Error of the tip [m].
     largest: float

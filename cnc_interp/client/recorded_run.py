@@ -44,8 +44,6 @@ GRID_EVERY, SHORTEST = 10, 1e-6
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """The last run in a bag in which the machine moved."""
-
     program_id: str  #: The run.
     name: str  #: Name of the program.
     machine: str  #: Machine that the nodes were started with; empty where the bag does not say.
@@ -60,12 +58,10 @@ class RecordedRun:
 
     @property
     def flank_height(self) -> float:
-        """Height at which the orientation tolerance is measured [m]."""
         return float(self.blocks[0].flank_height)
 
     @property
     def period(self) -> float:
-        """Interpolation period [s]."""
         return float(self.chunks[0].period)
 
     @property
@@ -166,7 +162,6 @@ class RecordedRun:
         return functions_from(sent), sample
 
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
-        """Yield the recorded path in machine axes, part by part."""
         builder = AxisPathBuilder(Transform.of(machine), self.flank_height, self.period)
         for first in range(0, len(self.segments), BATCH):
             path = builder.push(segments_from(self.segments[first : first + BATCH]))
@@ -297,7 +292,6 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
 
 
 def executed_paths(paths: Iterable[AxisPath], finder: StartFinder) -> Iterator[AxisPath]:
-    """Yield the parts of a path from where the run started."""
     for path in paths:
         if (executed := finder.path(path)) is not None:
             yield executed

@@ -74,8 +74,6 @@ class StreamRecord:
 
 
 class Recorder:
-    """Records the topics of a namespace."""
-
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
         self._bag, self._node = BagWriter(path), node
         self._subscriptions = [
@@ -107,8 +105,6 @@ class Recorder:
         self.wanted = 0  #: Number of executed setpoints that the bag must hold.
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
-        """Return the callback of a topic."""
-
         def write(data: bytes) -> None:
             self._bag.write(topic, data, time.time_ns())
 
@@ -163,11 +159,9 @@ class Recorder:
         return bool(Time.from_msg(told, self._ended.clock_type) > self._ended)
 
     def _missing(self) -> list[str]:
-        """Return the nodes that have not answered at the end yet."""
         return sorted(self._known - self._flushed)
 
     def finish(self, client: OperatorClient) -> None:
-        """Write the last messages of all nodes, then close the bag."""
         until = time.monotonic() + LAST_WAIT
         while not self.complete() and time.monotonic() < until:
             client.serve()

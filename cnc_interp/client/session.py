@@ -28,8 +28,6 @@ ALL_DOMAINS = range(233)
 
 @dataclass(frozen=True)
 class RunRequest:
-    """Programs to run, and how; SI units."""
-
     program: Path  #: Program file.
     #: Further programs. Each starts when the one before it has reached its end.
     then: tuple[Path, ...] = ()
@@ -81,8 +79,6 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class RunResult:
-    """The result of a run; SI units."""
-
     ok: bool  #: True when the program was executed to its end, every block of it.
     message: str  #: What happened, in one line.
     #: What ran where, and the run's name in all messages.
@@ -125,7 +121,6 @@ class RunResult:
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
     def text(self) -> str:
-        """Return the result in words and shop units."""
         lines = [
             f'program        {self.program} on {self.machine}: {self.message}',
             f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '

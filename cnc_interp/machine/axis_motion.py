@@ -100,8 +100,6 @@ class ContourErrors:
 
 
 class AxisMotion:
-    """The axes of the machine, some periods at a time."""
-
     def __init__(self, machine: Machine, period: float, lag: float, position: FloatArray):
         if not 0.0 < period < np.inf:
             raise StreamError('the interpolation period must be positive')
@@ -120,7 +118,6 @@ class AxisMotion:
         return self.machine.travel + slack, GROSS * self._longest_step
 
     def place(self, position: FloatArray) -> None:
-        """Take where the axes stand at rest as the last setpoint."""
         start = np.array(position, dtype=float)
         beyond = beyond_travel(self.machine, start[None, :])
         if beyond:

@@ -15,8 +15,6 @@ from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 @dataclass(frozen=True)
 class SourcedSetpoints:
-    """Consecutive setpoints and the source line of each."""
-
     samples: Setpoints
     lines: list[int]
 
@@ -29,8 +27,6 @@ class SourcedSetpoints:
 
 @dataclass(frozen=True)
 class BufferedChunk:
-    """A chunk in the buffer."""
-
     serial: int  #: Its number in the cycle.
     run_id: RunId  #: The plan that it belongs to.
     first: int  #: Number of its first setpoint since the last rest by a stop.
@@ -49,19 +45,15 @@ class BufferedChunk:
 
     @property
     def after(self) -> int:
-        """Number of the setpoint after its last one."""
         return self.first + len(self.rows)
 
 
 class Buffer:
-    """Chunks in their order."""
-
     def __init__(self, stands: FloatArray):
         self.chunks: deque[BufferedChunk] = deque()
         self.clear(stands)
 
     def clear(self, stands: FloatArray) -> None:
-        """Forget all chunks; the next one begins where the machine stands."""
         self.chunks.clear()
         self.count = 0  # setpoints
         self.next_number = 0  # of the next setpoint to be received

@@ -102,7 +102,6 @@ class Cycle:
         self.run()  # compiles the cycle, or loads it from the cache, before motion
 
     def place(self, position: FloatArray) -> None:
-        """Set the last setpoint to where the axes stand at rest."""
         self._memory.setpoint[0] = position
         self._memory.feedback[0] = self._memory.feedback[2] = position
 
@@ -130,7 +129,6 @@ class Cycle:
         return serial
 
     def link(self, after: int, serial: int) -> None:
-        """Make a chunk follow another one that has no successor."""
         descriptors = self._memory.chunks
         publish(descriptors[after % len(descriptors)], NEXT, serial)
 
@@ -170,7 +168,6 @@ class Cycle:
         publish(self._control, HALT, self._control[HALT] + 1)
 
     def step(self) -> None:
-        """Let one period pass without the clock."""
         advance(self._memory, self._step)
 
     def run(self) -> None:
@@ -182,7 +179,6 @@ class Cycle:
         publish(self._control, QUIT, int(quits))
 
     def read(self) -> Records:
-        """Return what was played since the last call."""
         memory, control = self._memory, self._control
         first, last = int(control[READ]), int(control[RECORDED])
         slots = np.arange(first, last) % len(memory.records)

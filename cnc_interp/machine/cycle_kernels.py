@@ -103,7 +103,6 @@ def _take_setpoint(memory: Memory) -> bool:
 
 @njit(cache=True, nogil=True)
 def _switch(memory: Memory) -> None:
-    """Set the outputs that change with the chosen row."""
     control = memory.control
     descriptor = memory.chunks[control[SERIAL] % len(memory.chunks)]
     shift = TAIL_COLUMNS if control[SOURCE] == TAIL else 0
@@ -130,7 +129,6 @@ def _probe_answers(memory: Memory) -> bool:
 
 @njit(cache=True, nogil=True)
 def advance(memory: Memory, step: int) -> None:
-    """Let one period pass."""
     control, records = memory.control, memory.records
     events = _choose(memory)
     source = control[SOURCE]

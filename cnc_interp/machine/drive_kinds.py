@@ -39,8 +39,6 @@ class Declared(NamedTuple):
 
 @dataclass(frozen=True)
 class DriveKind:
-    """A kind of drives."""
-
     what: str  #: What the drives are, for people.
     parameters: tuple[Declared, ...]  #: Parameters of machine_node that only such drives need.
     make: Callable[[Machine, float, Values, Link], Drives]

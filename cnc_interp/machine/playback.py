@@ -515,7 +515,6 @@ class Playback:
     # What the cycle does ------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Let one period pass without the clock."""
         self.read()
         self.cycle.step()
         self.read()

@@ -31,8 +31,6 @@ class Act(NamedTuple):
 
 
 class ActsOfChunk(NamedTuple):
-    """What is switched with the setpoints of a chunk."""
-
     rows: list[tuple[int, Act]]  #: With a row of its setpoints.
     tail: list[tuple[int, Act]]  #: With a row of its stop tail.
     end: list[Act]  #: After the end of the program.
@@ -89,8 +87,6 @@ class ActsOfChunk(NamedTuple):
 
 
 class Switching:
-    """Sets outputs one after the other, and waits for the answers."""
-
     def __init__(self, signals: Signals, drives: Drives):
         self._signals, self._drives = signals, drives
         self._queue: deque[Act] = deque()
@@ -103,7 +99,6 @@ class Switching:
 
     @property
     def text(self) -> str:
-        """What is waited for, in words."""
         if not self._queue:
             return ''
         step, value = self._queue[0].step, self._queue[0].value
@@ -129,7 +124,6 @@ class Switching:
         )
 
     def answer(self) -> None:
-        """Take the operator's cycle start as the answer."""
         self._answered = True
 
     def add(self, acts: Iterable[Act]) -> None:

@@ -128,7 +128,6 @@ class TrajectoryDrives:
 
     @property
     def position(self) -> FloatArray:
-        """Where the axes stand or settle at rest [m, rad]."""
         self._take_reports()
         settles, found = self._told.position[-1], self._report.position
         near = bool(np.all(np.abs(settles - found) <= self._limits))

@@ -17,8 +17,6 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 
 class Diagnostics:
-    """The diagnostics of one node, a status for each of its parts."""
-
     def __init__(self, node: Any):
         self._node = node
         self._parts: dict[str, DiagnosticStatus] = {}

@@ -35,8 +35,6 @@ def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
 
 
 class JoyJogNode(Node):
-    """Maps a joystick to the axes of the machine."""
-
     def __init__(self) -> None:
         super().__init__('joy_jog_node')
         machine = parameters.declare(self, (MACHINE,))['machine']

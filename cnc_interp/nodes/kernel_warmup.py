@@ -60,7 +60,6 @@ def tiny_program(transform: Transform) -> Blocks:
 
 
 def dense_program(transform: Transform) -> Blocks:
-    """Return short blocks that become a curve of several windows."""
     count = 400
     u = np.linspace(0.0, 6.0, count)
     rotary = np.stack([0.3 + 0.01 * np.sin(u), 0.2 + 0.05 * u], axis=1)
@@ -117,7 +116,6 @@ def warm_all(machine: str, period: float) -> None:
 
 
 def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
-    """Load the kernels from machine axes to setpoints."""
     for options in (LIVE, SHORT_WINDOWS):
         planner = FeedPlanner(machine, options)
         planner.push(path)

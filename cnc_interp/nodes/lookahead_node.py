@@ -119,8 +119,6 @@ MOST_TOGETHER = 32  #: Most segments in one message.
 
 
 class LookaheadNode(Node):
-    """Smooths the blocks of one program after another."""
-
     def __init__(self) -> None:
         super().__init__('lookahead_node')
         self._values = values = parameters.declare(self, parameters.LOOKAHEAD)

@@ -39,8 +39,6 @@ LEVELS = {State.FAULT: ERROR, State.STARVING: WARN, State.STARVED: WARN}
 
 
 class MachineNode(LifecycleNode):
-    """A machine tool."""
-
     def __init__(self) -> None:
         super().__init__('machine_node')
         self._values = parameters.declare(self, parameters.MACHINE_NODE)

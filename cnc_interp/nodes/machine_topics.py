@@ -45,8 +45,6 @@ class Rate:
 
 
 class MachineTopics:
-    """Publishes state, joints and executed setpoints at the rates of the node's parameters."""
-
     def __init__(
         self, node: Any, playback: Playback, values: dict[str, Any], overrides: Overrides,
         homing: Homing, diagnostics: Diagnostics,
@@ -93,7 +91,6 @@ class MachineTopics:
         self._states.publish(message)
 
     def tell_signals(self) -> None:
-        """Publish outputs and inputs if one has changed."""
         drives, signals = self._playback.drives, self._playback.axes.machine.signals
         message = signals_message(signals, drives.outputs.tolist(), drives.inputs.tolist())
         if message != self._told_signals and (signals.outputs or signals.inputs):
@@ -102,7 +99,6 @@ class MachineTopics:
             self._signals.publish(message)
 
     def tell_contacts(self) -> None:
-        """Publish where the probe has answered."""
         while self._playback.contacts:
             contact = self._playback.contacts.popleft()
             message = ProbeContact(

@@ -71,8 +71,6 @@ class MarkerLine:
 
 
 class MarkersNode(Node):
-    """Draws the programmed path and the executed path."""
-
     def __init__(self) -> None:
         super().__init__('markers_node')
         values = parameters.declare(self, parameters.MARKERS)

@@ -20,8 +20,6 @@ from cnc_interp.wire.run_messages import modal_state
 
 
 class Mdi:
-    """The lines by hand of the program node."""
-
     def __init__(
         self, node: Any, transform: Transform, settings: Settings,
         of_machine: Callable[[], JobSetup],
@@ -60,14 +58,11 @@ class Mdi:
 
 
 class ActiveModesTopic:
-    """Tells the modal state of a run where it changes."""
-
     def __init__(self, node: Any):
         self._publisher = node.create_publisher(ModalState, 'active_modes', LOADED)
         self._told = ('', -1)
 
     def tell(self, program: Prepared, state: MachineState) -> None:
-        """Publish the modal state of the block that is executed, if it is another one."""
         change = program.modes.change_before(state.sequence)
         told = (str(state.program_id), change)
         if told == self._told:

@@ -149,7 +149,6 @@ def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:
 
 
 def start_lifecycle(node: Any) -> None:
-    """Configure and activate a lifecycle node without waiting for a command."""
     if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
         raise InterpError(f'{node.get_name()} cannot be configured: {node.problem}')
     node.trigger_activate()
@@ -165,8 +164,6 @@ CALM = 1.0  #: Time after the last need for work until the node rests [s].
 
 
 class Pace:
-    """Calls the work of a node at intervals."""
-
     def __init__(self, node: Any, period: float, work: Callable[[], bool]):
         self._work, self._period, self._needed = work, period, time.monotonic()
         self._slow = False

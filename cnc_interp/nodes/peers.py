@@ -68,8 +68,6 @@ def second_publisher(node: Any) -> str:
 
 
 class Peers:
-    """The last message of every other node and when it arrived."""
-
     def __init__(
         self, node: Any, axis_count: int | None = None, diagnostics: Diagnostics | None = None
     ):
@@ -95,7 +93,6 @@ class Peers:
 
     @property
     def machine(self) -> MachineReport | None:
-        """The last state of the machine; None before the first one."""
         return None if self.state is None else machine_report(self.state)
 
     @property

@@ -36,8 +36,6 @@ LONGEST_TEXT = 16 << 20  #: Largest length of a text that is kept for display [b
 
 @dataclass(frozen=True)
 class Prepared:
-    """A program that was checked and can run."""
-
     blocks: BlockSpool  #: Start pose, then the program.
     notices: tuple[str, ...]  #: What had no effect or was simplified.
     text: str  #: The program's text; empty when it is very long.
@@ -172,8 +170,6 @@ def check(
 
 
 class Preparation:
-    """The check of a program in a thread, and its result."""
-
     def __init__(self) -> None:
         self.future: Future[Prepared] | None = None
         self.prepared: Prepared | None = None

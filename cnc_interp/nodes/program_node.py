@@ -90,7 +90,6 @@ class ProgramNode(Node):
         self._diagnostics.say('program', OK, 'no program')
 
     def _accept(self, handle: Any) -> None:
-        """Begin to read the program of a goal and queue it. The timer does the rest."""
         self._pace.wake()
         run = ProgramRun(handle.request)
         if stranger := second_publisher(self):
@@ -203,7 +202,6 @@ class ProgramNode(Node):
             self._diagnostics.say('program', WARN, text)
 
     def _help(self, run: ProgramRun, now: float) -> None:
-        """End a cancelled run, or begin a run again after the loss of a node."""
         if run.preparation.cancelled:
             self._press('reset' if run.rests else 'feed_hold', now)
         elif run.may_go_on():

@@ -17,8 +17,6 @@ FEEDBACK = 0.5  #: Time between feedbacks to a goal that waits [s].
 
 
 class Waiting(NamedTuple):
-    """A run that waits, and the handle of its goal."""
-
     run: ProgramRun
     handle: Any
 
@@ -68,7 +66,6 @@ class ProgramQueue:
                 entry.handle.publish_feedback(RunProgram.Feedback(programs_ahead=ahead))
 
     def give_up(self, name: str) -> None:
-        """Empty the queue, because the program before did not reach its end."""
         self._drop(0, name)
 
     def _drop(self, first: int, name: str) -> None:

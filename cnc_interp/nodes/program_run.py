@@ -69,8 +69,6 @@ def why_not(missing: str, machine: MachineReport | None) -> Outcome | None:
 
 
 class ProgramRun:
-    """The state of one run."""
-
     def __init__(self, goal: Any):
         self.run_id = RunId(uuid.uuid4().hex)
         self.name = Path(goal.program).name if goal.program else '<text>'
@@ -98,7 +96,6 @@ class ProgramRun:
         self.phase, self._since = TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:
-        """Leave the queue, because the programs before this one have ended."""
         self._change(PhaseChange.TURN, now)
 
     def step(self, peers: Peers, now: float, timeout: float) -> Outcome | None:
@@ -137,7 +134,6 @@ class ProgramRun:
 
     @property
     def switches(self) -> int:
-        """How many outputs a program sets."""
         program = self.preparation.prepared
         return 0 if program is None else len(program.functions)
 
@@ -248,7 +244,6 @@ class ProgramRun:
 
     @property
     def rests_throughout(self) -> bool:
-        """Tell whether this is a line by hand without motion."""
         return self.preparation.prepared is not None and not self.preparation.prepared.path_length
 
     @property
@@ -283,7 +278,6 @@ class ProgramRun:
         return f'planning {self.name}: {text}', share
 
     def may_go_on(self) -> bool:
-        """Tell whether the operator wants to continue after a loss and all nodes answer."""
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 
     def begin_again(self, now: float, sent: int) -> None:
@@ -306,7 +300,6 @@ class ProgramRun:
         return max(program.start.s if program.start else 0.0, FIRST_MOTION)
 
     def is_stale(self, setup: JobSetup) -> bool:
-        """Tell whether the run waits and was checked with another setup of the machine."""
         program = self.preparation.prepared
         return (
             self.phase is Phase.WAITING

@@ -19,7 +19,6 @@ def _last(
 
 
 def listening_to(profile: QoSProfile) -> QoSProfile:
-    """Return the profile of a recorder: the offered one with a longer queue."""
     return _last(DEPTH, profile.reliability, profile.durability)
 
 

@@ -33,8 +33,6 @@ RUNNING = frozenset(('active offset', 'spindle'))
 
 
 class SetupServices:
-    """Answers the services, and tells the table to all."""
-
     def __init__(self, node: Any, table: SetupTable, transform: Transform, peers: Peers):
         self._table, self._peers, self._node = table, peers, node
         machine = transform.machine

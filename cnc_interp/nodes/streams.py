@@ -58,8 +58,6 @@ def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
 
 
 class Inlet:
-    """The receiving end of a stream."""
-
     def __init__(
         self, node: Any, receiver: WindowedReceiver, kinds: dict[str, Any],
         check: Callable[[Any], None], on_message: Callable[[Any], None],
@@ -129,7 +127,6 @@ class Inlet:
             self.tell()  # the sender may go on
 
     def _pass_over(self, fault: StreamError, mine: bool) -> None:
-        """Report why a message does not fit; ask for messages that are missing."""
         receiver = self.receiver
         if fault.kind is Refusal.PLAN_OVER:
             self._logger.debug(str(fault))
@@ -153,7 +150,6 @@ class Inlet:
             self.tell()
 
     def refuse(self, run_id: RunId, kind: Refusal, reason: str) -> None:
-        """Accept nothing more of a run, and tell its sender why."""
         self.receiver.refuse(run_id, kind, reason)
         self._name(OK if kind is Refusal.PROBED else ERROR, kind, reason, always=True)
         self.tell()
@@ -171,7 +167,6 @@ class Inlet:
         return receiver.run_id, receiver.next_number, receiver.limit, receiver.refused
 
     def tick(self) -> None:
-        """Acknowledge when something has changed, else at intervals."""
         silent = time.monotonic() - self._told_at
         if silent > HEARTBEAT or (silent > STATUS_PERIOD and self._news() != self._told):
             self.tell()
@@ -190,8 +185,6 @@ class Inlet:
 
 
 class Outlet:
-    """The sending end of a stream."""
-
     def __init__(
         self, node: Any, stream: str, kind: Any, resend_after: float,
         encode: Callable[[Any, int], Any], topic: str = '', profile: QoSProfile = STREAM,
@@ -241,7 +234,6 @@ class Outlet:
 
     @property
     def refusal_text(self) -> str:
-        """The receiver's text for this reason."""
         return '' if self.peer is None else str(self.peer.refusal)
 
     def pump(self) -> None:

@@ -24,15 +24,12 @@ FAULT = 1  #: How a process ends that Python ends for an error that nobody caugh
 
 @dataclass(frozen=True)
 class Started:
-    """A running node."""
-
     name: str
     process: ForkServerProcess
     log: Path
 
     @property
     def last_words(self) -> str:
-        """The last line that the node wrote, or how it ended."""
         written = self.log.read_text(errors='replace') if self.log.exists() else ''
         words = written.strip().splitlines()
         last = words[-1] if words else f'exit code {self.process.exitcode}'

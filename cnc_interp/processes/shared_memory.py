@@ -101,7 +101,6 @@ def opening_locked(port: str) -> Iterator[None]:
 
 
 def own_files() -> Iterator[Path]:
-    """Yield the files of this user in shared memory."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(FOLDER):
             with contextlib.suppress(OSError):

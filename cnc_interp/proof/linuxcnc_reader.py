@@ -47,12 +47,10 @@ _CALL = re.compile(r'^\s*\d+\s+N(?:\.+|\d+)\s*([A-Z]\w*)\((.*)\)\s*$')
 _FIRST = re.compile(r'\A(\s*%[^\n]*\n)?')
 _NUMBER = re.compile(r'-?\d+\.?\d*')
 _PLANES = {'XY': PLANES['17'], 'XZ': PLANES['18'], 'YZ': PLANES['19']}
-
-
-#: Cutter radius compensation in a text without comments. A match begins at its letter: a pattern
-#: that begins at a line start would look at the whole rest of the text from each line.
 #: A program that goes on with what a probe has touched.
 _PROBED = re.compile(r'#\s*50(?:6\d|70)')
+#: Cutter radius compensation in a text without comments. A match begins at its letter: a pattern
+#: that begins at a line start would look at the whole rest of the text from each line.
 _COMPENSATED = re.compile(r'(?<![A-Z<_])G[ \t]*0*4[12](?!\d)', re.IGNORECASE)
 _BY_NORMALS = re.compile(r'(?<![A-Z<_])(?:G[ \t]*0*4[12]\.2(?!\d)|CUT3DF)', re.IGNORECASE)
 

@@ -8,7 +8,7 @@ from cnc_interp.core.limits_by_position import limits_along
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import evaluate
-from cnc_interp.run.setpoints import BEFORE, limit_shares
+from cnc_interp.run.setpoints import BEFORE, largest_shares
 
 PERIOD = 1e-3
 
@@ -40,4 +40,4 @@ def largest_use(planned: PlannedPiece, limits: AxisLimits) -> float:
     """Largest use of any limit by first, second and third differences of the setpoints."""
     time = np.arange(-BEFORE, np.ceil(planned.law.end_time / PERIOD) + 5) * PERIOD
     q = evaluate(planned.path, planned.law.evaluate(time)[0])[0]
-    return float(np.abs(limit_shares(q, limits.limit_table, PERIOD)).max())
+    return float(largest_shares(q, limits.limit_table, PERIOD).max())

@@ -32,7 +32,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.chain import LONGEST_STEP
-from cnc_interp.run.setpoints import BEFORE, Interpolator, limit_shares
+from cnc_interp.run.setpoints import BEFORE, Interpolator, largest_shares
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
 #: How often each path is planned; the shortest time counts.
@@ -81,7 +81,7 @@ def largest_use(path: AxisPath, machine: Machine, period: float) -> float:
     end = np.repeat(path.cell_right[0, -1:], BEFORE, axis=0)
     for position in chain((part.position for part in interpolator.parts(piece)), (end,)):
         held = np.concatenate([held[-BEFORE:], position])
-        most = max(most, float(np.abs(limit_shares(held, machine.limit_table, period)).max()))
+        most = max(most, float(largest_shares(held, machine.limit_table, period).max()))
     return most
 
 

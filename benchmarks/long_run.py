@@ -32,7 +32,7 @@ from operated import LIMITS, waves
 
 from cnc_interp.core.limits_by_position import constant_table
 from cnc_interp.nodes import qos
-from cnc_interp.run.setpoints import BEFORE, limit_shares
+from cnc_interp.run.setpoints import BEFORE, largest_shares
 
 #: Corners and turns that take a minute.
 WAVES_A_MINUTE = 90
@@ -128,9 +128,7 @@ class LongRun(NodesUnderTest):
         q = np.reshape(chunk.positions, (-1, 5))
         before = q[:1].repeat(BEFORE, 0) if self._last is None else self._last
         held = np.concatenate([before, q])
-        self.use = np.maximum(
-            self.use, np.abs(limit_shares(held, self._table, self._period)).max(axis=1)
-        )
+        self.use = np.maximum(self.use, largest_shares(held, self._table, self._period))
         self._last = held[-BEFORE:]
 
     def _see_clock(self, array: DiagnosticArray) -> None:

@@ -13,7 +13,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.chain import Chain, at_fault, no_motion
-from cnc_interp.run.path_chain import PathChain, batches, joined
+from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.setpoints import Setpoints
@@ -24,7 +24,8 @@ from cnc_interp.smoothing.segments import PathSegments
 def path_of(blocks: Blocks, transform: Transform, settings: Settings) -> AxisPath:
     """Smooth a whole program and return its path in machine axes."""
     chain = PathChain(transform, settings)
-    return joined([*(chain.push(batch) for batch in batches(blocks)), chain.finish()])
+    parts = [*(chain.push(batch) for batch in batches(blocks)), chain.finish()]
+    return AxisPath.join([part.path for part in parts if part.path is not None])
 
 
 class Kept:

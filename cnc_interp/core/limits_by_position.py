@@ -121,10 +121,12 @@ def _along(table: FloatArray, q: FloatArray) -> FloatArray:
     return out
 
 
-def largest_between(table: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    largest = np.maximum(limits_along(table, low), limits_along(table, high))
-    for i in range(1, table.shape[2]):
-        place, there = table[PLACE, :, i], table[:PLACE, None, :, i]
-        inside = (low < place) & (place < high)
-        largest = np.where(inside, np.maximum(largest, there), largest)
-    return largest
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def largest_between(table: FloatArray, row: int, axis: int, low: float, high: float) -> float:
+    largest = limit_at(table, row, axis, low)
+    if table.shape[2] > 1:
+        largest = max(largest, limit_at(table, row, axis, high))
+        for i in range(1, table.shape[2]):
+            if low < table[PLACE, axis, i] < high:
+                largest = max(largest, table[row, axis, i])
+    return float(largest)

@@ -64,15 +64,17 @@ def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _window_end(
-    s: FloatArray, bounds: FloatArray, ratio: float, most_cells: int, state: FloatArray
-) -> int:
-    """Continue the search for the window end; return its grid point in ``s``, or -1.
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
+    last: int, ratio: float, most_cells: int, state: FloatArray,
+) -> int:  # fmt: skip
+    """Continue the search for the window end up to a grid point; return its own, or -1.
 
     It is full after ``ratio`` horizons at the fastest speed of an optimistic guess, or after
     ``most_cells``. ``state``: start [m], guessed speed, longest stopping distance [m], cells
     counted.
     """
-    for i in range(len(bounds)):
+    bounds = speed_bounds(s[1 : last + 1] - s[:last], left, right, feed, table)
+    for i in range(last):
         # The guess uses twice the jerk and more acceleration: a window may be too long, not short.
         v = reach(state[1], s[i + 1] - s[i], 2 * bounds[i, 2], 4 * bounds[i, 3])
         v = min(bounds[i, 1], v)
@@ -85,8 +87,12 @@ def _window_end(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def commit_node(s: FloatArray, v: FloatArray, bounds: FloatArray) -> int:
+def commit_node(
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
+    v: FloatArray,
+) -> int:  # fmt: skip
     """Find the last grid point with a whole horizon between it and the end of the plan."""
+    bounds = speed_bounds(s[1:] - s[:-1], left, right, feed, table)
     n = len(bounds)
     farthest = 0.0
     for i in range(n - 1, 0, -1):
@@ -127,13 +133,8 @@ class WindowScan:
             self.stop = before + last
         if self.full is not None:
             return
-        cells = slice(0, last)
-        s = part.s[: last + 1]
-        bounds = speed_bounds(
-            np.diff(s), part.cell_left[:, cells], part.cell_right[:, cells], part.cell_feed[cells],
-            self.table,
-        )  # fmt: skip
-        found = _window_end(s, bounds, self.ratio, self.most_cells, self.state)
+        curve = part.s, part.cell_left, part.cell_right, part.cell_feed, self.table
+        found = _window_end(*curve, last, self.ratio, self.most_cells, self.state)
         if found > 0:
             self.full = before + found
 
@@ -318,10 +319,8 @@ class FeedPlanner:
         cells = len(stretch.nodes) - 1
         if not at_stop:
             fine, s = stretch.path, stretch.path.s
-            bounds = speed_bounds(
-                np.diff(s), fine.cell_left, fine.cell_right, fine.cell_feed, self._table
-            )
-            node = commit_node(s, stretch.v, bounds)
+            curve = s, fine.cell_left, fine.cell_right, fine.cell_feed, self._table
+            node = commit_node(*curve, stretch.v)
             due = int(np.searchsorted(stretch.nodes, node, side='right')) - 1
             least = int(np.searchsorted(s[stretch.nodes], 0.75 * s[0] + 0.25 * s[-1]))
             if due < least and not self._scan.crowded:

@@ -22,8 +22,14 @@ from cnc_interp.core.limits_by_position import (
     has_loads,
     limit_at,
 )
-from cnc_interp.feedrate.speed_guess import guess_speed, guess_time, speed_bounds, speed_inside
-from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_value
+from cnc_interp.feedrate.speed_guess import (
+    guess_speed,
+    guess_time,
+    speed_bounds,
+    speed_inside,
+    speeds_inside,
+)
+from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_jet
 
 SAMPLES = 96  #: Number of intervals in which a cell is sampled before it is subdivided.
 #: Growth of the cell time per unit of time at constant speed, and its largest factor [-].
@@ -39,8 +45,9 @@ NEAR = 1e-6  #: A kink nearer to a border of its cell gets no grid point: part o
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_times(
-    s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, tau: float
-) -> FloatArray:
+    s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, inside: FloatArray,
+    capped: BoolArray, tau: float,
+) -> FloatArray:  # fmt: skip
     """Return the wanted cell time at every grid point [s].
 
     It grows from ``tau`` only where the programmed feed alone limits the speed: there the law
@@ -49,10 +56,8 @@ def cell_times(
     n = len(bounds)
     wanted, growth = np.full(n + 1, tau), np.empty(n)
     for i in range(n):
-        h = s[i + 1] - s[i]
-        speed, cruise = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])
-        cruise = cruise and bounds[i, 1] >= feed[i] and min(v[i], v[i + 1]) >= speed
-        growth[i] = GROWTH * h / speed if cruise else -np.inf
+        cruise = capped[i] and bounds[i, 1] >= feed[i] and min(v[i], v[i + 1]) >= inside[i]
+        growth[i] = GROWTH * (s[i + 1] - s[i]) / inside[i] if cruise else -np.inf
         wanted[i + 1] = min(max(wanted[i] + growth[i], tau), LONGEST * tau)
     for i in range(n - 1, -1, -1):
         wanted[i] = min(wanted[i], max(wanted[i + 1] + growth[i], tau))
@@ -107,24 +112,26 @@ def cell_nodes(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def bend(left: FloatArray, right: FloatArray, h: float, v: float, table: FloatArray) -> float:
-    """Estimate the excess over a limit inside a cell that keeps it at the ends (q_ss, q_sss)."""
+def bend(
+    left: FloatArray, right: FloatArray, i: int, h: float, v: float, table: FloatArray
+) -> float:
+    """Estimate the excess over a limit inside cell i that keeps it at the ends (q_ss, q_sss)."""
     worst = 0.0
-    c, jet = np.empty(8), np.empty(4)
-    for k in range(left.shape[1]):
-        septic_coefficients(left[:, k], right[:, k], h, c)
+    c = np.empty(8)
+    for k in range(left.shape[2]):
+        septic_coefficients(left[:, i, k], right[:, i, k], h, c)
         if c[3] == 0.0 and c[4] == 0.0 and c[5] == 0.0 and c[6] == 0.0 and c[7] == 0.0:
             continue
-        q = left[0, k]
+        q = left[0, i, k]
         by_jerk = v**3 / limit_at(table, JERK, k, q)
         by_acceleration = v**2 / limit_at(table, ACCELERATION, k, q)
         for p in range(1, 8):
             u = p / 8
-            septic_value(c, u, h, jet)
-            straight = left[3, k] + u * (right[3, k] - left[3, k])
-            worst = max(worst, abs(jet[3] - straight) * by_jerk)
-            straight = left[2, k] + u * (right[2, k] - left[2, k])
-            worst = max(worst, abs(jet[2] - straight) * by_acceleration)
+            _, _, q_ss, q_sss = septic_jet(c, u, h)
+            straight = left[3, i, k] + u * (right[3, i, k] - left[3, i, k])
+            worst = max(worst, abs(q_sss - straight) * by_jerk)
+            straight = left[2, i, k] + u * (right[2, i, k] - left[2, i, k])
+            worst = max(worst, abs(q_ss - straight) * by_acceleration)
     return worst
 
 
@@ -141,7 +148,7 @@ class PlanGrid:
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _grid_nodes(
     s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray, bounds: FloatArray,
-    v: FloatArray, wanted: FloatArray, most_bend: float, whole: int,
+    v: FloatArray, inside: FloatArray, wanted: FloatArray, most_bend: float, whole: int,
 ) -> FloatArray:  # fmt: skip
     n = len(bounds)
     found = np.empty(4096)
@@ -152,12 +159,11 @@ def _grid_nodes(
         start, end = wanted[i], wanted[i + 1]
         slowest = min(v[i], v[i + 1])
         # The law may be faster than the guess on ramps, by a factor of up to 2^(2/3).
-        fastest = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
-        fastest = min(1.5 * max(fastest, max(v[i], v[i + 1])), bounds[i, 1])
-        by_bend = np.sqrt(bend(left[:, i], right[:, i], h, fastest, table) / most_bend)
-        new = 0
+        fastest = min(1.5 * max(inside[i], max(v[i], v[i + 1])), bounds[i, 1])
         if h < ALWAYS_GROUPED * fastest:
             continue
+        by_bend = np.sqrt(bend(left, right, i, h, fastest, table) / most_bend)
+        new = 0
         if by_bend > 1.0 or not (slowest > 0.0 and h < slowest * min(start, end)):
             least = by_bend if by_bend > 1.0 else 0.0
             new = cell_nodes(h, v[i], v[i + 1], bounds[i], start, end, least, inner)
@@ -196,24 +202,30 @@ def _lies_on_line(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _group_cells(
-    first: int, s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray,
-    table: FloatArray, bounds: FloatArray, v: FloatArray, wanted: FloatArray, most_bend: float,
-    given: BoolArray,
-) -> IntArray:  # fmt: skip
-    """Group path cells from ``first`` on, ``given`` points inside; return those between."""
-    n = len(bounds)
-    nodes = np.empty(n + 1, dtype=np.int64)
-    nodes[0] = first
-    count, i = 1, first
+    kept: FloatArray, s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray,
+    table: FloatArray, bounds: FloatArray, v: FloatArray, inside: FloatArray, wanted: FloatArray,
+    most_bend: float, given: FloatArray,
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    """Return the nodes, and the bounds and the guess there; path cells after ``kept`` are grouped.
+
+    Only at points that were ``given`` a group may hold more than one wanted cell time.
+    """
+    n, count, point = len(bounds), 0, 0
+    nodes = np.zeros(n + 1, dtype=np.int64)
+    for end in kept:
+        count += 1
+        nodes[count] = np.searchsorted(s, end)
+    i = nodes[count]
+    count += 1
     while i < n:
         start, spent, fastest = i, 0.0, 0.0
         while i < n and i - start < LARGEST_GROUP:
-            h = s[i + 1] - s[i]
-            middle = speed_inside(h / 2, h, v[i], v[i + 1], bounds[i])[0]
-            time = h / middle
-            fastest = max(fastest, min(1.5 * max(middle, max(v[i], v[i + 1])), bounds[i, 1]))
+            time = (s[i + 1] - s[i]) / inside[i]
+            fastest = max(fastest, min(1.5 * max(inside[i], max(v[i], v[i + 1])), bounds[i, 1]))
             if i > start and time > ALWAYS_GROUPED and spent > ALWAYS_GROUPED:
-                if feed[i] != feed[start] or not given[i]:
+                while given[point] < s[i]:
+                    point += 1
+                if feed[i] != feed[start] or given[point] != s[i]:
                     break
                 if spent + time > min(wanted[start], wanted[i + 1]):
                     break
@@ -223,7 +235,30 @@ def _group_cells(
             i += 1
         nodes[count] = i
         count += 1
-    return nodes[:count].copy()
+    grouped = np.empty((count - 1, bounds.shape[1]))
+    for c in range(count - 1):
+        grouped[c] = bounds[nodes[c]]
+        for i in range(nodes[c] + 1, nodes[c + 1]):
+            for k in range(bounds.shape[1]):
+                grouped[c, k] = min(grouped[c, k], bounds[i, k])
+    return nodes[:count].copy(), grouped, v[nodes[:count]]
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _divided(
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
+    start: tuple[float, float], cell_time: tuple[float, float], share: float, ease: float,
+    most_bend: float, whole: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Return bounds, speed at and in cells, wanted cell times, and where cells are divided."""
+    h = s[1:] - s[:-1]
+    bounds = speed_bounds(h, left, right, feed, table)
+    v = guess_speed(h, bounds, *start)
+    inside, capped = speeds_inside(h, v, bounds)
+    tau = min(max(share * guess_time(h, v, inside), cell_time[0]), cell_time[1])
+    wanted = cell_times(s, feed, bounds, v, inside, capped, tau)
+    new = _grid_nodes(s, left, right, table, bounds, v, inside, ease * wanted, most_bend, whole)
+    return bounds, v, inside, wanted, new
 
 
 def planning_grid(
@@ -232,36 +267,25 @@ def planning_grid(
 ) -> PlanGrid:  # fmt: skip
     """Choose the planner cells of a path that ends at rest."""
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
-    coarse = path.s
+    given = path.s
     for attempt in range(MOST_ROUNDS + 1):
-        bounds = speed_bounds(
-            np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, table
-        )
-        v = guess_speed(np.diff(path.s), bounds, *start)
-        tau = share * guess_time(np.diff(path.s), v, bounds)
-        tau = min(max(tau, cell_time[0]), cell_time[1])
+        curve = path.s, path.cell_left, path.cell_right, path.cell_feed, table
         # Later rounds refine only where the first guess was too coarse, so they are less strict.
         ease = 1.0 if attempt == 0 else 1.6
-        curve = path.s, path.cell_left, path.cell_right
-        wanted = cell_times(path.s, path.cell_feed, bounds, v, tau)
-        new = _grid_nodes(*curve, table, bounds, v, ease * wanted, ease**2 * most_bend, whole)
+        *guess, wanted, new = _divided(
+            *curve, start, cell_time, share, ease, ease**2 * most_bend, whole
+        )
         if len(new) == 0 or attempt == MOST_ROUNDS or len(path.s) + len(new) > MOST_NODES:
             break
         path = refine(path, new)
-    given = np.isin(path.s, coarse)
-    groups = _group_cells(
-        whole, *curve, path.cell_feed, table, bounds, v, wanted, most_bend / 3, given
-    )
-    older = np.searchsorted(path.s, kept).astype(np.int64)
-    nodes = np.concatenate([np.zeros(1, dtype=np.int64), older, groups[1:]])
-    return PlanGrid(path, nodes, np.minimum.reduceat(bounds, nodes[:-1], axis=0), v[nodes])
+    return PlanGrid(path, *_group_cells(kept, *curve, *guess, wanted, most_bend / 3, given))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
     """Return where in cells a limit has a kink [m]: in its table, or where an axis turns."""
     found = [0.0 for _ in range(0)]
-    c, jet = np.empty(8), np.empty(4)
+    c = np.empty(8)
     for i in range(left.shape[1]):
         h = s[i + 1] - s[i]
         for k in range(left.shape[2]):
@@ -276,8 +300,8 @@ def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray
                 low, high = 0.0, 1.0
                 for _ in range(60):
                     u = 0.5 * (low + high)
-                    septic_value(c, u, h, jet)
-                    if (jet[order] < place) == (start < end):
+                    q, q_s, _, _ = septic_jet(c, u, h)
+                    if ((q_s if order else q) < place) == (start < end):
                         low = u
                     else:
                         high = u

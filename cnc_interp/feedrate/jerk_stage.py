@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, has_loads, limits_along
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
@@ -53,6 +53,8 @@ WARM_START_PART = 0.7
 MOST_ITERATIONS = 80
 MARGIN = 120  #: Number of cells before and after a corrected cell that are solved again with it.
 FEW = 0.5  #: Largest part of all cells that is solved again instead of all.
+#: Rows of a tool whose error has no limit.
+NO_ROWS = np.empty((0, 4, 0))
 SMOOTHING_CELLS = 1  #: Number of cells on either side over which the first guess is smoothed.
 
 
@@ -107,9 +109,22 @@ def without_braking(
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> FloatArray:
-    """Return starting coefficients: moving minimum, then mean, as no law follows corners."""
-    n = len(h)
+def _cells(
+    s: FloatArray, left: FloatArray, right: FloatArray, nodes: IntArray, bounds: FloatArray,
+    v: FloatArray, most: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
+    """Return widths, both ends and first coefficients of the planner cells; points of others.
+
+    The coefficients are a moving minimum, then a mean, as no law follows corners. ``most`` points
+    are checked in a planner cell; they are shared out among its path cells.
+    """
+    n = len(nodes) - 1
+    h, points = s[nodes[1:]] - s[nodes[:-1]], np.empty(len(s) - 1, dtype=np.int64)
+    first, last = np.empty((4, n, left.shape[2])), np.empty((4, n, left.shape[2]))
+    for i in range(n):
+        for c in range(nodes[i], nodes[i + 1]):
+            points[c] = 2 + int(np.ceil((most - 2) * ((s[c + 1] - s[c]) / h[i])))
+        first[:, i], last[:, i] = left[:, nodes[i]], right[:, nodes[i + 1] - 1]
     squared, least, m = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
         middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
@@ -118,7 +133,67 @@ def _first_coefficients(h: FloatArray, bounds: FloatArray, v: FloatArray) -> Flo
         least[i] = squared[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].min()
     for i in range(n):
         m[i] = least[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].mean()
-    return m
+    return h, first, last, m, points
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def solve_cells(
+    first: int, end: int, h: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray,
+    scale: FloatArray, bounds: FloatArray, ends: FloatArray, more: FloatArray, factors: int,
+    m: FloatArray, width: FloatArray, slack: FloatArray, dual: FloatArray, warm: bool, gap: float,
+) -> int:  # fmt: skip
+    """Solve cells ``first`` ... ``end`` between two states; ``more`` are rows of the tool."""
+    cells, count, n_axes = slice(first, end), end - first, left.shape[2]
+    some_scale, fast = scale[cells], bounds[cells, 4:].copy()
+    rows = np.zeros((n_axes + len(more), factors, count))
+    some_left, some_right, some_slack, some_dual = (
+        np.ascontiguousarray(left[:, cells]), np.ascontiguousarray(right[:, cells]),
+        np.ascontiguousarray(slack[:, cells]), np.ascontiguousarray(dual[:, cells]),
+    )  # fmt: skip
+    build_rows(some_left, some_right, table, some_scale, rows[:n_axes])
+    if len(more) > 0 and count > 2:
+        # The first node of the solved cells is given.
+        rows[n_axes:, 9:, 1:] = more[:, :, first + 1 : end]
+    # The velocity limit is linear inside the cell, so these are the Bezier points of b.
+    caps = np.empty((count, 2))
+    for i in range(count):
+        fast[i] *= min(some_scale[i, 0].min(), some_scale[i, 3, 0])
+    for i in range(count):
+        node = fast[i, 0] if i == 0 else min(fast[i, 0], fast[i - 1, 1])
+        caps[i, 0], caps[i, 1] = fast[i, 0] * fast[i, 1], node * node
+    status, _, _ = solve(
+        h[cells], rows, caps, ends, m[cells], width[cells], some_slack, some_dual, warm, gap,
+        MOST_ITERATIONS,
+    )  # fmt: skip
+    slack[:, cells], dual[:, cells] = some_slack, some_dual
+    return status
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _spread(
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, nodes: IntArray,
+    v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
+    accepted: FloatArray, use: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
+    """Spread a law over the path cells; return it and its worst use, and write ``use``."""
+    cells, n_axes, worst = len(s) - 1, left.shape[2], 0.0
+    all_v, all_a = np.empty(cells + 1), np.empty(cells + 1)
+    jerk, all_duration = np.empty(cells), np.empty(cells)
+    spread_law(s, nodes, v, a, duration, all_v, all_a, jerk, all_duration)
+    all_use = np.empty((2, cells, 4, n_axes))
+    limit_use(
+        s[1:] - s[:-1], left, right, feed, all_v, all_a, jerk, all_duration, table, points, all_use
+    )
+    for i in range(len(nodes) - 1):
+        for row in range(4):
+            for k in range(n_axes):
+                most = all_use[0, nodes[i], row, k]
+                for c in range(nodes[i] + 1, nodes[i + 1]):
+                    most = np.maximum(most, all_use[0, c, row, k])
+                start, end = all_use[1, nodes[i], row, k], all_use[1, nodes[i + 1] - 1, row, k]
+                use[0, i, row, k], use[1, i, row, k] = most, np.maximum(start, end)
+                worst = np.maximum(worst, most / accepted[i, row])
+    return all_v, all_a, jerk, all_duration, worst
 
 
 def _spans_around(changed: BoolArray) -> list[tuple[int, int]]:
@@ -139,11 +214,16 @@ class StretchProblem:
         kept: KeptCells, tool: ToolLimit | None = None,
     ):  # fmt: skip
         self.grid, self.table, self.options = grid, table, options
-        path, nodes = grid.path, grid.nodes
-        self.h = np.diff(path.s[nodes])
+        path, nodes, guess = grid.path, grid.nodes, grid.guess
+        if options.below_ceiling:
+            squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
+            guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
+        curve = path.s, path.cell_left, path.cell_right
+        self.h, self.left, self.right, self.m, self.points = _cells(
+            *curve, nodes, grid.bounds, guess, options.points
+        )
         n, n_axes, k = len(self.h), path.cell_left.shape[2], len(kept.ends)
-        self.left = np.ascontiguousarray(path.cell_left[:, nodes[:-1]])
-        self.right = np.ascontiguousarray(path.cell_right[:, nodes[1:] - 1])
+        self.m[: len(kept.m)] = kept.m
         self.ends = np.array([start[0] ** 2, start[1], 0.0, 0.0])
         self.scale = np.empty((n, 4, n_axes))
         self.scale[:] = (1 - SLACK)[:, None]
@@ -155,12 +235,6 @@ class StretchProblem:
         self.factor = np.full(n, EXCESS_FACTOR)
         self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
-        guess = grid.guess
-        if options.below_ceiling:
-            squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
-            guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
-        self.m = _first_coefficients(self.h, grid.bounds, guess)
-        self.m[: len(kept.m)] = kept.m
         self.use = np.empty((2, n, 4, n_axes))
         self.loaded = has_loads(table)
         self.tool = None if tool is None else tool.stretch_rows(self.left, self.right, kept.tool)
@@ -170,8 +244,6 @@ class StretchProblem:
         self.dual = np.zeros_like(self.slack)
         self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
         self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
-        share = np.diff(path.s) / np.repeat(self.h, np.diff(nodes))
-        self.points = 2 + np.ceil((options.points - 2) * share).astype(np.int64)
 
     def reset_widths(self) -> FloatArray:
         """Return the initial effective widths [m]: 1.5 h in a cell at rest, else h."""
@@ -202,36 +274,17 @@ class StretchProblem:
         self, first: int, end: int, m: FloatArray, width: FloatArray, warm: bool
     ) -> int:
         """Solve some cells between the states of the last law, or the ends of the stretch."""
-        cells = slice(first, end)
         ends = self.ends.copy()
         if first > 0:
             ends[:2] = self.v[first] ** 2, self.a[first]
         if end < len(m):
             ends[2:] = self.v[end] ** 2, self.a[end]
-        scale = self.scale[cells]
-        left, right, slack, dual = (
-            np.ascontiguousarray(x[:, cells])
-            for x in (self.left, self.right, self.slack, self.dual)
-        )
-        n_axes = left.shape[2]
-        factors = 13 if self.places > 3 else 9
-        rows = np.zeros((n_axes + self.more_rows, factors, end - first))
-        build_rows(left, right, self.table, scale, rows[:n_axes])
-        if self.tool is not None and end - first > 2:
-            # The first node of the solved cells is given.
-            rows[n_axes:, 9:, 1:] = self.tool.within_parts()[:, :, first + 1 : end]
-        part = np.minimum(scale[:, 0].min(axis=1), scale[:, 3, 0])
-        fast = self.grid.bounds[cells, 4:] * part[:, None]
-        node = fast[:, 0].copy()
-        node[1:] = np.minimum(node[1:], fast[:-1, 1])
-        # The velocity limit is linear inside the cell, so these are the Bezier points of b.
-        caps = np.column_stack([fast[:, 0] * fast[:, 1], node**2])
-        status, _, _ = solve(
-            self.h[cells], rows, caps, ends, m[cells], width[cells], slack, dual, warm,
-            self.options.gap, MOST_ITERATIONS,
-        )  # fmt: skip
-        self.slack[:, cells], self.dual[:, cells] = slack, dual
-        return int(status)
+        more = NO_ROWS if self.tool is None else self.tool.within_parts()
+        return int(solve_cells(
+            first, end, self.h, self.left, self.right, self.table, self.scale, self.grid.bounds,
+            ends, more, 13 if self.places > 3 else 9, m, width, self.slack, self.dual, warm,
+            self.options.gap,
+        ))  # fmt: skip
 
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
         """Simulate the drives on a law; lower the tool rows where the error is too large."""
@@ -246,8 +299,7 @@ class StretchProblem:
         """Turn coefficients and widths, which settle, into an exact law; None if there is none."""
         n = len(self.h)
         v, a, duration = np.empty(n + 1), np.empty(n + 1), np.empty(n)
-        left = settle_widths(self.h, m, width, self.ends, v, a, duration)
-        if not (left < 1e-13 and np.all(np.isfinite(duration)) and duration.min() > 0):
+        if not settle_widths(self.h, m, width, self.ends, v, a, duration) < 1e-13:
             return None
         self.width, self.v, self.a = width, v, a
         return self.with_limit_use(v, a, duration)
@@ -255,19 +307,11 @@ class StretchProblem:
     def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
         """Spread a law over the path cells and evaluate its use of the limits."""
         path, nodes = self.grid.path, self.grid.nodes
-        cells, n_axes = len(path.s) - 1, path.cell_left.shape[2]
-        fine = np.empty(cells + 1), np.empty(cells + 1), np.empty(cells), np.empty(cells)
-        spread_law(path.s, nodes, v, a, duration, *fine)
-        use = np.empty((2, cells, 4, n_axes))
-        limit_use(
-            np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed, *fine, self.table,
-            self.points, use,
-        )  # fmt: skip
-        self.use[0] = np.maximum.reduceat(use[0], nodes[:-1], axis=0)
-        self.use[1] = use[1, nodes[:-1]]
-        np.maximum(self.use[1], use[1, nodes[1:] - 1], out=self.use[1])
-        worst = float((self.use[0].max(axis=2) / self.accepted).max())
-        return Stretch(path, *fine, nodes, self.scale.copy(), worst)
+        curve = path.s, path.cell_left, path.cell_right, path.cell_feed
+        v, a, jerk, duration, worst = _spread(
+            *curve, nodes, v, a, duration, self.table, self.points, self.accepted, self.use
+        )
+        return Stretch(path, v, a, jerk, duration, nodes, self.scale.copy(), worst)
 
     def lower_limits(self) -> bool:
         """Lower limits where the last law exceeded them; tell whether it is still a good start.

@@ -17,7 +17,7 @@ from cnc_interp.core.limits_by_position import (
     load_use,
 )
 from cnc_interp.core.units import MS
-from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_value
+from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_jet
 from cnc_interp.machine_model.machine import Machine
 
 ROOMY = 1.0 * MS  #: Shortest period at which the slack covers steps between path cells [s].
@@ -93,7 +93,6 @@ def limit_use(
     """
     n, n_axes = len(h), left.shape[2]
     coefficients = np.empty((n_axes, 8))
-    jet = np.empty(4)
     worst = np.zeros(4)
     use[:] = 0.0
     for i in range(n):
@@ -122,8 +121,7 @@ def limit_use(
                     q, q_s = left[0, i, k] + left[1, i, k] * s, left[1, i, k]
                     q_ss, q_sss = left[2, i, k], left[3, i, k]
                 else:
-                    septic_value(coefficients[k], u, h[i], jet)
-                    q, q_s, q_ss, q_sss = jet[0], jet[1], jet[2], jet[3]
+                    q, q_s, q_ss, q_sss = septic_jet(coefficients[k], u, h[i])
                 velocity = abs(q_s * s_dot) / limit_at(table, VELOCITY, k, q)
                 second = q_ss * s_dot * s_dot + q_s * s_ddot
                 acceleration = abs(second) / limit_at(table, ACCELERATION, k, q)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     COULOMB,
@@ -19,7 +19,7 @@ from cnc_interp.core.limits_by_position import (
     VELOCITY,
     limit_at,
 )
-from cnc_interp.kinematics.axis_path import septic_coefficients, septic_value
+from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 
 FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].
 
@@ -43,18 +43,19 @@ def speed_bounds(
     """
     n, n_axes = len(h), left.shape[2]
     out = np.empty((n, 6))
-    c, jet = np.empty(8), np.empty(4)
+    c = np.empty(8)
     for i in range(n):
         fast = min(feed[i], FASTEST)
-        slow, acceleration, jerk = fast, 1e12, 1e12
+        acceleration, jerk = 1e12, 1e12
+        by_second, by_third = np.inf, np.inf
         first, last = fast, fast
         for k in range(n_axes):
             septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
-            septic_value(c, 0.5, h[i], jet)
-            q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(jet[1]))
-            q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(jet[2]))
-            q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(jet[3]))
-            q0, q1, q2 = left[0, i, k], jet[0], right[0, i, k]
+            q1, q_s, q_ss, q_sss = septic_jet(c, 0.5, h[i])
+            q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(q_s))
+            q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(q_ss))
+            q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(q_sss))
+            q0, q2 = left[0, i, k], right[0, i, k]
             largest_a = _lowest(table, ACCELERATION, k, q0, q1, q2)
             largest_a = min(largest_a, table[DRIVE, k, 0] - table[COULOMB, k, 0])
             largest_j = _lowest(table, JERK, k, q0, q1, q2)
@@ -65,10 +66,11 @@ def speed_bounds(
                 acceleration = min(acceleration, largest_a / q_s)
                 jerk = min(jerk, largest_j / q_s)
             if q_ss > 0.0:
-                slow = min(slow, np.sqrt(largest_a / q_ss))
+                by_second = min(by_second, largest_a / q_ss)
             if q_sss > 0.0:
-                slow = min(slow, (largest_j / q_sss) ** (1 / 3))
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = fast, min(fast, slow), acceleration, jerk
+                by_third = min(by_third, largest_j / q_sss)
+        slow = min(fast, np.sqrt(by_second), by_third ** (1 / 3))
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = fast, slow, acceleration, jerk
         out[i, 4], out[i, 5] = first, last
     return out
 
@@ -109,17 +111,30 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
-    ramp = min(reach(v0, x, bound[2], bound[3]), reach(v1, h - x, bound[2], bound[3]))
+    # The smaller one of ``reach`` from both ends, with one power and one root.
+    rise, growth = 1.06 * np.sqrt(bound[3]), 1.4 * bound[2]
+    by_jerk = min(v0**1.5 + rise * x, v1**1.5 + rise * (h - x)) ** (2 / 3)
+    ramp = min(by_jerk, np.sqrt(min(v0 * v0 + growth * x, v1 * v1 + growth * (h - x))))
     cap = 0.9 * bound[1]
     return min(ramp, cap), ramp > cap
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def guess_time(h: FloatArray, v: FloatArray, bounds: FloatArray) -> float:
+def speeds_inside(
+    h: FloatArray, v: FloatArray, bounds: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Guess the speed in the middle of each cell, and whether the ramps reach the cap there."""
+    speed, capped = np.empty(len(h)), np.empty(len(h), np.bool_)
+    for i in range(len(h)):
+        speed[i], capped[i] = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])
+    return speed, capped
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def guess_time(h: FloatArray, v: FloatArray, inside: FloatArray) -> float:
     total = 0.0
     for i in range(len(h)):
-        middle = speed_inside(h[i] / 2, h[i], v[i], v[i + 1], bounds[i])[0]
         for end in (v[i], v[i + 1]):
             factor = 1.5 if end == 0.0 else 1.0
-            total += factor * h[i] / (end + middle)
+            total += factor * h[i] / (end + inside[i])
     return total

@@ -28,7 +28,7 @@ from cnc_interp.kinematics.axis_path import (
     cut,
     refine,
     septic_coefficients,
-    septic_value,
+    septic_jet,
 )
 
 STEP = 5e-4  #: Longest time with one jerk [s]; the limits are kept at both ends.
@@ -80,7 +80,7 @@ def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: Fl
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _jets_at(septics: FloatArray, u: float, h: float, jet: FloatArray) -> None:
     for i in range(len(septics)):
-        septic_value(septics[i], u, h, jet[i])
+        jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3] = septic_jet(septics[i], u, h)
 
 
 @numba.njit(cache=True, nogil=True)

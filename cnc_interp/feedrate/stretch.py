@@ -64,7 +64,10 @@ def settle_widths(
     h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
     a: FloatArray, duration: FloatArray,
 ) -> float:  # fmt: skip
-    """Iterate the widths to rounding: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3."""
+    """Iterate the widths to rounding: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
+
+    Returns what is left, infinite if a cell takes no time, or no finite one.
+    """
     b = np.empty(len(v))
     left = 1.0
     for _ in range(60):
@@ -75,6 +78,8 @@ def settle_widths(
     node_states(m, width, ends, b, a, v)
     for i in range(len(h)):
         duration[i] = 2 * width[i] / (v[i] + v[i + 1])
+        if not 0.0 < duration[i] < np.inf:
+            left = np.inf
     return left
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.limits_by_position import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
 from cnc_interp.feedrate.speed_guess import FASTEST
-from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_value
+from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
 
 STEP = 3  #: Number of planner cells in one step of TOPP-RA.
 ROOM = 1e-9  #: Part of the largest b by which a step may miss its rows without being solved [-].
@@ -42,16 +42,16 @@ class TimeBound(NamedTuple):
 def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     n, n_axes = len(h), left.shape[2]
     ways = np.empty((n, n_axes))
-    c, jet = np.empty(8), np.empty(4)
+    c = np.empty(8)
     for i in range(n):
         for k in range(n_axes):
             first, last = left[1, i, k], right[1, i, k]
             here, there = left[0, i, k], right[0, i, k]
             ways[i, k] = abs(there - here) + ROUNDING * max(abs(here), abs(there))
             septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
-            septic_value(c, 0.5, h[i], jet)
-            if min(first, last, jet[1]) < 0.0 < max(first, last, jet[1]):
-                ways[i, k] = h[i] * max(abs(first), abs(last), abs(jet[1]))
+            middle = septic_jet(c, 0.5, h[i])[1]
+            if min(first, last, middle) < 0.0 < max(first, last, middle):
+                ways[i, k] = h[i] * max(abs(first), abs(last), abs(middle))
     return ways
 
 
@@ -201,6 +201,35 @@ def _last_conflict(
     return -1
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _ceiling(
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
+    nodes: IntArray, start: float, rests: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:  # fmt: skip
+    """Return b by the first two lines, the largest limits and rooms; TOPP-RA's points and rows."""
+    largest = _largest_limits(left, right, table)
+    ways = _ways(s[1:] - s[:-1], left, right)
+    rooms = 2 * largest[1] * ways
+    b = _point_caps(left, right, feed, table)
+    b[0] = min(b[0], start)
+    if rests:
+        b[-1] = 0.0
+    _both_passes(left, right, rooms, b)
+    points = np.append(nodes[:-1:STEP], nodes[-1])
+    return b, largest, rooms, points, *_step_rows(points, left, right, ways, largest)
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _with_steps(
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
+    rooms: FloatArray, points: IntArray, found: FloatArray, b: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Take b at TOPP-RA's points over to the others; return the least times."""
+    b[points] = found
+    _both_passes(left, right, rooms, b)
+    return _least_times(s[1:] - s[:-1], left, right, feed, largest, b)
+
+
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
     """Return the largest b from which the rest can be driven (TOPP-RA); toppra for few steps."""
     found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
@@ -219,18 +248,7 @@ def time_bound(
     path: AxisPath, nodes: IntArray, table: FloatArray, start: float, rests: bool
 ) -> TimeBound:
     """Compute the ceiling of the speed along a path and the least time in its cells."""
-    h, left, right, feed = np.diff(path.s), path.cell_left, path.cell_right, path.cell_feed
-    largest = _largest_limits(left, right, table)
-    ways = _ways(h, left, right)
-    rooms = 2 * largest[1] * ways
-    b = _point_caps(left, right, feed, table)
-    b[0] = min(b[0], start)
-    if rests:
-        b[-1] = 0.0
-    _both_passes(left, right, rooms, b)
-    points = np.unique(np.append(nodes[::STEP], nodes[-1]))
-    if b.max() > 0.0:
-        first, last = _step_rows(points, left, right, ways, largest)
-        b[points] = _controllable(first, last, b[points])
-        _both_passes(left, right, rooms, b)
-    return TimeBound(b, _least_times(h, left, right, feed, largest, b))
+    curve = path.s, path.cell_left, path.cell_right, path.cell_feed
+    b, largest, rooms, points, first, last = _ceiling(*curve, table, nodes, start, rests)
+    found = _controllable(first, last, b[points])
+    return TimeBound(b, _with_steps(*curve, largest, rooms, points, found, b))

@@ -28,9 +28,9 @@ from cnc_interp.core.units import MM
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion
-from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.motion_law import MotionLaw, axis_motion
 from cnc_interp.feedrate.stretch import Stretch
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate_along
+from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.notices import WARNING
@@ -122,7 +122,7 @@ class ToolLimit:
             return self
         law, motion = stretch.law(0.0, last), self.motion.copy()
         time = self._times(law)
-        motion.push(*_sampled(stretch.path, law, time))
+        motion.push(*axis_motion(stretch.path, law, time)[:2])
         wait = self.wait + self.period * len(time) - law.end_time
         return replace(self, motion=motion, wait=wait)
 
@@ -191,7 +191,7 @@ class ToolLimit:
         cells = len(stretch.duration)
         law, motion = stretch.law(0.0, cells), self.motion.copy()
         time = self._times(law)
-        moving = motion.push(*_sampled(stretch.path, law, time))
+        moving = motion.push(*axis_motion(stretch.path, law, time)[:2])
         resting = motion.settle(stretch.path.cell_right[0, -1])
         axis = np.concatenate([moving.axis, resting.axis]) * self.flank_height
         errors = np.stack([np.concatenate([moving.tip, resting.tip]), axis])
@@ -237,14 +237,6 @@ class ToolRows:
         fell = (found < self.part).any(axis=0)
         self.part = found
         return float(simulated.max()), fell
-
-
-def _sampled(path: AxisPath, law: MotionLaw, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    piece = law.piece_at(time)
-    cell = law.cell[piece]
-    along = law.s[piece] - path.s[cell] + law.moved(time, piece)
-    q, q_s, _, _ = evaluate_along(path, along, cell)
-    return q, q_s * law.evaluate(time, piece)[1][:, None]
 
 
 def _normals(direction: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -33,8 +33,8 @@ class AxisPath:
     stop: BoolArray  #: (N,): Where the motion must rest, first and last point included.
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            getattr(self, field.name).flags.writeable = False
+        for column in vars(self).values():
+            column.flags.writeable = False
 
     @property
     def q(self) -> FloatArray:
@@ -45,6 +45,8 @@ class AxisPath:
     def join(parts: list[AxisPath]) -> AxisPath:
         """Join pieces of one path; each begins at the grid point where the one before ends."""
         first, rest = parts[0], parts[1:]
+        if not rest:
+            return first
         stop = [first.stop]
         for part in rest:
             stop[-1] = np.concatenate([stop[-1][:-1], stop[-1][-1:] | part.stop[:1]])
@@ -91,8 +93,8 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
 
 
 @numba.njit(cache=True, nogil=True)
-def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
-    """Write value and three derivatives by s of a septic in u = (s - s_left)/h (Horner)."""
+def septic_jet(c: FloatArray, u: float, h: float) -> tuple[float, float, float, float]:
+    """Return value and three derivatives by s of a septic in u = (s - s_left)/h (Horner)."""
     value, first, second, third = c[7], 0.0, 0.0, 0.0
     for k in range(6, -1, -1):
         third = third * u + second
@@ -100,7 +102,7 @@ def septic_value(c: FloatArray, u: float, h: float, out: FloatArray) -> None:
         first = first * u + value
         value = value * u + c[k]
     h2 = h * h
-    out[0], out[1], out[2], out[3] = value, first / h, 2 * second / h2, 6 * third / (h2 * h)
+    return value, first / h, 2 * second / h2, 6 * third / (h2 * h)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -112,7 +114,6 @@ def evaluate_cells(
     n_axes = cell_left.shape[2]
     out = np.empty((4, len(along), n_axes))
     coefficients = np.empty((n_axes, 8))
-    jet = np.empty(4)
     known = -1
     for m in range(len(along)):
         i = cell[m]
@@ -123,13 +124,13 @@ def evaluate_cells(
             known = i
         u = along[m] / h
         for k in range(n_axes):
-            if u >= 1.0:
-                out[:, m, k] = cell_right[:, i, k]
-            elif u <= 0.0:
-                out[:, m, k] = cell_left[:, i, k]
-            else:
-                septic_value(coefficients[k], u, h, jet)
-                out[:, m, k] = jet
+            if 0.0 < u < 1.0:
+                q, q_s, q_ss, q_sss = septic_jet(coefficients[k], u, h)
+                out[0, m, k], out[1, m, k], out[2, m, k], out[3, m, k] = q, q_s, q_ss, q_sss
+                continue
+            end = cell_right if u >= 1.0 else cell_left
+            for order in range(4):
+                out[order, m, k] = end[order, i, k]
     return out
 
 
@@ -141,39 +142,78 @@ def evaluate(
     if cell is None:
         found = np.searchsorted(path.s, s, side='right') - 1
         cell = np.clip(found, 0, len(path.s) - 2).astype(np.int64)
-    return evaluate_along(path, s - path.s[cell], cell)
-
-
-def evaluate_along(
-    path: AxisPath, along: FloatArray, cell: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what ``evaluate`` does, at distances [m] from cells' starts: they round less."""
-    jets = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)
+    jets = evaluate_cells(path.s, path.cell_left, path.cell_right, s - path.s[cell], cell)
     return jets[0], jets[1], jets[2], jets[3]
 
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
-    s = np.union1d(path.s, s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
+    s, cell = _points_with(path.s, np.sort(s_new))
     if len(s) == len(path.s):
         return path
-    parent = np.clip(np.searchsorted(path.s, s, side='right') - 1, 0, len(path.s) - 2)
-    parent = parent.astype(np.int64)
-    of_cell = parent[:-1]
-    begin, end = s[:-1] - path.s[of_cell], s[1:] - path.s[of_cell]
-    left = evaluate_cells(path.s, path.cell_left, path.cell_right, begin, of_cell)
-    right = evaluate_cells(path.s, path.cell_left, path.cell_right, end, of_cell)
-    old = np.searchsorted(s, path.s)
-    stop = np.zeros(len(s), dtype=np.bool_)
-    stop[old] = path.stop
-    tip = np.column_stack([np.interp(s, path.s, path.tip[:, k]) for k in range(3)])
-    axis = np.column_stack([np.interp(s, path.s, path.axis[:, k]) for k in range(3)])
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    tip[old], axis[old] = path.tip, path.axis
+    curve = path.s, path.cell_left, path.cell_right, path.tip, path.axis, path.stop
+    left, right, tip, axis, stop = _refined(s, cell, *curve)
+    of_cell = cell[:-1]
     return AxisPath(
         s=s, cell_left=left, cell_right=right, tip=tip, axis=axis,
         cell_feed=path.cell_feed[of_cell], cell_block=path.cell_block[of_cell], stop=stop,
     )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def _points_with(s: FloatArray, s_new: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return a grid with sorted new points inside it, and the old cell that begins each cell."""
+    points, cell = np.empty(len(s) + len(s_new)), np.empty(len(s) + len(s_new), dtype=np.int64)
+    count, new = 0, 0
+    for i in range(len(s)):
+        points[count], cell[count] = s[i], min(i, len(s) - 2)
+        count += 1
+        while new < len(s_new) and i + 1 < len(s) and s_new[new] < s[i + 1]:
+            if s_new[new] > points[count - 1]:
+                points[count], cell[count] = s_new[new], i
+                count += 1
+            new += 1
+    return points[:count].copy(), cell[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True)
+def _refined(
+    s: FloatArray, cell: IntArray, old: FloatArray, cell_left: FloatArray, cell_right: FloatArray,
+    old_tip: FloatArray, old_axis: FloatArray, old_stop: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
+    n_axes = cell_left.shape[2]
+    left, right = np.empty((4, len(s) - 1, n_axes)), np.empty((4, len(s) - 1, n_axes))
+    tip, axis, stop = np.empty((len(s), 3)), np.empty((len(s), 3)), np.zeros(len(s), np.bool_)
+    coefficients, known, h = np.empty((n_axes, 8)), -1, 1.0
+    for p in range(len(s) - 1):
+        i = cell[p]
+        if i != known:
+            known, h = i, old[i + 1] - old[i]
+            for k in range(n_axes):
+                septic_coefficients(cell_left[:, i, k], cell_right[:, i, k], h, coefficients[k])
+        for side in range(2):
+            u = (s[p + side] - old[i]) / h
+            out, end = right if side else left, cell_left if u <= 0.0 else cell_right
+            for k in range(n_axes):
+                if 0.0 < u < 1.0:
+                    q, q_s, q_ss, q_sss = septic_jet(coefficients[k], u, h)
+                    out[0, p, k], out[1, p, k], out[2, p, k], out[3, p, k] = q, q_s, q_ss, q_sss
+                    continue
+                for order in range(4):
+                    out[order, p, k] = end[order, i, k]
+    for p in range(len(s)):
+        i = cell[p]
+        i += p == len(s) - 1
+        if s[p] == old[i]:
+            tip[p], axis[p], stop[p] = old_tip[i], old_axis[i], old_stop[i]
+            continue
+        for k in range(3):
+            slope = (old_tip[i + 1, k] - old_tip[i, k]) / (old[i + 1] - old[i])
+            tip[p, k] = slope * (s[p] - old[i]) + old_tip[i, k]
+            slope = (old_axis[i + 1, k] - old_axis[i, k]) / (old[i + 1] - old[i])
+            axis[p, k] = slope * (s[p] - old[i]) + old_axis[i, k]
+        axis[p] /= np.sqrt(axis[p, 0] ** 2 + axis[p, 1] ** 2 + axis[p, 2] ** 2)
+    return left, right, tip, axis, stop
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:

@@ -12,7 +12,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
-from cnc_interp.kinematics.axis_path import septic_value
+from cnc_interp.kinematics.axis_path import septic_jet
 from cnc_interp.machine_model.transform_kernels import (
     OUTER,
     SIZE,
@@ -139,9 +139,10 @@ def pose_jets(
 @njit(cache=True, nogil=True)
 def guide_jet(guide: FloatArray, way: float) -> Jet:
     """Return the jet by path length [rad] of the outer axis where it is given; see ``sample``."""
-    value, length = np.empty(4), guide[GUIDE_LENGTH]
-    septic_value(guide[GUIDE], (guide[GUIDE_BEGUN] + way) / length, length, value)
-    return (value[0], value[1], 0.5 * value[2], value[3] / 6.0)
+    length = guide[GUIDE_LENGTH]
+    u = (guide[GUIDE_BEGUN] + way) / length
+    value, first, second, third = septic_jet(guide[GUIDE], u, length)
+    return (value, first, 0.5 * second, third / 6.0)
 
 
 @njit(cache=True, nogil=True)

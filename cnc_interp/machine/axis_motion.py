@@ -15,7 +15,7 @@ from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
+from cnc_interp.run.setpoints import BEFORE, largest_shares, torque_shares
 
 ROUNDING = 1.01  #: Differences of valid setpoints exceed a limit by rounding at most.
 
@@ -47,10 +47,11 @@ def refuse_setpoints(
     parts = [before, positions, np.tile(positions[-1:], (3, 1))]
     course = np.concatenate(parts)
     table = machine.limit_table
-    shares = [*np.abs(limit_shares(course, table, period)), torque_shares(course, table, period)]
-    for use, what in zip(shares, ('velocity', 'acceleration', 'jerk', 'torque'), strict=True):
+    torques = torque_shares(course, table, period).max(axis=0)
+    uses = [*largest_shares(course, table, period), torques]
+    for use, what in zip(uses, ('velocity', 'acceleration', 'jerk', 'torque'), strict=True):
         if not use.max() <= ROUNDING:
-            k = int(np.argmax(use.max(axis=0)))
+            k = int(np.argmax(use))
             raise StreamError(
                 f'{machine.axis_names[k]} asked for {use.max():.4g} times its largest {what}; '
                 'setpoints were spoilt on their way, lost, or made for another machine'
@@ -133,8 +134,7 @@ class AxisMotion:
         """Compare what was asked for with what the drives did, in the periods that follow."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
-        shares = limit_shares(held, self.machine.limit_table, self.period)
-        use = np.abs(shares).max(axis=1)
+        use = largest_shares(held, self.machine.limit_table, self.period)
         torques = torque_shares(held, self.machine.limit_table, self.period).max(axis=0)
         use[1] = np.maximum(use[1], torques)
         self.setpoints = held[-BEFORE:]

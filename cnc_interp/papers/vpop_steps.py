@@ -19,7 +19,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.stretch import time_at
-from cnc_interp.kinematics.axis_path import septic_value
+from cnc_interp.kinematics.axis_path import septic_jet
 
 #: Ends of the cells from 0 on, septics and largest feed of each, limits, and the longest step.
 Curve: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]
@@ -39,7 +39,6 @@ def _leave(
     septics: FloatArray, u: float, h: float, v: float, a: float, table: FloatArray, out: FloatArray
 ) -> None:
     """Write lowest and highest j, lowest and highest a, highest j on a straight line, and v."""
-    jet = np.empty(4)
     out[0], out[1], out[2], out[3], out[4], out[5] = (
         -np.inf,
         np.inf,
@@ -49,11 +48,11 @@ def _leave(
         np.inf,
     )
     for i in range(len(septics)):
-        septic_value(septics[i], u, h, jet)
-        q_s, bent = jet[1], jet[2] * v * v
-        turned = (3 * jet[2] * a + jet[3] * v * v) * v
-        jerk = (1 - SLACK) * limit_at(table, JERK, i, jet[0])
-        forward, backward = acceleration_room(table, i, jet[0], q_s * v)
+        q, q_s, q_ss, q_sss = septic_jet(septics[i], u, h)
+        bent = q_ss * v * v
+        turned = (3 * q_ss * a + q_sss * v * v) * v
+        jerk = (1 - SLACK) * limit_at(table, JERK, i, q)
+        forward, backward = acceleration_room(table, i, q, q_s * v)
         forward, backward = (1 - SLACK) * forward, (1 - SLACK) * backward
         if q_s == 0.0:
             if abs(turned) > jerk or abs(bent) > forward:
@@ -66,7 +65,7 @@ def _leave(
         out[2] = max(out[2], (-backward - bent) / q_s)
         out[3] = min(out[3], (forward - bent) / q_s)
         out[4] = min(out[4], jerk / q_s)
-        out[5] = min(out[5], (1 - SLACK_SPEED) * limit_at(table, VELOCITY, i, jet[0]) / q_s)
+        out[5] = min(out[5], (1 - SLACK_SPEED) * limit_at(table, VELOCITY, i, q) / q_s)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

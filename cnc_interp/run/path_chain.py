@@ -32,8 +32,8 @@ from cnc_interp.smoothing.stop_choice import Way
 Arguments = ParamSpec('Arguments')
 Made = TypeVar('Made')
 
-#: Blocks that go through the chain together: up to 0.7 MB each, for the samples of their corners.
-BATCH = 256
+#: Blocks that go through the chain together: up to 3 MB, for the samples of their corners.
+BATCH = 1024
 #: A stop, or lines in the place of a curve, must save this part of the time of a way [-].
 WORTH = 5e-5
 
@@ -61,13 +61,12 @@ class PathPart:
 
 
 class PathChain:
-    """Blocks in, segments and their path in machine axes out; ``chooses``: whether to stop."""
+    """Blocks in, segments and their path in machine axes out."""
 
     def __init__(
-        self, transform: Transform, settings: Settings, watch: Stopwatch | None = None,
-        chooses: bool = True,
+        self, transform: Transform, settings: Settings, watch: Stopwatch | None = None
     ):  # fmt: skip
-        self._smoother = smoother_of(transform, settings, chooses)
+        self._smoother = smoother_of(transform, settings)
         self._builder = AxisPathBuilder(
             transform, settings.flank_height, settings.interpolation_period
         )
@@ -94,9 +93,8 @@ class PathChain:
         return PathPart(segments if done is None else done, path)
 
 
-def smoother_of(transform: Transform, settings: Settings, chooses: bool = True) -> PathSmoother:
-    choice = partial(is_faster, transform, settings) if chooses else None
-    return PathSmoother(settings, traits_of(transform), choice)
+def smoother_of(transform: Transform, settings: Settings) -> PathSmoother:
+    return PathSmoother(settings, traits_of(transform), partial(is_faster, transform, settings))
 
 
 def is_faster(
@@ -112,10 +110,16 @@ def is_faster(
 
 def way_time(transform: Transform, settings: Settings, way: Way) -> float:
     """Return the time of a way [s]; infinite if the machine cannot execute its blocks."""
-    chain = PathChain(transform, replace(settings, compress=way.curves), chooses=False)
-    limits = limits_at(transform.machine, settings.interpolation_period)
+    # Every corner is rounded, and every run of short blocks becomes a curve.
+    smoother = PathSmoother(replace(settings, compress=way.curves), traits_of(transform))
+    period = settings.interpolation_period
+    builder, limits = (
+        AxisPathBuilder(transform, settings.flank_height, period),
+        limits_at(transform.machine, period),
+    )
     try:
-        path = joined([chain.push(way.blocks), chain.finish()])
+        path = builder.push(smoother.whole(way.blocks))
+        assert path is not None, 'a way moves'
         return plan_path(path, limits, PlanOptions(bound=False)).law.end_time
     except InterpError:
         return np.inf
@@ -124,10 +128,6 @@ def way_time(transform: Transform, settings: Settings, way: Way) -> float:
 def batches(blocks: Blocks) -> Iterator[Blocks]:
     for first in range(0, len(blocks), BATCH):
         yield blocks[first : first + BATCH]
-
-
-def joined(parts: Sequence[PathPart]) -> AxisPath:
-    return AxisPath.join([part.path for part in parts if part.path is not None])
 
 
 def segments_of(blocks: Blocks, transform: Transform, settings: Settings) -> PathSegments:

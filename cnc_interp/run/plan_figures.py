@@ -18,7 +18,7 @@ from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.functions import Functions
-from cnc_interp.run.setpoints import BEFORE, Setpoints, limit_shares, torque_shares
+from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.options import Settings, values_of
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
@@ -161,8 +161,8 @@ class PlanFigures:
     def _measure(self, position: FloatArray) -> None:
         before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
         held = np.concatenate([before, position])
-        shares = np.abs(limit_shares(held, self._machine.limit_table, self._period))
-        self._use = np.maximum(self._use, shares.max(axis=1))
+        shares = largest_shares(held, self._machine.limit_table, self._period)
+        self._use = np.maximum(self._use, shares)
         if self._machine.loads:
             torques = torque_shares(held, self._machine.limit_table, self._period)
             self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numba import njit
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.kinematics.axis_path import evaluate_along
+from cnc_interp.feedrate.motion_law import axis_motion
+from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.program.functions import Functions
 
 NO_FUNCTIONS = Functions.none()
@@ -44,7 +45,7 @@ class Interpolator:
     def __init__(self, period: float, first: int = 0):
         self.period = period
         self.next_number = first
-        self._rest: Setpoints | None = None
+        self._path: AxisPath | None = None  # of the last piece
 
     def parts(self, piece: PlannedPiece, most: int = 1 << 16) -> Iterator[Setpoints]:
         while True:
@@ -59,33 +60,19 @@ class Interpolator:
         last = last if most is None else min(last, self.next_number + most)
         time = np.arange(self.next_number, last) * self.period
         self.next_number = max(self.next_number, last)
-        k = law.piece_at(time)
-        s, s_dot, s_ddot, s_dddot = law.evaluate(time, k)
-        cell = law.cell[k]
-        along = law.s[k] - path.s[cell] + law.moved(time, k)
-        q, q_s, q_ss, q_sss = evaluate_along(path, along, cell)
-        v, a, j = s_dot[:, None], s_ddot[:, None], s_dddot[:, None]
-        # The sample after the piece, as if the motion ended there.
-        self._rest = Setpoints.at_rest(
-            self.next_number * self.period, path.cell_right[0, -1:].copy(),
-            path.cell_block[-1:].copy(), path.s[-1:].copy(),
-        )  # fmt: skip
-        return Setpoints(
-            time=time,
-            position=q,
-            velocity=q_s * v,  # Eq. 6
-            acceleration=q_ss * (v * v) + q_s * a,  # Eq. 7
-            jerk=q_sss * v**3 + 3.0 * q_ss * v * a + q_s * j,  # Eq. 8
-            block=path.cell_block[cell],
-            s=s,
-        )
+        self._path = path
+        return Setpoints(time, *axis_motion(path, law, time))
 
     def _end_of(self, piece: PlannedPiece) -> int:
         return int(np.ceil(piece.law.end_time / self.period - 1e-9))
 
     def finish(self) -> Setpoints:
-        assert self._rest is not None, 'nothing was pushed'
-        return self._rest
+        path = self._path
+        assert path is not None, 'nothing was pushed'
+        return Setpoints.at_rest(
+            self.next_number * self.period, path.cell_right[0, -1:].copy(),
+            path.cell_block[-1:].copy(), path.s[-1:].copy(),
+        )  # fmt: skip
 
 
 class Wait(IntEnum):
@@ -138,17 +125,42 @@ def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> Flo
     (3 + K, n_axes) with the three before; ``table`` (7, n_axes, m): see ``limits_by_position.py``.
     Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
     """
-    constant = table.shape[2] == 1
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
-    for row, order in enumerate((1, 2, 3)):
-        held = positions[BEFORE - order :]
-        if constant:
-            limit = table[row, :, 0]
-        else:
-            around = sliding_window_view(held, order + 1, axis=0)
-            limit = largest_between(table, around.min(axis=-1), around.max(axis=-1))[row]
-        shares[row] = np.diff(held, order, axis=0) / (limit * period**order)
+    _compare(positions, table, np.array([period, period**2, period**3]), shares)
     return shares
+
+
+def largest_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+    """Return the largest of ``limit_shares`` without its sign, (3, n_axes) [-]."""
+    unwanted = np.empty((3, 0, positions.shape[1]))
+    return _compare(positions, table, np.array([period, period**2, period**3]), unwanted)
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _compare(
+    positions: FloatArray, table: FloatArray, units: FloatArray, shares: FloatArray
+) -> FloatArray:
+    """Write the shares, if there is room, and return the largest; ``units``: T, T^2 and T^3."""
+    largest = np.zeros((3, positions.shape[1]))
+    difference = np.empty(3)
+    for m in range(len(positions) - BEFORE):
+        for k in range(positions.shape[1]):
+            p0, p1 = positions[m, k], positions[m + 1, k]
+            p2, p3 = positions[m + 2, k], positions[m + 3, k]
+            second = (p3 - p2) - (p2 - p1)
+            difference[0], difference[1] = p3 - p2, second
+            difference[2] = second - ((p2 - p1) - (p1 - p0))
+            low, high = min(p2, p3), max(p2, p3)
+            for row in range(3):
+                if table.shape[2] > 1 and row > 0:
+                    before = p1 if row == 1 else p0
+                    low, high = min(low, before), max(high, before)
+                limit = largest_between(table, row, k, low, high)
+                share = difference[row] / (limit * units[row])
+                largest[row, k] = np.maximum(largest[row, k], abs(share))  # keeps NaN
+                if shares.shape[1] > 0:
+                    shares[row, m, k] = share
+    return largest
 
 
 def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:

@@ -66,6 +66,11 @@ class LookAhead:
         """Return the rest; if a native spline follows (``joined``), the last block is a line."""
         return self._take(self._compressor.finish(joined), final=True)
 
+    def whole(self, blocks: Blocks) -> PathSegments:
+        """Return the segments of all blocks, as ``push`` and ``finish``, but at once."""
+        rows = [self._compressor.push(blocks), self._compressor.finish()]
+        return self._take(Rows.concatenate(rows), final=True)
+
     def _take(self, rows: Rows, final: bool) -> PathSegments:
         """Return the segments of every line, curve and corner that is final."""
         if self._rows is not None:

@@ -55,6 +55,14 @@ class PathSmoother:
         self._last = blocks[-1:] if len(blocks) else self._last
         return self._joined(self._taken(self._upright.push(blocks)))
 
+    def whole(self, blocks: Blocks) -> PathSegments:
+        """Return the segments of a whole path of lines, as ``push`` and ``finish`` do."""
+        self._start = blocks.rotary[0]
+        rows = self._upright.push(settled(blocks, None, self._style.height))
+        last = self._upright.finish()
+        rows = rows if last is None else Blocks.concatenate([rows, last])
+        return self._joined([self._lookahead.whole(rows)])
+
     def _taken(self, blocks: Blocks) -> list[PathSegments | None]:
         found: list[PathSegments | None] = []
         spline = blocks.on_spline

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, constant_table
-from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
+from cnc_interp.run.setpoints import BEFORE, largest_shares, limit_shares, torque_shares
 
 T = 2e-3
 LIMITS = np.array([[0.5, 2.0], [3.0, 5.0], [40.0, 80.0]])
@@ -29,6 +29,16 @@ def test_a_jump_is_seen_in_the_row_at_which_it_ends():
     assert first == [2, 2, 2]
     assert shares[0, 2, 1] == pytest.approx(1e-3 / T / LIMITS[0, 1])
     assert shares[2, 2, 1] == pytest.approx(1e-3 / T**3 / LIMITS[2, 1])
+
+
+def test_the_largest_has_no_sign_and_keeps_what_is_no_number():
+    positions = np.random.default_rng(4).normal(size=(40, 2))
+    table = constant_table(LIMITS)
+    wanted = np.abs(limit_shares(positions, table, T)).max(axis=1)
+    assert np.array_equal(largest_shares(positions, table, T), wanted)
+    positions[20, 1] = np.nan
+    largest = largest_shares(positions, table, T)
+    assert np.isnan(largest[:, 1]).all() and np.array_equal(largest[:, 0], wanted[:, 0])
 
 
 def test_the_torque_is_that_of_inertia_and_both_frictions():

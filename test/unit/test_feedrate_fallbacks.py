@@ -51,10 +51,10 @@ def assert_sound(piece: PlannedPiece, path: AxisPath) -> None:
 @pytest.mark.parametrize('period', [0, 2, 5])
 def test_a_solver_that_fails_in_motion_leaves_the_older_plan(monkeypatch, status, period):
     """The interior point breaks down in every moving window, or in all but every n-th."""
-    solve, windows = jerk_stage.solve, []
+    solve, windows = jerk_stage.solve_cells, []
 
     def failing(*arguments):
-        ends, m = arguments[4], arguments[5]
+        ends, m = arguments[8], arguments[11]
         if ends[0] == 0.0:
             return solve(*arguments)
         if not windows or not np.array_equal(windows[-1], ends):
@@ -62,9 +62,9 @@ def test_a_solver_that_fails_in_motion_leaves_the_older_plan(monkeypatch, status
         if period and len(windows) % period == 0:
             return solve(*arguments)
         m[1:-1] *= 3.0  # what it leaves behind is worthless
-        return status, 80, np.nan
+        return status
 
-    monkeypatch.setattr(jerk_stage, 'solve', failing)
+    monkeypatch.setattr(jerk_stage, 'solve_cells', failing)
     path = arc(120)
     piece = plan_path(path, XYZAC, SHORT)
     assert len(windows) > 2
@@ -170,15 +170,15 @@ def test_a_law_from_rest_is_slowed_where_corrections_do_not_end(monkeypatch):
 
 def test_after_driving_to_the_older_stop_planning_goes_on(monkeypatch):
     """Restart from the rest that an older plan reached, then full speed again."""
-    solve, failed = jerk_stage.solve, []
+    solve, failed = jerk_stage.solve_cells, []
 
     def failing(*arguments):
-        if arguments[4][0] > 0.0 and len(failed) < 60:
+        if arguments[8][0] > 0.0 and len(failed) < 60:
             failed.append(1)
-            return BROKEN, 0, np.nan
+            return BROKEN
         return solve(*arguments)
 
-    monkeypatch.setattr(jerk_stage, 'solve', failing)
+    monkeypatch.setattr(jerk_stage, 'solve_cells', failing)
     path = arc(160)
     piece = plan_path(path, XYZAC, SHORT)
     assert len(failed) == 60
@@ -212,8 +212,8 @@ def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
 
 
 def test_a_law_that_has_not_converged_is_told(monkeypatch):
-    solve = jerk_stage.solve
-    monkeypatch.setattr(jerk_stage, 'solve', lambda *rest: (STALLED, *solve(*rest)[1:]))
+    solve = jerk_stage.solve_cells
+    monkeypatch.setattr(jerk_stage, 'solve_cells', lambda *rest: max(solve(*rest), STALLED))
     path = polyline_path(CORNER, 0.05)
     piece = plan_path(path, XYZAC)
     assert piece.solved == NOT_CONVERGED

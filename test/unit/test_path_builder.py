@@ -11,7 +11,7 @@ from programs import blocks_of, pyramid, spline_segments, zigzag
 
 from cnc_interp.core.errors import BlockError, SingularityError, TravelError
 from cnc_interp.core.units import DEG, MM
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_along
+from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_cells
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.machine import Machine
@@ -279,7 +279,8 @@ def test_travel_counts_between_the_ends_of_cells(name):
     path, lines = course(free)
     u = np.linspace(0.0, 1.0, 201)
     cell = np.arange(len(path.s) - 1).repeat(len(u))
-    q = evaluate_along(path, (np.diff(path.s)[:, None] * u).ravel(), cell)[0]
+    along = (np.diff(path.s)[:, None] * u).ravel()
+    q = evaluate_cells(path.s, path.cell_left, path.cell_right, along, cell)[0]
     q = q.reshape(-1, len(u), 5)
     checked = 0
     for k, side in itertools.product(range(5), (-1.0, 1.0)):

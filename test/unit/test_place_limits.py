@@ -136,8 +136,8 @@ def test_the_bound_is_one_for_a_slower_law_within_the_same_limits():
 
 def test_the_largest_limit_between_two_positions_may_lie_at_a_place_between_them():
     table = place_table(np.ones((3, 2)), {1: np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])})
-    low, high = np.array([[0.0, 0.5], [0.0, 1.5]]), np.array([[0.0, 1.5], [0.0, 9.0]])
-    assert largest_between(table, low, high)[2].tolist() == [[1.0, 5.0], [1.0, 3.5]]
+    found = [largest_between(table, 2, 1, *ends) for ends in ((0.5, 1.5), (1.5, 9.0))]
+    assert found == [5.0, 3.5] and largest_between(table, 2, 0, 0.0, 1.5) == 1.0
     machine = SimpleNamespace(limits=np.ones((3, 2)), places={1: np.array(
         [[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])})  # fmt: skip
     q = np.array([[0.0, 0.5], [0.0, 1.5]])

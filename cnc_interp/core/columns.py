@@ -35,12 +35,12 @@ class Column:
 
     def fits(self, shape: tuple[int, ...], rows: int) -> bool:
         """Tell whether an array of this shape is such a column with so many rows."""
-        return shape == (rows, *self.tail) or (
-            len(shape) == 1 + len(self.tail) and shape[0] == rows and all(
-                isinstance(count, str) or count == found
-                for count, found in zip(self.tail, shape[1:], strict=True)
-            )
-        )  # fmt: skip
+        if len(shape) != 1 + len(self.tail) or shape[0] != rows:
+            return False
+        return shape[1:] == self.tail or all(
+            isinstance(count, str) or count == found
+            for count, found in zip(self.tail, shape[1:], strict=True)
+        )
 
     def shape_text(self, rows: int) -> str:
         return f'({", ".join(map(str, (rows, *self.tail)))}{"" if self.tail else ","})'
@@ -70,12 +70,11 @@ class Table:
         }
 
     def __post_init__(self) -> None:
-        rows = len(self)
+        rows, columns = len(self), self.__dict__
         for name, declared in self.declared.items():
-            values = getattr(self, name)
+            values = columns[name]
             if values is None:
-                values = declared.filled(rows)
-                object.__setattr__(self, name, values)
+                columns[name] = values = declared.filled(rows)
             elif not declared.fits(values.shape, rows):
                 raise ValueError(
                     f'column {name} has shape {values.shape}, expected {declared.shape_text(rows)}'
@@ -83,10 +82,11 @@ class Table:
             values.flags.writeable = False
 
     def __len__(self) -> int:
-        return len(getattr(self, self._names[0]))
+        return len(self.__dict__[self._names[0]])
 
     def __getitem__(self, rows: slice | IntArray | BoolArray) -> Self:
-        return self._of({name: getattr(self, name)[rows] for name in self._names})
+        columns = self.__dict__
+        return self._of({name: columns[name][rows] for name in self._names})
 
     @classmethod
     def _of(cls, columns: Mapping[str, Any]) -> Self:
@@ -120,7 +120,9 @@ class Table:
         full = [part for part in parts if len(part)] or parts[:1]
         if len(full) == 1:
             return full[0]
-        return cls(*(_joined([getattr(part, name) for part in full]) for name in cls._names))
+        return cls._of(
+            {name: _joined([part.__dict__[name] for part in full]) for name in cls._names}
+        )
 
 
 def _joined(parts: list[Any]) -> Any:

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.limits_by_position import COULOMB, DRIVE, has_loads, limits_along
+from cnc_interp.core.limits_by_position import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
@@ -59,7 +59,7 @@ SMOOTHING_CELLS = 1  #: Number of cells on either side over which the first gues
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
-def _braking_left(jet: FloatArray, v: FloatArray, a: FloatArray, limits: FloatArray) -> FloatArray:
+def _braking_left(jet: FloatArray, v: FloatArray, a: FloatArray, table: FloatArray) -> FloatArray:
     """Return the braking left at states, relative to a straight line, shape (2, n) [-]."""
     n, n_axes = len(v), jet.shape[2]
     out = np.ones((2, n))
@@ -69,7 +69,9 @@ def _braking_left(jet: FloatArray, v: FloatArray, a: FloatArray, limits: FloatAr
             for k in range(n_axes):
                 q_s, q_ss, q_sss = jet[1, i, k], jet[2, i, k], jet[3, i, k]
                 slope = abs(q_s)
-                limit = limits[row, i if limits.shape[1] > 1 else 0, k]
+                limit = limit_at(table, ACCELERATION + row, k, jet[0, i, k])
+                if row == 0:
+                    limit = min(limit, table[DRIVE, k, 0] + table[COULOMB, k, 0])
                 # An axis that hardly moves along the path allows any deceleration.
                 if not limit / slope < np.inf:
                     continue
@@ -87,15 +89,10 @@ def without_braking(
     jet: FloatArray, v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray
 ) -> BoolArray:
     """Find the cells of a law in which braking is not possible for long."""
+    found, part = np.zeros((2, len(duration)), dtype=bool), _braking_left(jet, v, a, table)
     time = np.concatenate([[0.0], np.cumsum(duration)])
-    found = np.zeros((2, len(duration)), dtype=bool)
-    if time[-1] < LASTING:
-        return found
-    limits = limits_along(table, jet[0])[1:].copy()
-    limits[0] = np.minimum(limits[0], table[DRIVE, :, 0] + table[COULOMB, :, 0])
-    for row, left in enumerate(_braking_left(jet, v, a, limits)):
-        if left.min() >= LEAST:
-            continue
+    for row in np.flatnonzero(part.min(axis=1) < LEAST) if time[-1] >= LASTING else ():
+        left = part[row]
         so_far = np.concatenate([[0.0], np.cumsum(left * duration)])
         ends = np.minimum(time[:-1] + LASTING, time[-1])
         begins = ends - LASTING
@@ -233,7 +230,8 @@ class StretchProblem:
             k = n
             self.scale += RELAXED[:, None]
         self.factor = np.full(n, EXCESS_FACTOR)
-        self.aim, self.accepted = np.tile(AIM, (n, 1)), np.tile(ACCEPTED, (n, 1))
+        self.aim, self.accepted = np.empty((n, 4)), np.empty((n, 4))
+        self.aim[k:], self.accepted[k:] = AIM, ACCEPTED
         self.aim[:k], self.accepted[:k] = AIM_KEPT, ACCEPTED_KEPT
         self.use = np.empty((2, n, 4, n_axes))
         self.loaded = has_loads(table)
@@ -241,7 +239,7 @@ class StretchProblem:
         self.more_rows = 0 if self.tool is None else len(self.tool.rows)
         self.places = 4 if self.loaded or self.tool is not None else 3
         self.slack = np.ones((2 * self.places * (n_axes + self.more_rows) + 2, n))
-        self.dual = np.zeros_like(self.slack)
+        self.dual = np.zeros(self.slack.shape)
         self.changed = np.zeros(n, dtype=np.bool_)  # cells whose limits fell since the last law
         self.width, self.v, self.a = self.h, np.zeros(n + 1), np.zeros(n + 1)  # of the last law
 
@@ -338,6 +336,8 @@ class StretchProblem:
         v, a = stretch.v[nodes[:-1]], stretch.a[nodes[:-1]]
         duration = np.add.reduceat(stretch.duration, nodes[:-1])
         found = without_braking(self.left, v, a, duration, self.table)
+        if not found.any():
+            return False
         most = ((1 - SLACK) * (1 - self.options.reserve))[1:3, None]
         lowered = np.where(found.T[:, :, None], np.minimum(self.scale[:, 1:3], most), np.inf)
         lower = lowered < self.scale[:, 1:3]

@@ -217,9 +217,10 @@ def _refined(
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:
+    points, cells = slice(first, last + 1), slice(first, last)
     return AxisPath(
-        s=path.s[first : last + 1].copy(), cell_left=path.cell_left[:, first:last].copy(),
-        cell_right=path.cell_right[:, first:last].copy(), tip=path.tip[first : last + 1].copy(),
-        axis=path.axis[first : last + 1].copy(), cell_feed=path.cell_feed[first:last].copy(),
-        cell_block=path.cell_block[first:last].copy(), stop=path.stop[first : last + 1].copy(),
+        s=path.s[points].copy(), cell_left=path.cell_left[:, cells].copy(),
+        cell_right=path.cell_right[:, cells].copy(), tip=path.tip[points].copy(),
+        axis=path.axis[points].copy(), cell_feed=path.cell_feed[cells].copy(),
+        cell_block=path.cell_block[cells].copy(), stop=path.stop[points].copy(),
     )  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -111,7 +111,7 @@ def is_faster(
 def way_time(transform: Transform, settings: Settings, way: Way) -> float:
     """Return the time of a way [s]; infinite if the machine cannot execute its blocks."""
     # Every corner is rounded, and every run of short blocks becomes a curve.
-    smoother = PathSmoother(replace(settings, compress=way.curves), traits_of(transform))
+    smoother = PathSmoother(_with_curves(settings, way.curves), traits_of(transform))
     period = settings.interpolation_period
     builder, limits = (
         AxisPathBuilder(transform, settings.flank_height, period),
@@ -123,6 +123,11 @@ def way_time(transform: Transform, settings: Settings, way: Way) -> float:
         return plan_path(path, limits, PlanOptions(bound=False)).law.end_time
     except InterpError:
         return np.inf
+
+
+@cache
+def _with_curves(settings: Settings, curves: bool) -> Settings:
+    return replace(settings, compress=curves)
 
 
 def batches(blocks: Blocks) -> Iterator[Blocks]:

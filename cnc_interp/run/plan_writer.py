@@ -62,6 +62,7 @@ class PlanWriter:
         self._tip: FloatArray | None = None  # of the last block
         self._path: tuple[AxisPath, FloatArray] | None = None  # the last cell, and its s_dot
         self._paths: list[tuple[AxisPath, FloatArray]] = []  # gathered, with their s_dot
+        self._gathered = 0  # grid points of them
         self._samples: list[Setpoints] = []  # gathered
 
     def __enter__(self) -> PlanWriter:
@@ -103,7 +104,8 @@ class PlanWriter:
     def path(self, path: AxisPath, speed: FloatArray) -> None:
         """Write a further part of the path, with s_dot at the left end of each cell [m/s]."""
         self._paths.append((path, speed))
-        if sum(len(part.s) for part, _ in self._paths) >= CELLS_AT_ONCE:
+        self._gathered += len(path.s)
+        if self._gathered >= CELLS_AT_ONCE:
             self._write_path()
 
     def _write_path(self) -> None:
@@ -112,7 +114,7 @@ class PlanWriter:
         before = [] if self._path is None else [self._path]
         path = AxisPath.join([part for part, _ in (*before, *self._paths)])
         speed = np.concatenate([s_dot for _, s_dot in (*before, *self._paths)])
-        self._paths = []
+        self._paths, self._gathered = [], 0
         new = slice(0 if self._path is None else 1, len(path.s) - 1)
         self._grid(path, np.append(speed, 0.0), new)
         cells = len(path.s) - 1

@@ -141,7 +141,7 @@ def _compare(
     positions: FloatArray, table: FloatArray, units: FloatArray, shares: FloatArray
 ) -> FloatArray:
     """Write the shares, if there is room, and return the largest; ``units``: T, T^2 and T^3."""
-    largest = np.zeros((3, positions.shape[1]))
+    largest, plain = np.zeros((3, positions.shape[1])), table.shape[2] == 1
     difference = np.empty(3)
     for m in range(len(positions) - BEFORE):
         for k in range(positions.shape[1]):
@@ -150,9 +150,13 @@ def _compare(
             second = (p3 - p2) - (p2 - p1)
             difference[0], difference[1] = p3 - p2, second
             difference[2] = second - ((p2 - p1) - (p1 - p0))
+            if plain and shares.shape[1] == 0:  # the limit divides the largest one below
+                for row in range(3):
+                    largest[row, k] = np.maximum(largest[row, k], abs(difference[row]))
+                continue
             low, high = min(p2, p3), max(p2, p3)
             for row in range(3):
-                if table.shape[2] > 1 and row > 0:
+                if not plain and row > 0:
                     before = p1 if row == 1 else p0
                     low, high = min(low, before), max(high, before)
                 limit = largest_between(table, row, k, low, high)
@@ -160,6 +164,10 @@ def _compare(
                 largest[row, k] = np.maximum(largest[row, k], abs(share))  # keeps NaN
                 if shares.shape[1] > 0:
                     shares[row, m, k] = share
+    if plain and shares.shape[1] == 0:
+        for row in range(3):
+            for k in range(positions.shape[1]):
+                largest[row, k] /= table[row, k, 0] * units[row]
     return largest
 
 

@@ -52,7 +52,6 @@ def places_of(rows: FloatArray) -> int:
 def constant_of(
     rows: FloatArray, k: int, q: int, lo: int, hi: int, zero: FloatArray
 ) -> FloatArray:
-    """Return the constants of the rows of axis k at place q in cells lo ... hi."""
     return rows[k, 12, lo:hi] if q == 3 else zero[: hi - lo]
 
 
@@ -168,7 +167,6 @@ def _sum_caps(
     h00: FloatArray, h01: FloatArray, h11: FloatArray, push0: FloatArray, push1: FloatArray,
     pull0: FloatArray, pull1: FloatArray, gap: FloatArray, use: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the rows m_i <= cap and b_i <= cap of each cell."""
     for j in range(len(m)):
         g0, g1 = m[j] * cap0[j], b[j] * cap1[j]
         use[j] = max(use[j], max(g0, g1))

@@ -19,7 +19,7 @@ hardly have made it faster. One window holds a few such horizons.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -118,7 +118,6 @@ class WindowScan:
         return bool(self.state[3] >= self.most_cells)
 
     def extend(self, part: AxisPath) -> None:
-        """Examine the next part of the path."""
         if self.cells == 0:
             self.state[0] = part.s[0]
         elif part.stop[0] and self.stop is None:
@@ -154,8 +153,6 @@ class WindowScan:
 
 @dataclass(frozen=True)
 class PlannedPiece:
-    """One committed part of the motion."""
-
     path: AxisPath  #: The path on the grid of the planner.
     law: MotionLaw  #: The law along it, one piece per path cell; its clock continues.
     #: No motion within feed, velocities and accelerations is faster here [s]; 0 if not computed.
@@ -164,14 +161,9 @@ class PlannedPiece:
 
     @staticmethod
     def join(parts: list[PlannedPiece]) -> PlannedPiece:
-        """Join consecutive parts into one."""
         laws, first_cell = [], 0
         for part in parts:
-            law = part.law
-            shifted = law.cell + first_cell
-            laws.append(
-                MotionLaw(law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, shifted)
-            )
+            laws.append(replace(part.law, cell=part.law.cell + first_cell))
             first_cell += len(part.path.s) - 1
         least = sum(part.least_time for part in parts)
         solved = max((part.solved for part in parts), key=SOLVED_BY.index)
@@ -249,7 +241,6 @@ class FeedPlanner:
             raise self._problem
 
     def _scan_again(self, ratio: float) -> None:
-        """Begin a window of so many horizons; nothing of it has been examined yet."""
         self._scan = WindowScan(self._table, self._start[0], ratio, self.options.window_cells)
         self._scanned = 0
 

@@ -137,8 +137,6 @@ def bend(
 
 @dataclass(frozen=True)
 class PlanGrid:
-    """A path with the cells of the feed planner."""
-
     path: AxisPath  #: The refined path.
     nodes: IntArray  #: (n + 1,): Grid points of ``path`` where the planner cells begin and end.
     bounds: FloatArray  #: (n, 6): Bounds of each planner cell, as of ``speed_bounds``.
@@ -265,7 +263,6 @@ def planning_grid(
     path: AxisPath, table: FloatArray, start: tuple[float, float], cell_time: tuple[float, float],
     share: float, most_bend: float, kept: FloatArray,
 ) -> PlanGrid:  # fmt: skip
-    """Choose the planner cells of a path that ends at rest."""
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     given = path.s
     for attempt in range(MOST_ROUNDS + 1):

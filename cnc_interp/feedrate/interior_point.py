@@ -67,7 +67,6 @@ def _predict_cap(
     cap: FloatArray, x: FloatArray, w: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray,
     square: FloatArray, worst: FloatArray,
 ) -> None:  # fmt: skip
-    """Predict the steps of one cap row of each cell; write the forces a and b on its term."""
     for j in range(len(cap)):
         inverse = 1.0 / w[j]
         dw = 1.0 - w[j] - cap[j] * x[j]

@@ -46,7 +46,6 @@ from cnc_interp.core.native import DistinctArrays
 def node_states(
     m: FloatArray, width: FloatArray, ends: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray
 ) -> None:
-    """Compute b = s_dot^2, s_ddot and s_dot at the nodes from the coefficients."""
     n = len(m)
     m[0] = ends[0] + ends[1] * width[0]
     m[n - 1] = ends[2] - ends[3] * width[n - 1]
@@ -61,7 +60,6 @@ def node_states(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
-    """Update the effective widths from the states at the nodes."""
     change = 0.0
     for i in range(len(h)):
         t = 2 * width[i] / (v[i] + v[i + 1])
@@ -104,7 +102,6 @@ def _jerks(
     vl: FloatArray, vr: FloatArray, j: FloatArray, j_l: FloatArray, j_m: FloatArray,
     j_r: FloatArray,
 ) -> None:  # fmt: skip
-    """Write s_dddot in the cells and its derivatives by m_{i-1}, m_i, m_{i+1}."""
     for i in range(len(width)):
         sum_v = v[i] + v[i + 1]
         twice = 0.5 / width[i]

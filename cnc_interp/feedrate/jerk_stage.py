@@ -172,7 +172,6 @@ def _spread(
     v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
     accepted: FloatArray, use: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
-    """Spread a law over the path cells; return it and its worst use, and write ``use``."""
     cells, n_axes, worst = len(s) - 1, left.shape[2], 0.0
     all_v, all_a = np.empty(cells + 1), np.empty(cells + 1)
     jerk, all_duration = np.empty(cells), np.empty(cells)
@@ -285,7 +284,6 @@ class StretchProblem:
         ))  # fmt: skip
 
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
-        """Simulate the drives on a law; lower the tool rows where the error is too large."""
         if self.tool is None:
             return stretch, False
         part = self.tool.part
@@ -303,7 +301,6 @@ class StretchProblem:
         return self.with_limit_use(v, a, duration)
 
     def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
-        """Spread a law over the path cells and evaluate its use of the limits."""
         path, nodes = self.grid.path, self.grid.nodes
         curve = path.s, path.cell_left, path.cell_right, path.cell_feed
         v, a, jerk, duration, worst = _spread(

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Settings of the feed planner."""
-
     passes: int = 6  #: Largest number of corrections of one stretch.
     cell_time: tuple[float, float] = (2e-4, 6e-3)  #: Shortest and longest wanted cell time [s].
     share: float = 1 / 64  #: Wanted cell time as a part of the duration of the stretch [-].

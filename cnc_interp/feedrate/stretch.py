@@ -40,7 +40,6 @@ class Stretch:
         return np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)
 
     def after(self, cell: int) -> Stretch:
-        """Return the part of the stretch that begins at a planner cell."""
         first = int(self.nodes[cell])
         return Stretch(
             path=cut(self.path, first, len(self.duration)), v=self.v[first:], a=self.a[first:],

@@ -135,7 +135,6 @@ def _both_passes(left: FloatArray, right: FloatArray, rooms: FloatArray, b: Floa
 def stroke_time(
     distance: float, start: float, end: float, velocity: float, acceleration: float
 ) -> float:
-    """Return the least time of one axis over a distance."""
     if not distance > 0.0:
         return 0.0
     rise = 2 * acceleration * distance
@@ -150,13 +149,13 @@ def stroke_time(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _least_times(
-    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
+    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
     b: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    n, n_axes = len(h), left.shape[2]
+    n, n_axes = len(feed), left.shape[2]
     time = np.empty(n)
     for i in range(n):
-        time[i] = h[i] / feed[i]
+        time[i] = (s[i + 1] - s[i]) / feed[i]
         for k in range(n_axes):
             distance = abs(right[0, i, k] - left[0, i, k])
             start, end = left[1, i, k] ** 2 * b[i], right[1, i, k] ** 2 * b[i + 1]
@@ -219,17 +218,6 @@ def _ceiling(
     return b, largest, rooms, points, *_step_rows(points, left, right, ways, largest)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
-def _with_steps(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
-    rooms: FloatArray, points: IntArray, found: FloatArray, b: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Take b at TOPP-RA's points over to the others; return the least times."""
-    b[points] = found
-    _both_passes(left, right, rooms, b)
-    return _least_times(s[1:] - s[:-1], left, right, feed, largest, b)
-
-
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
     """Return the largest b from which the rest can be driven (TOPP-RA); toppra for few steps."""
     found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
@@ -250,5 +238,6 @@ def time_bound(
     """Compute the ceiling of the speed along a path and the least time in its cells."""
     curve = path.s, path.cell_left, path.cell_right, path.cell_feed
     b, largest, rooms, points, first, last = _ceiling(*curve, table, nodes, start, rests)
-    found = _controllable(first, last, b[points])
-    return TimeBound(b, _with_steps(*curve, largest, rooms, points, found, b))
+    b[points] = _controllable(first, last, b[points])
+    _both_passes(path.cell_left, path.cell_right, rooms, b)
+    return TimeBound(b, _least_times(*curve, largest, b))

@@ -113,7 +113,6 @@ class ToolLimit:
         return ToolMotion(self.machine, self.period, position, self.model)
 
     def afresh(self, path: AxisPath) -> ToolLimit:
-        """Return the limit with drives that rest at the start of a path."""
         return replace(self, motion=None).begun(path, (0.0, 0.0))
 
     def after(self, stretch: Stretch, last: int) -> ToolLimit:
@@ -146,7 +145,6 @@ class ToolLimit:
     def stretch_rows(
         self, left: FloatArray, right: FloatArray, kept: FloatArray | None
     ) -> ToolRows:
-        """Return the rows of a stretch; its first cells have the parts of an older plan."""
         return ToolRows(self, self.rows(left, right), kept)
 
     def _across(self, q: FloatArray, q_s: FloatArray) -> FloatArray:

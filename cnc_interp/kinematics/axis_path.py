@@ -148,40 +148,34 @@ def evaluate(
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
-    s, cell = _points_with(path.s, np.sort(s_new))
+    s_new = np.sort(s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
+    curve = path.s, path.cell_left, path.cell_right, path.tip, path.axis, path.stop
+    s, cell, left, right, tip, axis, stop = _refined(s_new, *curve)
     if len(s) == len(path.s):
         return path
-    curve = path.s, path.cell_left, path.cell_right, path.tip, path.axis, path.stop
-    left, right, tip, axis, stop = _refined(s, cell, *curve)
-    of_cell = cell[:-1]
-    return AxisPath(
-        s=s, cell_left=left, cell_right=right, tip=tip, axis=axis,
-        cell_feed=path.cell_feed[of_cell], cell_block=path.cell_block[of_cell], stop=stop,
-    )  # fmt: skip
-
-
-@numba.njit(cache=True, nogil=True)
-def _points_with(s: FloatArray, s_new: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return a grid with sorted new points inside it, and the old cell that begins each cell."""
-    points, cell = np.empty(len(s) + len(s_new)), np.empty(len(s) + len(s_new), dtype=np.int64)
-    count, new = 0, 0
-    for i in range(len(s)):
-        points[count], cell[count] = s[i], min(i, len(s) - 2)
-        count += 1
-        while new < len(s_new) and i + 1 < len(s) and s_new[new] < s[i + 1]:
-            if s_new[new] > points[count - 1]:
-                points[count], cell[count] = s_new[new], i
-                count += 1
-            new += 1
-    return points[:count].copy(), cell[:count].copy()
+    feed, block = path.cell_feed[cell[:-1]], path.cell_block[cell[:-1]]
+    return AxisPath(s, left, right, tip, axis, feed, block, stop)
 
 
 @numba.njit(cache=True, nogil=True)
 def _refined(
-    s: FloatArray, cell: IntArray, old: FloatArray, cell_left: FloatArray, cell_right: FloatArray,
+    s_new: FloatArray, old: FloatArray, cell_left: FloatArray, cell_right: FloatArray,
     old_tip: FloatArray, old_axis: FloatArray, old_stop: BoolArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
-    n_axes = cell_left.shape[2]
+) -> tuple[
+    FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray,
+]:  # fmt: skip
+    """Return the grid with sorted points, and the cells on it; first their numbers in the old."""
+    s, cell = np.empty(len(old) + len(s_new)), np.empty(len(old) + len(s_new), dtype=np.int64)
+    count, new, n_axes = 0, 0, cell_left.shape[2]
+    for i in range(len(old)):
+        s[count], cell[count] = old[i], i
+        count += 1
+        while new < len(s_new) and s_new[new] < old[min(i + 1, len(old) - 1)]:
+            if s_new[new] > s[count - 1]:
+                s[count], cell[count] = s_new[new], i
+                count += 1
+            new += 1
+    s, cell = s[:count], cell[:count]
     left, right = np.empty((4, len(s) - 1, n_axes)), np.empty((4, len(s) - 1, n_axes))
     tip, axis, stop = np.empty((len(s), 3)), np.empty((len(s), 3)), np.zeros(len(s), np.bool_)
     coefficients, known, h = np.empty((n_axes, 8)), -1, 1.0
@@ -203,7 +197,6 @@ def _refined(
                     out[order, p, k] = end[order, i, k]
     for p in range(len(s)):
         i = cell[p]
-        i += p == len(s) - 1
         if s[p] == old[i]:
             tip[p], axis[p], stop[p] = old_tip[i], old_axis[i], old_stop[i]
             continue
@@ -213,7 +206,7 @@ def _refined(
             slope = (old_axis[i + 1, k] - old_axis[i, k]) / (old[i + 1] - old[i])
             axis[p, k] = slope * (s[p] - old[i]) + old_axis[i, k]
         axis[p] /= np.sqrt(axis[p, 0] ** 2 + axis[p, 1] ** 2 + axis[p, 2] ** 2)
-    return left, right, tip, axis, stop
+    return s, cell, left, right, tip, axis, stop
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:

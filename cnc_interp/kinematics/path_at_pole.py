@@ -75,8 +75,6 @@ class Guides:
 
 @dataclass(frozen=True)
 class PathAtPole:
-    """Segments whose passages are not decided yet."""
-
     transform: Transform  #: The machine's five-axis transformation.
     height: float  #: Flank height [m].
     segments: PathSegments  #: The segments, n of them.
@@ -146,7 +144,6 @@ class PathAtPole:
         return float(pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
 
     def place(self, s: float, first: int, ends: FloatArray) -> tuple[int, float]:
-        """Return segment and parameter at a path length from the start of the first segment."""
         i = int(np.clip(np.searchsorted(ends, s, 'right') - 1, 0, len(ends) - 2))
         way, i = s - float(ends[i]), first + i
         if way <= SAME_PLACE or way >= self.lengths[i] - SAME_PLACE:

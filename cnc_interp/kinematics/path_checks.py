@@ -48,7 +48,6 @@ def check_words(
 
 
 def off_words(machine: Machine, line: int, words: FloatArray, reached: FloatArray) -> BlockError:
-    """Return the error for rotary axes that do not reach their words."""
     names = machine.axis_names[3:5]
     said, found = (
         ' '.join(f'{name}{value / DEG:.3f}' for name, value in zip(names, place, strict=True))
@@ -73,7 +72,6 @@ def refuse_tilt(machine: Machine, segments: PathSegments) -> None:
 
 
 def refuse(machine: Machine, outer: int, status: int, line: int) -> NoReturn:
-    """Raise the error for a segment that cannot be followed."""
     if status == SINGULAR:
         name = machine.axis_names[3 + outer]
         raise SingularityError(

@@ -35,8 +35,6 @@ SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and th
 
 @dataclass(frozen=True)
 class Released:
-    """Segments whose rotary axes are decided."""
-
     segments: PathSegments  #: The segments. Their deviation counts the passages of the pole.
     motion: IntArray  #: (n,): How the rotary axes move.
     guides: FloatArray  #: (n, 13): Where the outer axis is given.
@@ -293,7 +291,6 @@ class PolePassages:
         self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core,
         open_s: float, after: float,
     ) -> tuple[float, float]:  # fmt: skip
-        """Return how far a stretch may reach before and after a core [m]."""
         widest = np.sin(WIDEST)
         before, beyond = 0.0, 0.0
         if core.rests_before:

@@ -70,7 +70,6 @@ def guided_grid(grid: FloatArray, guide: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def first_grid(kind: int, f: FloatArray) -> FloatArray:
-    """Return the parameters at which a segment is cut first; all its breaks are among them."""
     if kind != CORNER:
         return PLAIN_GRID
     if f.shape[0] == 0:

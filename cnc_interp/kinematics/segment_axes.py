@@ -125,7 +125,6 @@ def sample(
 def pose_jets(
     kind: int, shape: FloatArray, f: FloatArray, u: float, inside: float
 ) -> tuple[VectorJet, VectorJet]:
-    """Return the jets in u of tool tip [m] and tool axis [-] on a segment of poses."""
     if kind == CORNER:
         return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
     if kind == SPLINE:

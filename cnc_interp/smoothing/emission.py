@@ -31,8 +31,6 @@ from cnc_interp.smoothing.segments import (
 
 @dataclass(frozen=True)
 class Emission:
-    """Rows whose vertices are classified and sized."""
-
     rows: Rows  #: End poses of lines and curves.
     legs: Legs  #: Geometry of the blocks between the vertices.
     vertex: IntArray  #: (n,): Kind of each vertex: PASS, ROUND or STOP.
@@ -141,7 +139,6 @@ class Emission:
         self, start: FloatArray, end: FloatArray, bottom: FloatArray, axis: FloatArray,
         rotary: FloatArray, extra: FloatArray,
     ) -> None:  # fmt: skip
-        """Write the lines whose rotary axes run linearly, between path lengths of each block."""
         axes, geometry = self.legs.axes, self.machine.geometry
         if axes is None or geometry is None:
             return
@@ -158,7 +155,6 @@ class Emission:
         axis[rows] = geometry.tool_axis(rotary[rows, 0])
 
     def _axis_corners(self, rows: IntArray) -> tuple[PathSegments | None, IntArray]:
-        """Return the corners in coordinates among the vertices ``rows``, and their vertices."""
         corners = axis_corners(self.rows, self.legs, self.style.height, self.machine, rows)
         geometry = self.machine.geometry
         if corners is None or geometry is None or not len(corners.row):
@@ -194,7 +190,6 @@ class Emission:
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
 
     def _extra_on_lines(self, last: int, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return control values of the extra axes on what corners leave of lines."""
         blocks, legs = self.rows.blocks, self.legs
         found = np.zeros((last, POINTS, blocks.extra.shape[1]))
         rate = legs.extra_rate[:last]
@@ -264,16 +259,3 @@ class Emission:
             extra=self._extra_on_corners(rows, inner),
             room=np.maximum(self._orientation_tolerance(rows) - deviation[:, 1], 0.0),
         )  # fmt: skip
-
-
-def no_segments(style: Style) -> PathSegments:
-    """Return no segments, in arrays of the shapes that the construction of corners needs."""
-    curves = style.empty_curves(0)
-    return PathSegments(
-        kind=np.zeros(0, dtype=np.int64), bottom=padded(curves.bottom), top=padded(curves.top),
-        connection=curves.connection, parametrization=curves.parametrization,
-        axis=np.zeros((0, 3)), rotation=np.zeros((0, 3)), rotary=no_rotary(0), length=np.zeros(0),
-        feed=np.zeros((0, 2)), block=np.zeros((0, 2), dtype=np.int64),
-        line_number=np.zeros(0, dtype=np.int64), stop=np.zeros(0, dtype=bool),
-        deviation=np.zeros((0, 2)),
-    )  # fmt: skip

@@ -28,7 +28,7 @@ from cnc_interp.smoothing.corners.vertices import (
 )
 from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.path_rows import Rows
-from cnc_interp.smoothing.emission import Emission, no_segments
+from cnc_interp.smoothing.emission import Emission
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.smoothing.stop_choice import Choice, StopChoice
 
@@ -38,8 +38,6 @@ ROUNDING = 1e-9
 
 
 class LookAhead:
-    """Round the corners of a stream of blocks."""
-
     def __init__(
         self, settings: Settings, machine: MachineTraits, choice: Choice | None = None,
         row: int = 0, joined: bool = False, stops: list[int] | None = None,
@@ -49,7 +47,6 @@ class LookAhead:
         self._ratio = settings.corner_ratio
         if self._ratio is None and self._style.literal:
             self._ratio = PAPER_RATIO
-        self._none = no_segments(self._style)
         self._rows: Rows | None = None
         # Corners that are made to be compared stay corners.
         choice = None if settings.compares_corners else choice
@@ -59,7 +56,6 @@ class LookAhead:
         self._outer_before = 0.0  # L2 after the first kept vertex, before left-overs are shared
 
     def push(self, blocks: Blocks) -> PathSegments:
-        """Add blocks, the start pose first; return the segments that are final."""
         return self._take(self._compressor.push(blocks), final=False)
 
     def finish(self, joined: bool = False) -> PathSegments:
@@ -72,13 +68,12 @@ class LookAhead:
         return self._take(Rows.concatenate(rows), final=True)
 
     def _take(self, rows: Rows, final: bool) -> PathSegments:
-        """Return the segments of every line, curve and corner that is final."""
         if self._rows is not None:
             rows = Rows.concatenate([self._rows, rows])
         rows = rows.moving(self._settings.flank_height)
         self._rows, blocks = rows, rows.blocks
         if len(blocks) < 2:
-            return self._none
+            return PathSegments.none()
         legs = Legs.of(blocks, self._machine, self._settings.flank_height)
         refuse_reversals(rows, legs)
         vertex = classify(rows, legs, self._settings.flank_height, self._machine)
@@ -88,7 +83,7 @@ class LookAhead:
         # A vertex is final when its own corner and the next one have their size (left-overs).
         last = len(blocks) - 1 if final else min(len(blocks) - 3, decided - 2)
         if last < 1:
-            return self._none
+            return PathSegments.none()
         own_share = float(outer[last, 1])
         self._share_left_overs(legs, outer, len(blocks) - 1 if final else last + 1)
         segments = Emission(rows, legs, vertex, inner, outer, self._style, self._machine).segments(
@@ -125,7 +120,6 @@ class LookAhead:
     def _size_in_axes(
         self, lines: Rows, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
     ) -> IntArray:
-        """Write L1 and L2 of corners in coordinates; return the other corners."""
         height, jerk = self._settings.flank_height, self._machine.max_jerk
         corners = axis_corners(lines, legs, height, self._machine, rows)
         if corners is None or jerk is None or not len(corners.row):

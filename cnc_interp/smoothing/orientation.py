@@ -40,7 +40,6 @@ def turned_by(axis: FloatArray, rotation: FloatArray, share: FloatArray | float)
 
 @njit(cache=True, nogil=True)
 def rotation_between(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
-    """Return the rotation vector of one great circle, inside kernels."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     sine = sqrt(x * x + y * y + z * z)
     ratio = 0.0
@@ -66,7 +65,6 @@ def turn_axis(
 
 
 def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the angles between unit vectors."""
     return np.asarray(np.arctan2(norm(cross(a, b)), dot(a, b)))
 
 

@@ -16,7 +16,6 @@ from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.dense.path_rows import settled
-from cnc_interp.smoothing.emission import no_segments
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.native.joining import Jets, line_between
 from cnc_interp.smoothing.native.spline_run import SplineRun
@@ -75,14 +74,12 @@ class PathSmoother:
         return found
 
     def finish(self) -> PathSegments:
-        """Return the remaining segments; the tool rests at the end."""
         last = self._upright.finish()
         found = [] if last is None else self._taken(last)
         found += self._end_run(None) if self._run else [self._lookahead.finish()]
         return self._joined(found)
 
     def _linear(self, blocks: Blocks) -> list[PathSegments | None]:
-        """Process linear blocks. They end a spline."""
         found: list[PathSegments | None] = []
         if self._run is not None:
             pose = self._run.last_row
@@ -94,7 +91,6 @@ class PathSmoother:
         return found
 
     def _curve(self, rows: Blocks) -> list[PathSegments | None]:
-        """Process control points. The first one of a spline ends the lines before it."""
         found: list[PathSegments | None] = []
         if self._run is None:
             recent = self._recent if self._recent is not None else rows[:1]
@@ -141,7 +137,7 @@ class PathSmoother:
         """Join batches of segments; the first one gets the rotary words of the start pose."""
         parts = [part for part in found if part is not None and len(part)]
         if not parts:
-            return no_segments(self._style)
+            return PathSegments.none()
         segments = PathSegments.concatenate(parts)
         if self._start is not None and segments.interpolation[0] == POSES:
             # A spline has no rotary words. Those of the start pose choose branch and turns.

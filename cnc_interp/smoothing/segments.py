@@ -75,7 +75,6 @@ class PathSegments(Table):
 
 
 def padded(points: FloatArray) -> FloatArray:
-    """Pad control points with zeros to the common number."""
     spare = np.zeros((len(points), POINTS - points.shape[1], 3))
     return np.concatenate([points, spare], axis=1)
 
@@ -102,7 +101,6 @@ def spline_jets(
 
 @njit(cache=True, nogil=True)
 def span_at(parametrization: FloatArray, u: float) -> tuple[int, float, float]:
-    """Find the span of f that contains u."""
     k = parametrization.shape[0] - 1
     while k > 0 and parametrization[k, 0] > u:
         k -= 1
@@ -167,7 +165,6 @@ def corner_jets(
 
 @njit(cache=True, nogil=True)
 def _vector_jet(rows: FloatArray) -> VectorJet:
-    """Return the rows of an array, shape (3, 4), as a vector jet."""
     return (
         (rows[0, 0], rows[0, 1], rows[0, 2], rows[0, 3]),
         (rows[1, 0], rows[1, 1], rows[1, 2], rows[1, 3]),

@@ -86,7 +86,6 @@ def turns_fast(blocks: Blocks, legs: Legs, height: float, machine: MachineTraits
 def may_be_slow(
     skeleton: Skeleton, start: int, last: int, height: float, machine: MachineTraits
 ) -> bool:
-    """Tell whether a run may be slower as a curve."""
     least = float(skeleton.tolerance[start + 1 : last + 1].min())
     if skeleton.u[last] - skeleton.u[start] < TINY * least:
         return True
@@ -181,7 +180,6 @@ class StopChoice:
 
 
 def _ways_at(blocks: Blocks, at: int) -> list[list[Way]]:
-    """Return the ways with a stop at a pose and those without."""
     ways: list[list[Way]] = [[], []]
     for stops in (1, 0):
         for later in (False, True)[: len(blocks) - at - 1]:

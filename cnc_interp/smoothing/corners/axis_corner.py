@@ -190,7 +190,6 @@ class AxisCorners:
     def fit(
         self, inner: FloatArray, outer: FloatArray, ratios: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Shrink corners until both tolerances hold."""
         while True:
             deviation, use = self.deviation(inner, outer)
             wide = use > USED_UP

@@ -48,7 +48,6 @@ class Curves:
         )
 
     def put(self, rows: IntArray, other: Curves) -> None:
-        """Replace the corners at some rows."""
         self.bottom[rows], self.top[rows] = other.bottom, other.top
         self.connection[rows] = other.connection
         self.parametrization[rows] = other.parametrization

@@ -52,8 +52,6 @@ USED_UP = 1.0 + 1e-9
 
 
 class Corners(Table):
-    """Programmed data of n corners."""
-
     #: Programmed corner points [m] and tool axes [-].
     tip: FloatArray = column(3)
     axis: FloatArray = column(3)
@@ -93,7 +91,6 @@ class Style:
         return Style(settings.flank_height, in_step, method, settings.septic, literal)
 
     def empty_curves(self, count: int) -> Curves:
-        """Return empty curves for a number of corners."""
         spans = {'paper': 7, 'linear': 0, 'exact': 0 if self.in_step else 1}[self.method]
         return Curves.empty(count, 8 if self.septic else 6, spans)
 
@@ -121,7 +118,6 @@ def initial_lengths(
 def build(
     corners: Corners, inner: FloatArray, outer: FloatArray, reach: FloatArray, style: Style
 ) -> Curves:
-    """Build the curves of corners."""
     curves = style.empty_curves(len(inner))
     bottom, top = curves.bottom, curves.top
     axes = np.stack([corners.axis_at(side, outer[:, side]) for side in (0, 1)], axis=1)
@@ -141,7 +137,6 @@ def build(
 
 
 def _top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
-    """Return the relative positions of the inner top points, shape (n, 2): Eq. 3 on top."""
     legs = top[:, [0, 4]] - top[:, 2:3]
     lengths = np.maximum(norm(legs), 1e-300)
     inner = lengths.min(axis=1) / LEAST_TOP_RATIO

@@ -60,7 +60,6 @@ def _variation(rows: FloatArray, radius: float) -> float:
 
 @njit(cache=True, nogil=True, inline='always')
 def scalar_product(v: FloatArray, w: FloatArray) -> float:
-    """Return the scalar product of two vectors of length 3."""
     return float(v[0] * w[0] + v[1] * w[1] + v[2] * w[2])
 
 
@@ -211,7 +210,6 @@ def orientation_bounds(
     curves: Curves, legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float,
     least: FloatArray, both: BoolArray,
 ) -> FloatArray:  # fmt: skip
-    """Compute a proven bound of the orientation deviation of corners."""
     return np.asarray(
         _bounds_of(
             curves.bottom, curves.top, curves.connection, curves.parametrization,
@@ -226,7 +224,6 @@ def _bounds_of(
     legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float, least: FloatArray,
     both: BoolArray,
 ) -> FloatArray:  # fmt: skip
-    """Return the bounds of many corners, shape (n,) [m]."""
     bounds = least.copy()
     for i in range(len(bottom)):
         lift, largest_seen = _powers(connection[i]), least[i]

@@ -87,7 +87,6 @@ def refuse_reversals(rows: Rows, legs: Legs) -> None:
 
 
 def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits) -> IntArray:
-    """Decide the kind of each vertex."""
     blocks, curve = rows.blocks, rows.count > 0
     kind = np.full(len(blocks), STOP)
     before, after = slice(None, -1), slice(1, None)

@@ -35,8 +35,6 @@ SHORTEST_REST = 40.0
 
 
 class Compressor:
-    """Convert a stream of blocks to lines and curves."""
-
     def __init__(
         self, settings: Settings, machine: MachineTraits, choice: Choice | None, row: int = 0,
         joined: bool = False,
@@ -71,7 +69,6 @@ class Compressor:
         return self._advance(final=True)
 
     def _advance(self, final: bool) -> Rows:
-        """Find corners, and return all rows that are final."""
         if self._builder.skeleton is None:
             return Rows.plain(Blocks.none(), 0)
         self._corners.decide(self._skeleton, final)
@@ -91,7 +88,6 @@ class Compressor:
         return self._builder.skeleton
 
     def _send(self) -> None:
-        """Send lines and runs in order, as far as their vertices are decided."""
         while True:
             if self._run is not None:
                 if not self._follow(self._run):
@@ -273,7 +269,6 @@ class Compressor:
         self._at, self._run = vertex, None
 
     def _end_of(self, run: Run) -> int:
-        """Return the last vertex that a run may reach."""
         return self._last if run.ended else self._next
 
     def _forget(self) -> None:
@@ -318,7 +313,6 @@ class Made(NamedTuple):
 
 
 def rows_of(skeleton: Skeleton, made: Sequence[Made]) -> Rows:
-    """Return rows that are made as a table."""
     k = np.array([one.vertex for one in made])
     blocks, row = skeleton.blocks[k], skeleton.row[k]
     tip, axis, rotary = blocks.tip.copy(), blocks.axis.copy(), blocks.rotary.copy()

@@ -41,8 +41,6 @@ class Curve(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The result of a window."""
-
     found: bool  #: Whether a curve within the tolerances was found; else there are no spans.
     last: bool  #: Whether the run ends there.
     t: float  #: Curve parameter at its end, or where the deviation was too large [m].

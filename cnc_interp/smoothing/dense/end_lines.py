@@ -32,8 +32,6 @@ LEAD, LEAD_SHARE = 2.0, 0.4
 
 
 class EndLine(NamedTuple):
-    """The line on which a run starts or ends."""
-
     segment: int  #: Segment of the skeleton that the line replaces.
     vertex: int  #: Skeleton vertex at the inner end of the line.
     pose: FloatArray  #: (6,): Tip [m] and tool axis [-] where line and curve meet.
@@ -119,7 +117,6 @@ def _borders(place: FloatArray, segments: IntArray, apart: float) -> tuple[Float
 
 @njit(cache=True, nogil=True)
 def _distance(a: FloatArray, b: FloatArray) -> float:
-    """Return the distance between the tips of two poses [m]."""
     return sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
 
 

@@ -90,7 +90,6 @@ class Rows(Table):
     spans: Spans  #: Spans of all rows.
 
     def __getitem__(self, rows: slice) -> Rows:  # type: ignore[override]
-        """Return a slice of the rows with their spans."""
         first, last, _ = rows.indices(len(self))
         ends = np.concatenate([[0], np.cumsum(self.count)])
         return Rows(

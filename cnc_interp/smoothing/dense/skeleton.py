@@ -84,8 +84,6 @@ class Skeleton:
 
 
 class SkeletonBuilder:
-    """Reduce a stream of blocks to its skeleton."""
-
     def __init__(self, settings: Settings, row: int, joined: bool):
         self._longest_block, self._height = settings.longest_block, settings.flank_height
         self._raw: Blocks | None = None  # blocks from the last vertex of the skeleton on
@@ -118,7 +116,6 @@ class SkeletonBuilder:
             self._row += int(kept[-1])
 
     def _start(self, raw: Blocks, top: FloatArray) -> Skeleton:
-        """Return the skeleton of the start pose, where the tool rests."""
         yes, no = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
         return Skeleton(
             raw[:1], top[:1], np.array([self._row]), np.zeros((1, 2)), np.full(1, np.inf),
@@ -243,15 +240,12 @@ class SkeletonBuilder:
 
 
 class CornerSearch:
-    """Find the corners of a growing skeleton."""
-
     def __init__(self, angle: float):
         self._angle = angle
         self.turned = 0  # number of vertices whose turn is known
         self.decided = 0  # number of vertices that are known to be corners or not
 
     def decide(self, skeleton: Skeleton, final: bool) -> None:
-        """Decide about the vertices that are known far enough in both directions."""
         n, tolerance = len(skeleton), skeleton.tolerance
         # A repeated point that arrives later may still close the last vertex.
         closed = np.flatnonzero(skeleton.closed[: n if final else n - 1])
@@ -280,6 +274,5 @@ class CornerSearch:
         self.decided = decided
 
     def shift(self, first: int) -> None:
-        """Renumber the vertices after the first ones were dropped."""
         self.turned -= first
         self.decided -= first

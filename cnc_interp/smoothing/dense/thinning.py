@@ -69,7 +69,6 @@ def _chord_distances(
 
 @njit(cache=True, nogil=True)
 def _distance(points: FloatArray, a: int, b: int) -> float:
-    """Return the distance between two of the points [m]."""
     return sqrt(
         (points[b, 0] - points[a, 0]) ** 2
         + (points[b, 1] - points[a, 1]) ** 2
@@ -118,7 +117,6 @@ def select_vertices(
 
 @njit(cache=True, nogil=True)
 def _turn_at(points: FloatArray, j: int, back: int, forth: int) -> float:
-    """Return the angle between the chords back - j and j - forth [rad]."""
     dot, a, b = 0.0, 0.0, 0.0
     for i in range(3):
         x, y = points[j, i] - points[back, i], points[forth, i] - points[j, i]

@@ -41,12 +41,10 @@ class Jets:
     axis: FloatArray  #: (4, n, 3): o, o_s, o_ss, o_sss [-, 1/m, 1/m2, 1/m3].
 
     def backwards(self) -> Jets:
-        """Return the jets of the same path in the opposite direction."""
         sign = np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
         return Jets(sign * self.tip, sign * self.axis)
 
     def jumps(self, other: Jets, height: float) -> FloatArray:
-        """Return the differences of two sets of jets."""
         found = []
         for order in (1, 2):
             tip = norm(self.tip[order] - other.tip[order])
@@ -86,7 +84,6 @@ def span_jets(bottom: FloatArray, top: FloatArray, connection: FloatArray) -> Je
 
 
 def arc_length(p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of the arc length by the curve parameter."""
     s1 = norm(p[0])[:, None]
     s2 = dot(p[0], p[1])[:, None] / s1
     s3 = (dot(p[1], p[1]) + dot(p[0], p[2]))[:, None] / s1 - s2**2 / s1
@@ -103,8 +100,6 @@ def _by_arc_length(
 
 @dataclass(frozen=True)
 class Connected:
-    """Spans that begin and end with the derivatives of their neighbours."""
-
     bottom: FloatArray  #: (n, 6, 3): Bezier points of the tip [m].
     #: (n, points, 3): Bezier points of the connection E, which is added to the top curve [m].
     connection: FloatArray
@@ -116,7 +111,6 @@ def connected(
     bottom: FloatArray, top: FloatArray, first: Jets | None, last: Jets | None, height: float,
     points: int = 6,
 ) -> Connected:  # fmt: skip
-    """Change spans so that they begin and end with the derivatives of their neighbours."""
     n = len(bottom)
     moved = bottom.copy()
     free = np.zeros((3, n, 3))
@@ -180,8 +174,6 @@ def line_between(start: Blocks, end: Blocks, at_end: bool) -> Jets | None:
 
 @dataclass(frozen=True)
 class Piece:
-    """One polynomial piece of the curve."""
-
     #: (1, 6, 3): Bezier points of tip and second point [m].
     bottom: FloatArray
     top: FloatArray
@@ -190,14 +182,12 @@ class Piece:
     row: int  #: Number of the span in the curve.
 
     def jets(self, at_end: bool) -> Jets:
-        """Return the jets at the start or the end of the piece, in the direction of motion."""
         if not at_end:
             return span_jets(self.bottom, self.top, self.connection)
         inward = (self.bottom[:, ::-1], self.top[:, ::-1], self.connection[:, ::-1])
         return span_jets(*inward).backwards()
 
     def halves(self) -> tuple[Piece, Piece]:
-        """Divide a piece without a connection in the middle."""
         first, last = zip(divided(self.bottom), divided(self.top), strict=True)
         return (
             replace(self, bottom=first[0], top=first[1]),
@@ -231,7 +221,6 @@ def absorbed(
 
 
 def same_jets(a: Jets, b: Jets, height: float) -> bool:
-    """Tell whether both sides of a join have equal derivatives."""
     angle, bend = (float(x[0]) for x in a.jumps(b, height))
     return angle <= SAME_DIRECTION and bend <= SAME_BEND
 

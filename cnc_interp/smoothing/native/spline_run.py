@@ -31,8 +31,6 @@ SAME_POSE = 1e-9
 
 
 class SplineRun:
-    """One curve of a native program."""
-
     def __init__(self, row: int, pose: Blocks, before: Jets | None, style: Style):
         self._first_row, self._pose, self._before = row, pose, before
         self._style, self._room = style, style.empty_curves(1)
@@ -46,7 +44,6 @@ class SplineRun:
 
     @property
     def last_row(self) -> Blocks:
-        """Return the last control point known, as one row."""
         return self._rows_known()[-1:]
 
     def push(self, rows: Blocks) -> PathSegments | None:
@@ -111,7 +108,6 @@ class SplineRun:
             )
 
     def _spans(self) -> list[Piece]:
-        """Return the new spans whose control points and knots are all known."""
         rows = self._rows_known()
         count = self._offset + len(rows)
         numbers = np.arange(self._next, count - 2)
@@ -213,7 +209,6 @@ class SplineRun:
         done.append((made[-1], stop))
 
     def _absorb(self, piece: Piece, first: Jets | None, last: Jets | None) -> list[Piece] | None:
-        """Change a piece within the share of its tolerances (function ``absorbed``)."""
         rows, i = self._rows_known(), piece.row - self._offset
         both = (rows.contour_tolerance[i], rows.orientation_tolerance[i])
         return absorbed(piece, first, last, JOIN_SHARE * np.array(both), self._style.height)
@@ -223,7 +218,6 @@ class SplineRun:
         return self._rows
 
     def _forget(self) -> None:
-        """Drop control points that no later span needs."""
         needed = self._next if self._held is None else min(self._held[0].row, self._next)
         drop = max(0, needed - 3 - self._offset)
         if drop and self._rows is not None:

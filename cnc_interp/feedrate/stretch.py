@@ -51,11 +51,8 @@ class Stretch:
 
     def law(self, start_time: float, last: int) -> MotionLaw:
         time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
-        return MotionLaw(
-            time=time[:-1], duration=self.duration[:last].copy(), s=self.path.s[:last].copy(),
-            s_dot=self.v[:last].copy(), s_ddot=self.a[:last].copy(), jerk=self.jerk[:last].copy(),
-            cell=np.arange(last, dtype=np.int64),
-        )  # fmt: skip
+        state = self.path.s[:last], self.v[:last], self.a[:last], self.jerk[:last]
+        return MotionLaw(time[:-1], self.duration[:last], *state, np.arange(last))
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')

@@ -210,6 +210,8 @@ def _refined(
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:
+    if first == 0 and last == len(path.s) - 1:
+        return path
     points, cells = slice(first, last + 1), slice(first, last)
     return AxisPath(
         s=path.s[points].copy(), cell_left=path.cell_left[:, cells].copy(),

@@ -352,7 +352,6 @@ class FeedPlanner:
         )
 
     def _drive_on(self, older: Stretch) -> PlannedPiece:
-        """Commit half of the older plan after a failed window, or all of it the second time."""
         cells = len(older.nodes) - 1
         part = cells if self._failed else (cells + 1) // 2
         self._failed = part < cells

@@ -54,8 +54,6 @@ KINK_JERK = 0.02  #: Share of a jerk limit above which a kink, in one period, be
 
 @dataclass
 class Cells:
-    """Consecutive segments cut into cells, before joining."""
-
     steps: FloatArray
     left: FloatArray
     right: FloatArray

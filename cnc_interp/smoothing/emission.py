@@ -116,24 +116,15 @@ class Emission:
         extra = self._extra_on_lines(last, start, end)
         self._put_axis_lines(start, end, bottom, axis, values, extra)
         return kept, PathSegments(
-            kind=np.where(resting, ROTATION, LINE)[kept],
-            bottom=padded(bottom[kept]),
-            top=padded(curves.top[kept]),
-            connection=curves.connection[kept],
-            parametrization=curves.parametrization[kept],
-            axis=axis[kept],
-            rotation=(rotation * part[:, None])[kept],
-            rotary=values[kept],
-            length=length[kept],
-            feed=np.repeat(feed[kept, None], 2, axis=1),
-            block=np.repeat(row[:, None], 2, axis=1),
-            line_number=blocks.line_number[kept + 1],
-            stop=stop[1 : last + 1][kept],
-            deviation=rows.used[kept + 1],
-            extra=extra[kept],
-            interpolation=blocks.interpolation[kept + 1],
-            room=self._least_tolerance(kept),
-        )
+            kind=np.where(resting, ROTATION, LINE)[kept], bottom=padded(bottom[kept]),
+            top=padded(curves.top[kept]), connection=curves.connection[kept],
+            parametrization=curves.parametrization[kept], axis=axis[kept],
+            rotation=(rotation * part[:, None])[kept], rotary=values[kept], length=length[kept],
+            feed=np.repeat(feed[kept, None], 2, axis=1), block=np.repeat(row[:, None], 2, axis=1),
+            line_number=blocks.line_number[kept + 1], stop=stop[1 : last + 1][kept],
+            deviation=rows.used[kept + 1], extra=extra[kept],
+            interpolation=blocks.interpolation[kept + 1], room=self._least_tolerance(kept),
+        )  # fmt: skip
 
     def _put_axis_lines(
         self, start: FloatArray, end: FloatArray, bottom: FloatArray, axis: FloatArray,
@@ -165,26 +156,19 @@ class Emission:
         before, after = self._feed(own - 1, np.zeros(n)), self._feed(own, np.zeros(n))
         curves = self.style.empty_curves(n)
         return PathSegments(
-            kind=np.full(n, CORNER),
-            bottom=points[..., POINT].copy(),
-            top=padded(curves.top),
+            kind=np.full(n, CORNER), bottom=points[..., POINT].copy(), top=padded(curves.top),
             connection=curves.connection,
             parametrization=np.zeros_like(curves.parametrization),
-            axis=geometry.tool_axis(points[:, 0, TURN]),
-            rotation=np.zeros((n, 3)),
-            rotary=points[..., TURN].copy(),
-            length=np.full(n, np.nan),
+            axis=geometry.tool_axis(points[:, 0, TURN]), rotation=np.zeros((n, 3)),
+            rotary=points[..., TURN].copy(), length=np.full(n, np.nan),
             feed=np.stack([before, after], axis=1),
             block=np.stack([self.rows.row[own], self.rows.row[own + 1]], axis=1),
-            line_number=blocks.line_number[own + 1],
-            stop=np.zeros(n, dtype=bool),
-            deviation=deviation,
-            extra=points[..., EXTRA].copy(),
+            line_number=blocks.line_number[own + 1], stop=np.zeros(n, dtype=bool),
+            deviation=deviation, extra=points[..., EXTRA].copy(),
             interpolation=np.where(corners.in_axes, AXES_LINEAR, ROTARY_LINEAR),
-        ), own
+        ), own  # fmt: skip
 
     def _resting_way(self, rows: IntArray, swept: FloatArray) -> FloatArray:
-        """Return the length of blocks whose tip rests [m]: height times angle, and extra axes."""
         moved = self.legs.extra_step[rows]
         turned = self.style.height * swept
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
@@ -214,7 +198,6 @@ class Emission:
         return np.asarray(np.minimum(*ends))
 
     def _extra_on_corners(self, rows: IntArray, inner: FloatArray) -> FloatArray:
-        """Return control values of the extra axes on corners: linear on both legs."""
         blocks, legs, outer = self.rows.blocks, self.legs, self.outer[rows]
         found = np.zeros((len(rows), POINTS, blocks.extra.shape[1]))
         found[:, 2] = blocks.extra[rows]

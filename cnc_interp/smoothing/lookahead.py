@@ -59,7 +59,6 @@ class LookAhead:
         return self._take(self._compressor.push(blocks), final=False)
 
     def finish(self, joined: bool = False) -> PathSegments:
-        """Return the rest; if a native spline follows (``joined``), the last block is a line."""
         return self._take(self._compressor.finish(joined), final=True)
 
     def whole(self, blocks: Blocks) -> PathSegments:

@@ -119,7 +119,6 @@ class PathSmoother:
         return replace(lines, stop=stop)
 
     def _end_run(self, after: Jets | None) -> list[PathSegments | None]:
-        """Finish the spline; the look-ahead continues from its last pose."""
         run = self._run
         assert run is not None
         rest = run.finish(after)
@@ -134,7 +133,6 @@ class PathSmoother:
         return [rest]
 
     def _joined(self, found: list[PathSegments | None]) -> PathSegments:
-        """Join batches of segments; the first one gets the rotary words of the start pose."""
         parts = [part for part in found if part is not None and len(part)]
         if not parts:
             return PathSegments.none()

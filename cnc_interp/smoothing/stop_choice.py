@@ -109,8 +109,6 @@ def ways_of_run(
 
 
 class StopChoice:
-    """Propose stops at doubtful corners, and take those that are faster."""
-
     def __init__(
         self, choice: Choice | None, machine: MachineTraits, height: float, found: list[int]
     ):
@@ -190,5 +188,4 @@ def _ways_at(blocks: Blocks, at: int) -> list[list[Way]]:
 
 
 def _plain(rows: Rows) -> BoolArray:
-    """Tell which rows are lines of poses, shape (n,)."""
     return np.asarray((rows.count == 0) & ~rows.blocks.by_rotary)

@@ -196,7 +196,6 @@ class Compressor:
         return True
 
     def _end(self, run: Run, last: int) -> None:
-        """Complete the polyline of a run with its end line."""
         v, self._last = self._skeleton.vertices, last
         line, self._tail = run.line, None
         jet = np.concatenate([v.pose[last, :3], v.top[last]])[None]
@@ -207,7 +206,6 @@ class Compressor:
         run.end(line, jet)
 
     def _commit(self, run: Run, found: Window) -> None:
-        """Send the first spans of a window, and the lines before and after the curve."""
         skeleton = self._skeleton
         if self._lead is not None:
             lead, self._lead = self._lead, None

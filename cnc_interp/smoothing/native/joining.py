@@ -151,7 +151,6 @@ def _lacking(bottom: FloatArray, top: FloatArray, jets: Jets) -> FloatArray:
 
 
 def by_parameter(jets: Jets, p: FloatArray) -> FloatArray:
-    """Convert the derivatives of the tool axis from arc length to a curve parameter."""
     s1, s2, s3 = arc_length(p)
     _, o_s, o_ss, o_sss = jets.axis
     return np.stack(
@@ -226,5 +225,4 @@ def same_jets(a: Jets, b: Jets, height: float) -> bool:
 
 
 def joins_gently(a: Jets, b: Jets) -> bool:
-    """Tell whether the path turns little enough at a join to pass it without rest."""
     return float(norm(a.tip[1] - b.tip[1])[0]) <= SHARPEST

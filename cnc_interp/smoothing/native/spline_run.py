@@ -193,7 +193,6 @@ class SplineRun:
         return fits, before if fits else None
 
     def _settle(self, after: Jets | None, done: list[tuple[Piece, bool]], stop: bool) -> None:
-        """Close the end of the last span; ``stop`` tells whether the tool rests at a free end."""
         assert self._held is not None
         piece, taken = self._held
         if after is not None:

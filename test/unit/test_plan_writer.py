@@ -114,6 +114,7 @@ def test_progress_counts_what_is_planned_not_what_is_read(tmp_path, monkeypatch)
 
     kept = PlanWriter.piece
     monkeypatch.setattr(PlanWriter, 'piece', piece)
+    monkeypatch.setattr(path_chain, 'BATCH', 200)
     plan_to_files(
         AtOnce(read), MACHINE, tmp_path / 'out', progress=lambda x: told.append((x, planned[0]))
     )

@@ -23,6 +23,7 @@ from cnc_interp.commands.operate import (
     add_jog_command,
     add_mdi_command,
     add_probe_command,
+    add_probe_rotary_command,
     add_setup_commands,
 )
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser
@@ -93,9 +94,9 @@ def parser() -> argparse.ArgumentParser:
         add_run_command, add_plan_command, add_batch_command, add_cluster_command,
         partial(add_sweep_command, main=main), add_convert_command, add_check_command,
         add_report_command, add_panel_command, add_jog_command, add_setup_commands,
-        add_home_command, add_mdi_command, add_probe_command, add_urdf_command,
-        add_hal_command, add_bag_commands, add_identify_commands, add_learn_command,
-        add_cam_commands,
+        add_home_command, add_mdi_command, add_probe_command, add_probe_rotary_command,
+        add_urdf_command, add_hal_command, add_bag_commands, add_identify_commands,
+        add_learn_command, add_cam_commands,
     ):  # fmt: skip
         add(commands)
     return top

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from cnc_interp.commands.parser import (
     BAD_INPUT,
@@ -17,7 +20,7 @@ from cnc_interp.commands.parser import (
     positive,
 )
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import DEG, MM, UM
 
 
 def add_jog_command(commands: Any) -> None:
@@ -165,6 +168,53 @@ def probe_command(options: argparse.Namespace) -> int:
         with setup_console(options.namespace, options.domain) as console:
             print(console.tools_text() if cycle.name == 'tool' else console.offsets_text())
     return FINE if end.answer.ok else FAILED
+
+
+def add_probe_rotary_command(commands: Any) -> None:
+    probe = command(
+        commands, 'probe-rotary', probe_rotary_command,
+        'find the rotary axes of a running machine by touching one ball, from above it',
+        'cnc-interp probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
+    )  # fmt: skip
+    option(probe, '--ball', 'diameter of the ball', positive, 'MM', required=True)
+    option(probe, '--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
+    option(
+        probe, '--longer', 'length of the probe beyond the tip in the machine file (0)', float,
+        'MM', default=0.0,
+    )  # fmt: skip
+    option(probe, '--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
+    option(probe, '--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
+    option(probe, '--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
+    for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
+        angles = ' '.join(f'{angle:g}' for angle in default)
+        probe.add_argument(
+            f'--{name}', nargs='+', type=float, default=default, metavar='DEG',
+            help=f'positions of the {name} axis ({angles})',
+        )  # fmt: skip
+    option(probe, '--out', 'machine file to write', Path, 'FILE')
+    nodes_options(probe)
+
+
+def probe_rotary_command(options: argparse.Namespace) -> int:
+    """Touch the ball at all poses; print what the machine file should say, and write it."""
+    from cnc_interp.client.rotary_probing import BallProbing, probe_rotary_centres
+    from cnc_interp.machine_model.machine import with_geometry
+
+    wanted = BallProbing(
+        ball=options.ball * MM, tip=options.tip * MM, longer=options.longer * MM,
+        beside=options.beside * MM, feed=options.feed, slow=options.slow,
+        primary=[angle * DEG for angle in options.primary],
+        secondary=[angle * DEG for angle in options.secondary],
+    )  # fmt: skip
+    fit, name = probe_rotary_centres(
+        wanted, options.namespace, options.domain, lambda text: print(text, flush=True)
+    )
+    print(f'{len(fit.residuals)} touches fit within {np.abs(fit.residuals).max() / UM:.1f} um')
+    print(fit.text())
+    if options.out is not None:
+        with_geometry(name, options.out, fit.machine)
+        print(f'machine file   {options.out}')
+    return FINE
 
 
 def add_setup_commands(commands: Any) -> None:

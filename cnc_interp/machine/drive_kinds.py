@@ -53,9 +53,8 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
     drives = SimulatedDrives(machine, period, position)
     if touches:
         from cnc_interp.machine.simulated_probe import ProbingDrives
-        from cnc_interp.machine_model.transform import Transform
 
-        drives = ProbingDrives(Transform.of(machine), period, position, Path(touches))
+        drives = ProbingDrives(machine, period, position, Path(touches))
     model, learnt = values['compensation'], values['learnt']
     motion = learnt_for(Path(learnt), values['machine'], model, period) if learnt else None
     if not model:

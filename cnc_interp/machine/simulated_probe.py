@@ -9,6 +9,7 @@ The file is in mm and deg, in the workpiece frame of the machine file:
       - {boss: [60, 0, 0], radius_mm: 10}
       - {ball: [0, 0, 30], radius_mm: 12}
       - {box: [0, 40, -5], half: [30, 10, 5], turned_deg: 3}
+    machine: real.yaml                        # whose geometry the axes have, if another one
 
 The ball touches where the signed distance of its centre from a surface is its radius. Distances
 beside edges are those of the planes that meet there.
@@ -30,6 +31,7 @@ from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine.simulated_drives import SimulatedDrives
+from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.transform_kernels import SIZE, forward
 
@@ -106,15 +108,15 @@ def probe_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
 class ProbingDrives(SimulatedDrives):
     """Simulated drives whose input ``probe`` is on while the ball touches a surface of a file."""
 
-    def __init__(self, transform: Transform, period: float, position: FloatArray, file: Path):
-        machine = transform.machine
+    def __init__(self, machine: Machine, period: float, position: FloatArray, file: Path):
         super().__init__(machine, period, position)
         if machine.signals.probe is None:
             raise InterpError('probe_touches: the machine file has no probe among its signals')
-        probe, self._surfaces = read_surfaces(file)
+        probe, self._surfaces, real = read_surfaces(file)
         deviates = np.random.default_rng(1).standard_normal(TOUCHES)
         self._noise = deviates * probe['noise_um'] * 1e-6
-        self._geometry, self._inner = transform.packed, (self.step, self.memory)
+        self._geometry = Transform.of(Machine.load(real) if real else machine).packed
+        self._inner = self.step, self.memory
         place = machine.signals.probe[1]
         self.memory = np.zeros(SIZE_OF_MEMORY)
         head = self.memory.view(np.int64)
@@ -128,14 +130,14 @@ class ProbingDrives(SimulatedDrives):
         self.step = int(probe_once.address)
 
 
-def read_surfaces(file: Path) -> tuple[dict[str, float], FloatArray]:
-    """Read the ball and the surfaces, (n, COLUMNS), of a file; InterpError says what is wrong."""
+def read_surfaces(file: Path) -> tuple[dict[str, float], FloatArray, str]:
+    """Read the ball, the surfaces, (n, COLUMNS), and the machine; or InterpError."""
     try:
         content = read_yaml(file)
     except (OSError, UnreadableError) as problem:
         raise InterpError(f'{file}: cannot be read: {problem}') from None
-    if not isinstance(content, dict) or set(content) - {'probe', 'surfaces'}:
-        raise InterpError(f'{file}: may hold probe and surfaces')
+    if not isinstance(content, dict) or set(content) - {'probe', 'surfaces', 'machine'}:
+        raise InterpError(f'{file}: may hold probe, surfaces and machine')
     probe = _numbers(content.get('probe') or {}, PROBE, f'{file}: probe')
     rows = []
     for k, given in enumerate(content.get('surfaces') or [], start=1):
@@ -153,7 +155,8 @@ def read_surfaces(file: Path) -> tuple[dict[str, float], FloatArray]:
             shape *= MM
         last = found.get('radius_mm', 0.0) * MM + found.get('turned_deg', 0.0) * DEG
         rows.append([kind, *np.array(found[name]) * MM, *shape, last])
-    return probe, np.array(rows, dtype=float).reshape(-1, COLUMNS)
+    real = str(content.get('machine') or '')
+    return probe, np.array(rows, dtype=float).reshape(-1, COLUMNS), real
 
 
 def _numbers(given: Any, known: Mapping[str, Any], where: str) -> dict[str, Any]:

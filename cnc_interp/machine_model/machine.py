@@ -21,6 +21,7 @@ from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad, axis_drives, drive_loads
 from cnc_interp.machine_model.machine_entries import (
+    GEOMETRY,
     LOCKED_LIMITS,
     ReferenceSwitches,
     axis_limits,
@@ -299,6 +300,17 @@ def placed_machine(
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, yaml.safe_dump(content, sort_keys=False))
     return Machine.load(file)
+
+
+def with_geometry(name: str, file: Path, geometry: Machine) -> None:
+    """Write the file of a machine with the offsets of its rotary axes and heads from another."""
+    content = deepcopy(read_yaml(find_machine_file(name)))
+    offsets = np.concatenate([geometry.offsets, geometry.tool_offset])
+    for key, offset in zip(GEOMETRY, offsets, strict=True):
+        if key in content['rotary'] or offset.any():
+            content['rotary'][key] = [round(1e3 * float(x), DIGITS) for x in offset]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, yaml.safe_dump(content, sort_keys=False))
 
 
 def _has_turntable(machine: Machine) -> bool:

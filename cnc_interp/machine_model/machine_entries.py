@@ -15,6 +15,11 @@ from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
+#: Keys of ``rotary``: the rows of ``Machine.offsets`` and ``Machine.tool_offset``.
+GEOMETRY = (
+    'workpiece_offset_mm', 'secondary_offset_mm', 'primary_offset_mm', 'tip_to_secondary_pivot_mm',
+    'secondary_to_primary_pivot_mm',
+)  # fmt: skip
 LINEAR_KEYS = {
     'velocity_m_per_min': M_PER_MIN,
     'acceleration_m_per_s2': 1.0,
@@ -111,13 +116,10 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     if abs(directions[1 if all(on_head) else int(on_head[1])][2]) > 0.999:
         raise MachineError('the axis next to the tool must tilt it away from +Z', 'rotary')
     offsets = [
-        vector(rotary, f'{key}_offset_mm', all(on_head) or (key == 'secondary' and locked))
-        for key in ('workpiece', 'secondary', 'primary')
+        vector(rotary, key, all(on_head) or (key == GEOMETRY[1] and locked))
+        for key in GEOMETRY[:3]
     ]
-    arms = [
-        vector(rotary, f'{key}_mm', locked or not any(on_head))
-        for key in ('tip_to_secondary_pivot', 'secondary_to_primary_pivot')
-    ]
+    arms = [vector(rotary, key, locked or not any(on_head)) for key in GEOMETRY[3:]]
     return {
         'rotary_direction': np.array(directions),
         'rotary_on_head': (on_head[0], on_head[1]),

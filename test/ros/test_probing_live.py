@@ -6,13 +6,20 @@ import sys
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
+from operated import Bench
+
 from cnc_interp.client.bag import Bag
 from cnc_interp.commands.cli import main
+from cnc_interp.core.ros_share import config_directory
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.processes.node_processes import NODES
+
+CONFIG = config_directory()
 
 TOUCHES = """
 probe: {radius_mm: 1.5, delay_ms: 2, noise_um: 1}
@@ -95,3 +102,38 @@ def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
 def test_what_is_not_found_ends_the_program_at_rest(run, line, told):
     done = run(f'G21 G90\nG0 X20 Y0 Z15\n{line}\nM2\n')
     assert done.returncode == 1 and told in done.stdout, done.stdout + done.stderr
+
+
+@pytest.mark.thorough
+def test_rotary_axes_are_found_by_touching_a_ball(tmp_path):
+    """The machine file is 50 um wrong; what is written is right within 5 um."""
+    wrong = yaml.safe_load((CONFIG / 'machines' / 'xyzac_trt.yaml').read_text())
+    wrong['rotary']['secondary_offset_mm'][1] += 0.05
+    wrong['rotary']['primary_offset_mm'][2] -= 0.04
+    file, part, out = tmp_path / 'wrong.yaml', tmp_path / 'part.yaml', tmp_path / 'new.yaml'
+    file.write_text(yaml.safe_dump(wrong))
+    part.write_text(
+        'probe: {noise_um: 1, delay_ms: 1}\nmachine: xyzac_trt\n'
+        'surfaces: [{ball: [30, -20, 10], radius_mm: 12.5}]\n'
+    )
+    own = {'machine_node': {'probe_touches': str(part)}}
+    nodes = Bench({node: {'machine': str(file), **own.get(node, {})} for node in NODES})
+    try:
+        nodes.run(text='G0 X31 Y-19.5 Z28', mdi=True)
+        words = [
+            '--ball', '25', '--tip', '3', '--feed', '3000', '--slow', '60',
+            '--primary', '-40', '40', '--secondary', '0', '90',
+        ]  # fmt: skip
+        words += ['--domain', str(nodes.domain), '--namespace', nodes.namespace, '--out', str(out)]
+        done = subprocess.Popen(
+            [sys.executable, '-m', 'cnc_interp', 'probe-rotary', *words], stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        nodes.spin_until(lambda: done.poll() is not None, 250)
+        assert done.returncode == 0, done.stdout.read()
+    finally:
+        nodes.close()
+    found, right = Machine.load(out), Machine.load('xyzac_trt')
+    seen = [(1, 1), (2, 1), (2, 2)]
+    for place in seen:
+        assert abs(found.offsets[place] - right.offsets[place]) < 5e-6

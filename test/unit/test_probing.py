@@ -196,7 +196,7 @@ def test_an_emergency_stop_ends_the_watch():
 def test_distances_are_those_of_geometry(tmp_path, surface, place, wanted):
     file = tmp_path / 'part.yaml'
     file.write_text(f'surfaces:\n  - {surface}\n')
-    _, (row,) = read_surfaces(file)
+    _, (row,), _ = read_surfaces(file)
     assert len(row) == COLUMNS
     assert distance(row, np.array(place) * 1e-3) == pytest.approx(wanted * 1e-3)
 
@@ -204,7 +204,7 @@ def test_distances_are_those_of_geometry(tmp_path, surface, place, wanted):
 @pytest.mark.parametrize(
     ('text', 'told'),
     [
-        ('[1]', 'may hold probe and surfaces'),
+        ('[1]', 'may hold probe, surfaces'),
         ('surfaces: [{cone: [0, 0, 0]}]', 'surface 1: is one of plane, ball'),
         ('surfaces: [{ball: [0, 0], radius_mm: 1}]', 'ball must be'),
         ('surfaces: [{ball: [0, 0, 0]}]', 'radius_mm must be a number'),
@@ -229,7 +229,7 @@ def test_the_ball_touches_where_the_tool_leads_it(tmp_path, name):
         'surfaces: [{ball: [1, 2, 3], radius_mm: 10}]'
     )
     n, turned = len(machine.axis_names), 3 + 2 * machine.has_rotary
-    drives = ProbingDrives(transform, T, np.zeros(n), file)
+    drives = ProbingDrives(machine, T, np.zeros(n), file)
     place = [i.name for i in machine.signals.inputs].index('probe')
     step = ctypes.CFUNCTYPE(*[ctypes.c_int64] * 5)(drives.step)
     rotary = np.full(2, 0.3 * machine.has_rotary)

@@ -27,7 +27,7 @@ class Bench:
     def __init__(self, tmp_path, surfaces, setup=None):
         file = tmp_path / 'part.yaml'
         file.write_text('surfaces:\n' + ''.join(f'  - {{{each}}}\n' for each in surfaces))
-        _, self.surfaces = read_surfaces(file)
+        _, self.surfaces, _ = read_surfaces(file)
         self.setup, self.random = setup or JobSetup(), np.random.default_rng(3)
         self.moves = []
 

@@ -17,7 +17,7 @@ from multiprocessing.context import ForkServerProcess
 from typing import Generic, TypeVar
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.processes.fork_server import begin_child, begin_loading
+from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 
 #: What the fork server loads for programs, and for tiles of needles.
 PRELOADED = ('cnc_interp.batch.preload_tasks',)
@@ -28,8 +28,6 @@ LOOK = 0.2  #: Time between looks whether all shall end [s].
 MOST_KILLS = 200
 #: Signals by which others end a process; by any other signal it ends itself.
 FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-#: How multiprocessing says that the fork server, and with it the end of a process, is gone.
-SERVER_LOST = 255
 
 A = TypeVar('A')
 R = TypeVar('R')

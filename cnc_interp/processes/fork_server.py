@@ -17,6 +17,8 @@ from cnc_interp.processes.stop_signals import STOPS
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 
 COMMAND = 'cnc_interp.commands.cli'  #: Multiprocessing imports it in every child.
+#: How multiprocessing says that the fork server, and with it the end of a process, is gone.
+SERVER_LOST = 255
 AFTER_CHILDREN = -50  #: When the fork server is ended: after all children.
 _sockets: TemporaryFolder | None = None  #: Where multiprocessing has its sockets.
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
+import signal
 import sys
 import time
 from collections.abc import Mapping
@@ -12,12 +14,13 @@ from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.processes.fork_server import begin_child, begin_loading
+from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 from cnc_interp.processes.shared_memory import remove_dead_segments
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders
 
 NODES = ('feedrate_node', 'program_node', 'lookahead_node', 'machine_node')
 PRELOADED = ['cnc_interp.nodes.preload_nodes']  #: What the fork server loads before it forks.
+LOOK = 0.01  #: Time between looks whether the nodes have ended [s].
 LAST_WAIT = 10.0  #: A node that lives longer is killed: a machine may have to stop [s].
 FAULT = 1  #: How a process ends that Python ends for an error that nobody caught.
 
@@ -29,10 +32,21 @@ class Started:
     log: Path
 
     @property
+    def code(self) -> int | None:
+        """How the node ended, as far as it is known; None while it lives."""
+        code = self.process.exitcode
+        if code != SERVER_LOST:
+            return code
+        with contextlib.suppress(OSError):
+            if Path(f'/proc/{self.process.pid}/comm').read_text().strip() == self.name:
+                return None
+        return -signal.SIGKILL
+
+    @property
     def last_words(self) -> str:
         written = self.log.read_text(errors='replace') if self.log.exists() else ''
         words = written.strip().splitlines()
-        last = words[-1] if words else f'exit code {self.process.exitcode}'
+        last = words[-1] if words else f'exit code {self.code}'
         return last.removeprefix('cnc_interp: ')
 
 
@@ -93,7 +107,7 @@ class Children:
     def check(self) -> None:
         """Make sure that all nodes run; raise InterpError with the last words of a dead one."""
         for node in self.nodes.values():
-            if node.process.exitcode is not None:
+            if node.code is not None:
                 raise InterpError(f'{node.name} ended: {node.last_words}')
 
     def revive(self) -> dict[str, str]:
@@ -104,7 +118,7 @@ class Children:
         """
         lost = {}
         for node in tuple(self.nodes.values()):
-            if (code := node.process.exitcode) is None:
+            if (code := node.code) is None:
                 continue
             words = node.last_words
             if code == FAULT and not self.faults.get(node.name, '').endswith(words):
@@ -119,14 +133,14 @@ class Children:
         return lost
 
     def end(self) -> None:
-        for node in self.nodes.values():
-            node.process.terminate()
-        deadline = time.monotonic() + LAST_WAIT
-        for node in self.nodes.values():
-            node.process.join(max(0.0, deadline - time.monotonic()))
-            if node.process.exitcode is None:
-                node.process.kill()
-                node.process.join()
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            living = [node for node in self.nodes.values() if node.code is None]
+            for node in living:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(node.process.pid or 0, number)
+            deadline = time.monotonic() + LAST_WAIT
+            while any(node.code is None for node in living) and time.monotonic() < deadline:
+                time.sleep(LOOK)
         self._folder.cleanup()
         remove_dead_folders()
         remove_dead_segments()

@@ -19,6 +19,7 @@ from test_leftovers import family
 from tiers import few_of
 
 from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.processes.node_processes import NODES
 
 PROGRAM = 'G21 G90 G94 M3 S1000\nG0 X0 Y0 Z0\nG1 X5 F3000\nX8\nM0\nX10\nM30\n'
 #: How long nothing may happen [s].
@@ -94,6 +95,22 @@ def test_a_signal_to_all_its_processes_cancels_a_run(program):
     os.killpg(run.pid, signal.SIGTERM)
     told = run.communicate(timeout=PATIENCE)[1]
     assert run.returncode == 1 and 'cancelled' in told and ' ended' not in told
+
+
+@pytest.mark.thorough
+def test_a_run_goes_on_and_ends_without_its_fork_server(program):
+    run = start(program)
+    namespace, domain = place_told(run)
+    members = [Path(f'/proc/{member}') for member in family(run.pid)]
+    forked = [one for one in members if b'forkserver' in (one / 'cmdline').read_bytes()]
+    assert len(forked) == 1 + len(NODES)
+    (server,) = (one for one in forked if (one / 'comm').read_text().strip() not in NODES)
+    os.kill(int(server.name), signal.SIGKILL)
+    with OperatorClient('operator', namespace, domain) as client:
+        waits(client, MachineState.REASON_PROGRAM_STOP)
+        assert client.granted(client.trigger('cycle_start')).ok
+    assert run.wait(PATIENCE) == 0
+    assert not any(one.exists() for one in forked)
 
 
 @pytest.mark.thorough

@@ -1,0 +1,23 @@
+"""Nodes lost in each phase of a run: rows of ``benchmarks/losses.py``, which tries all of them."""
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from losses import PARAMETERS, ROWS, fault_of, try_row
+from operated import Bench
+
+EVERY = 5
+
+
+@pytest.fixture(scope='module')
+def bench():
+    bench = Bench(PARAMETERS)
+    yield bench
+    bench.close()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('row', ROWS[::EVERY], ids=lambda row: row.name)
+def test_after_a_loss_the_goal_ends_and_the_next_program_runs(bench, row):
+    assert not fault_of(row, try_row(bench, row))

@@ -121,7 +121,7 @@ def test_rotary_axes_are_found_by_touching_a_ball(tmp_path):
     try:
         nodes.run(text='G0 X31 Y-19.5 Z28', mdi=True)
         words = [
-            '--ball', '25', '--tip', '3', '--feed', '3000', '--slow', '60',
+            '--ball', '25', '--tip', '3', '--feed', '1500', '--slow', '60',
             '--primary', '-40', '40', '--secondary', '0', '90',
         ]  # fmt: skip
         words += ['--domain', str(nodes.domain), '--namespace', nodes.namespace, '--out', str(out)]

@@ -79,17 +79,12 @@ def limit_use(
     a: FloatArray, jerk: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
     use: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Compute how much of each limit a motion law uses in every cell of the true path.
+    """Write the use of velocity, acceleration, jerk and feed by a law in cells, (2, n, 4, n_axes).
 
-    ``velocity = q_s s_dot``, ``acceleration = q_ss s_dot^2 + q_s s_ddot`` and ``jerk = q_sss
-    s_dot^3 + 3 q_ss s_dot s_ddot + q_s s_dddot`` are divided by their limits; the torque of a
-    drive counts as acceleration, see ``load_use``. The feed use is s_dot / F, above 1 where s_dot
-    is negative.
-
-    ``h, feed, jerk, duration`` (n,) of the cells; ``v, a`` (n + 1,) s_dot and s_ddot at the grid
-    points; ``points`` (n,): instants checked in each cell, both ends included. ``use`` (2, n, 4,
-    n_axes) is output: the largest use at all instants, then at the two ends only; the feed use
-    stands in column 0 of its row. Returns the largest over all cells, (4,).
+    First the largest at all instants, then at both ends only; the torque of a drive counts as
+    acceleration (``load_use``), s_dot / F stands in column 0, above 1 where s_dot is negative.
+    ``v, a`` (n + 1,) belong to the grid points, ``points`` are the instants in each cell, both
+    ends included. Returns the largest over all cells, (4,).
     """
     n, n_axes = len(h), left.shape[2]
     coefficients = np.empty((n_axes, 8))

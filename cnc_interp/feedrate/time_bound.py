@@ -22,7 +22,13 @@ import numba
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.limits_by_position import ACCELERATION, FAR, PLACE, VELOCITY, limit_at
+from cnc_interp.core.limits_by_position import (
+    ACCELERATION,
+    FAR,
+    VELOCITY,
+    largest_between,
+    limit_at,
+)
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
 
@@ -67,13 +73,7 @@ def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> F
             if left[1, i, k] * right[1, i, k] <= 0.0:
                 low, high = -FAR, FAR  # the axis may turn round inside the cell
             for row in (VELOCITY, ACCELERATION):
-                largest = limit_at(table, row, k, low)
-                if table.shape[2] > 1:
-                    largest = max(largest, limit_at(table, row, k, high))
-                for p in range(table.shape[2]):
-                    if low < table[PLACE, k, p] < high:
-                        largest = max(largest, table[row, k, p])
-                out[row, i, k] = largest
+                out[row, i, k] = largest_between(table, row, k, low, high)
     return out
 
 

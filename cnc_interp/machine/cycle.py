@@ -58,8 +58,6 @@ STANDS = 0.5  #: A clock later than this stands [s]; no service waits longer for
 
 
 class Records(NamedTuple):
-    """What was played in K periods."""
-
     #: (K,): Setpoint and what happened. The row of a FAILED record is the number of the fault.
     source: IntArray
     serial: IntArray
@@ -156,7 +154,6 @@ class Cycle:
         publish(self._control, START, self._control[START] + 1)
 
     def leave(self) -> None:
-        """Continue with the stop tail of the chunk that is being played."""
         publish(self._control, LEAVE, 1)
 
     def mute(self, mutes: bool) -> None:
@@ -164,7 +161,6 @@ class Cycle:
         publish(self._control, MUTE, int(mutes))
 
     def halt(self) -> None:
-        """Send the drives no further setpoint."""
         publish(self._control, HALT, self._control[HALT] + 1)
 
     def step(self) -> None:
@@ -175,7 +171,6 @@ class Cycle:
         run_periods(self._memory, self._step, self._period, self._together)
 
     def quit(self, quits: bool = True) -> None:
-        """End ``run``, or allow it to begin."""
         publish(self._control, QUIT, int(quits))
 
     def read(self) -> Records:

@@ -137,7 +137,6 @@ def drives_of(machine: Machine, period: float, values: Values, link: Link) -> Dr
 
 
 def joints_of(names: list[str], machine: Machine) -> list[str]:
-    """Return the joint of each axis; without names, the axes' own names."""
     given = [name for name in names if name]
     if given and (len(set(given)) != len(given) or len(given) != len(machine.axis_names)):
         axes = ' '.join(machine.axis_names)

@@ -21,8 +21,6 @@ class DriveFaultError(StreamError):
 
 
 class AxisRows(Table):
-    """Setpoints of consecutive periods, one row each."""
-
     #: Axis coordinates and their derivatives at the end of each period [m or rad, per s, s2].
     position: FloatArray = column('axes')
     velocity: FloatArray = column('axes')

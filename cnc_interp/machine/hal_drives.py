@@ -252,7 +252,6 @@ class HalDrives:
 
     @property
     def position(self) -> FloatArray:
-        """Where the axes stand, or are held after ``switch_on`` [m, rad]."""
         held = self._block.words[hal_step.POWER] == hal_step.HOLD
         return (self._block.held if held else self._block.actual[1]).copy()
 
@@ -277,7 +276,6 @@ class HalDrives:
         publish(self._block.words, hal_step.POWER, hal_step.OFF)
 
     def close(self) -> None:
-        """Take the power away and leave the session."""
         self.switch_off()
         self._step_until(hal_step.POWER_BEFORE, hal_step.OFF)
         self._leave()

@@ -19,8 +19,6 @@ AT_END = 1e-6  #: Nearer than this to its end of travel, an axis has not found i
 
 
 class AxisHoming(Enum):
-    """What an axis does."""
-
     SEARCHES = 'moves towards its switch'
     LEAVES = 'moves back until the switch releases'
     DONE = 'its position is known'
@@ -60,12 +58,10 @@ class Homing:
 
     @property
     def homed(self) -> list[bool]:
-        """Tell for each axis whether its position is known."""
         return [name not in self._unknown for name in self._names]
 
     @property
     def must_home(self) -> list[str]:
-        """Return the axes that must be homed before a program may start."""
         required = self._machine.homing.required
         return sorted(self._unknown, key=self._names.index) if required else []
 

@@ -39,8 +39,6 @@ class Move:
 
 
 class Jog:
-    """The operator's motion by hand; the playback plays it."""
-
     def __init__(self, playback: Playback):
         self._playback, self._machine = playback, playback.axes.machine
         self._period = playback.axes.period
@@ -139,7 +137,6 @@ class Jog:
         return np.array([values.get(name, nothing) for name in names])
 
     def _slides(self, tool: bool) -> Slides | None:
-        """Return what a wish moves; None if the axes first must come to rest for it."""
         motion = self._motion
         if motion is None:
             stands = self._playback.before_jog[-1]

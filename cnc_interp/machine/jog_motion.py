@@ -66,8 +66,6 @@ class Slides:
 
 
 class JogMotion:
-    """One motion by hand, from rest to rest."""
-
     def __init__(self, slides: Slides, period: float, x: FloatArray):
         self.slides, self._period = slides, period
         self._solver = ruckig.Ruckig(len(x))

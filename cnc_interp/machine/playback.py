@@ -69,8 +69,6 @@ class Executed(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Where the probe answered."""
-
     run_id: RunId
     line: int  #: Of the source.
     position: FloatArray  #: (n_axes,): Where the axes were in that period [m, rad].
@@ -232,7 +230,6 @@ class Playback:
         return self._on_tail or self.state.plan_over
 
     def check_jog(self) -> None:
-        """Refuse motion by hand where it cannot begin or go on."""
         self.read()
         if not self.state.by_hand:
             self.state.after(Event.JOG)
@@ -502,7 +499,6 @@ class Playback:
                 self._queued = act.number + 1
 
     def _note(self, act: Act, sample: int) -> None:
-        """Note that the function was executed that a setpoint begins with."""
         if act.number < self.functions:
             return
         self.functions = act.number + 1

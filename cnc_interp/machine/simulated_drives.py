@@ -33,7 +33,6 @@ class SimulatedDrives:
 
     @property
     def position(self) -> FloatArray:
-        """The last setpoint, where the axes stand or settle [m, rad]."""
         return self._words[:, RING].copy()
 
     def exchange(self, seconds: float) -> None:
@@ -100,7 +99,6 @@ class CompensatedDrives:
 
     @property
     def position(self) -> FloatArray:
-        """The last setpoint, where the axes stand or settle [m, rad]."""
         return self._compensation.newest(self.memory)
 
 

@@ -36,8 +36,6 @@ class Trajectory(NamedTuple):
 
 
 class JointReport(NamedTuple):
-    """What the controller reported once."""
-
     stamp: int  #: When it was measured, in the time of ROS [ns].
     #: (n_axes,): Actual axis coordinates and velocities [m, rad, per s].
     position: FloatArray
@@ -45,8 +43,6 @@ class JointReport(NamedTuple):
 
 
 class Controller(Protocol):
-    """The controller, as far as the drives see it."""
-
     @property
     def name(self) -> str:
         """Its name, and the name of the topic with its positions, for messages to people."""

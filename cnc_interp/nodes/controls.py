@@ -200,7 +200,6 @@ class OperatorInputs:
         node.create_service(SetBool, 'optional_stop', answering(self._set_optional_stop))
 
     def see(self, state: MachineState) -> bool:
-        """Store the settings that the machine reports; return whether they have changed."""
         before = self.settings
         self.settings = OperatorSettings(
             state.feed_override, state.single_block, state.rapid_override

@@ -24,7 +24,6 @@ class Diagnostics:
         every(node, 1.0, self.publish)
 
     def say(self, part: str, level: bytes, message: str, **values: object) -> None:
-        """Set the status of a part; a change is published and logged at once."""
         status = DiagnosticStatus(
             level=level,
             name=f'{self._node.get_name()}: {part}',

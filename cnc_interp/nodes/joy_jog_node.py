@@ -21,7 +21,6 @@ TOOL = 'tool'  #: Name by which the tool stands among the axes in the names of p
 
 
 def declared(names: tuple[str, ...]) -> tuple[Declared, ...]:
-    """Return the parameters for the axes of a machine and for the tool."""
     found = [
         Declared('enable_button', 4, 'Button that must be pressed, number in joy', 0, 63),
         Declared('deadband', 0.1, 'Deflections below this count as none [-]', 0.0, 0.9),

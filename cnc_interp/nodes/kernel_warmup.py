@@ -87,7 +87,6 @@ def _endless(transform: Transform) -> Transform:
 
 @cache
 def warm_lookahead(machine: str) -> PathSegments:
-    """Load the kernels of the look-ahead and its trials; return the tiny path."""
     transform = Transform.of(Machine.load(machine))
     segments_of(dense_program(transform), transform, Settings())
     way_time(_endless(transform), Settings(), Way(tiny_program(transform)))
@@ -96,7 +95,6 @@ def warm_lookahead(machine: str) -> PathSegments:
 
 @cache
 def warm_kinematics(machine: str, period: float) -> AxisPath:
-    """Load the kernels from look-ahead to machine axes; return the tiny path in axes."""
     loaded = Machine.load(machine)
     free = _endless(Transform.of(loaded))
     made = [warm_lookahead(machine)]

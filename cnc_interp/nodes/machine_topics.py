@@ -133,7 +133,6 @@ class MachineTopics:
         self._without = max(self._without, float(errors[of_program].max(initial=0.0)))
 
     def report_compensation(self) -> None:
-        """Tell the largest error that there were without compensation in this run."""
         if self._uncompensated is not None:
             told = {WITHOUT: f'{self._without:.3g}'}
             self._diagnostics.say('compensation', OK, 'setpoints are compensated', **told)

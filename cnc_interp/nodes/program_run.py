@@ -352,8 +352,6 @@ MOST_TOGETHER = 64  #: Most blocks in one message.
 
 
 class BlockFeed:
-    """Queue the rows of one program after the other, and make their messages."""
-
     def __init__(self, signals: Signals) -> None:
         self._prepared: Prepared | None = None
         self._signals = signals
@@ -379,7 +377,6 @@ class BlockFeed:
         sender.begin(NO_RUN)
 
     def message(self, rows: slice, first: int) -> G1BlockBatch:
-        """Make the message of some rows; ``first`` is their number in the stream, too."""
         prepared = self._prepared
         if prepared is None:
             raise StreamError('a block was asked for after its run')

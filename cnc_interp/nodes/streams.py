@@ -226,7 +226,6 @@ class Outlet:
 
     @property
     def refused(self) -> Refusal:
-        """Why the receiver refuses the run; NONE if it does not."""
         peer = self.peer
         if peer is None or run_id_of(peer) != self.sender.run_id:
             return Refusal.NONE

@@ -36,7 +36,6 @@ PARAMETERS: dict[str, dict[str, object]] = {
 }
 PROGRAM = waves(8)
 LONG = PROGRAM.replace('TRAORI\n', 'TRAORI\n' + 'G90\n' * 60000)  #: The same path, longer checked.
-NEXT = waves(1)
 FROZEN = 4.0  #: How long a node is frozen [s]; longer than ``peer_timeout``.
 APART = 0.3  #: Time between the losses of two nodes [s].
 LONGEST = 60.0  #: A goal without a result never ends [s].
@@ -181,7 +180,7 @@ def next_program(bench: Bench) -> tuple[int, str]:
     """Run another program, as told in its answers; return code and message of the last answer."""
     deadline = time.monotonic() + LONGEST
     while True:
-        bench.start(text=NEXT)
+        bench.start(text=waves(1))
         result = result_of(bench)
         if result.code == Result.SUCCEEDED or time.monotonic() > deadline:
             return result.code, result.message
@@ -218,7 +217,8 @@ def table() -> Iterator[str]:
         for f in (f for row, f in rows if row.phase == phase):
             cells[2 if f['code'] else bool(f['pressed'])].append(f['took'])
         words = [f'{len(c)}, {max(c):.0f} s' if c else '0' for c in cells]
-        yield f'| {phase} | {sum(map(len, cells))} | {" | ".join(words)} |'
+        if any(cells):
+            yield f'| {phase} | {sum(map(len, cells))} | {" | ".join(words)} |'
     yield from ('', f'Faults: {len(faults)}. {where(held)}', *faults)
 
 

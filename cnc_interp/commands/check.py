@@ -73,8 +73,10 @@ def check_command(options: Namespace) -> int:
         told = [proof.to_json() for proof in proofs]
         print(json.dumps(told[-1] | {'ok': ok} | ({'parts': told} if told[1:] else {}), indent=2))
     else:
-        for k, proof in enumerate(proofs, start=1):
-            print(f'part {k} of {len(proofs)}\n' * (len(proofs) > 1) + proof.text())
+        for k, proof in enumerate(proofs[:-1], start=1):
+            short = f'{proof.blocks} blocks, {proof.cycle_time:.3f} s, proven'
+            print(f'part {k} of {len(proofs)}: {short if proof.ok else proof.text()}')
+        print(proofs[-1].text())
     return FINE if ok else FAILED
 
 

@@ -19,6 +19,7 @@ from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.mdi import MdiLine, MdiReader
+from cnc_interp.program.notices import WARNING
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
@@ -79,18 +80,34 @@ def prepare(
         setup = JobSetup.load(require_allowed(settings.setup, folders))
     else:
         setup = of_machine()
-    if goal.program and not goal.text:
-        path = Path(goal.program)
-        stream = open_program(path, transform, settings, setup, folders)
+    text, path = goal.text, Path(goal.program)
+    named = bool(goal.program) and not text
+    if named:
         with open_named(path, folders) as file:
             content = file.read(LONGEST_TEXT + 1)
         text = '' if len(content) > LONGEST_TEXT else content.decode('utf-8-sig', 'replace')
-    else:
-        source = Source.of_text(goal.text, Path(goal.program).name or '<text>', folders)
-        stream = ProgramStream(source, transform, settings, setup)
-        text = goal.text if len(goal.text) <= LONGEST_TEXT else ''
+    elif len(text) > LONGEST_TEXT:
+        text = ''
+
+    def opened() -> ProgramStream:
+        if named:
+            return open_program(path, transform, settings, setup, folders)
+        source = Source.of_text(goal.text, path.name or '<text>', folders)
+        return ProgramStream(source, transform, settings, setup)
+
+    stream = opened()
     stream.wait_at_probes()
-    return check(stream, setup, text, transform, settings, told)
+    found = check(stream, setup, text, transform, settings, told)
+    if found.probe is None:
+        return found
+    try:
+        for _ in opened():
+            pass
+    except ProgramError as problem:
+        text = 'if each probe answers at the end of its line, the program ends'
+        warning = f'{WARNING}{text}: {problem}'
+        return replace(found, notices=(*found.notices, warning))
+    return found
 
 
 def prepare_on(

@@ -91,6 +91,7 @@ class ProgramRun:
         self.probed: tuple[FloatArray, FloatArray | None] | None = None
         self.parts: list[MachineState] = []  # the last state of each part before
         self.sent_in_parts = 0  # blocks
+        self._noticed: tuple[str, ...] = ()  # in the parts before
 
     def _change(self, step: PhaseChange, now: float) -> None:
         self.phase, self._since = TABLE[self.phase, step], now
@@ -228,6 +229,8 @@ class ProgramRun:
         self.recovery, self._machine, self.answer = LossRecovery(), None, None
         self._changes_done = self.sent_before = 0
         self._known_by.clear()
+        if self.preparation.prepared is not None:
+            self._noticed = self.preparation.prepared.notices
         self.preparation.again(future)
         self._change(PhaseChange.READ_ON, now)
 
@@ -340,7 +343,7 @@ class ProgramRun:
 
     def result(self, outcome: Outcome) -> RunProgram.Result:
         program = self.preparation.prepared
-        notices = program.notices if program is not None else ()
+        notices = program.notices if program is not None else self._noticed
         moved = self.run_id.program_id
         if self.parts and self.rests_throughout:
             moved = self.parts[-1].program_id

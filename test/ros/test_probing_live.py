@@ -102,6 +102,7 @@ def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
 def test_what_is_not_found_ends_the_program_at_rest(run, line, told):
     done = run(f'G21 G90\nG0 X20 Y0 Z15\n{line}\nM2\n')
     assert done.returncode == 1 and told in done.stdout, done.stdout + done.stderr
+    assert ('WARNING' in done.stdout) == ('/0' in line)  # known before anything moves
 
 
 @pytest.mark.thorough

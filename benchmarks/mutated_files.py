@@ -31,7 +31,7 @@ from plan_directories import line_x, write
 from test_cam_step import two_faces
 from test_hostile_files import MACHINE, SMALL, mutant
 
-from cnc_interp.cam.step_process import answer
+from cnc_interp.cam.surface_file import answer
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
 from cnc_interp.commands.check import plan_files
 from cnc_interp.core.errors import InterpError

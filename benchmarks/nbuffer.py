@@ -22,7 +22,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import HeightStore
 from cnc_interp.cam.nbuffer import cut_needles, cut_part
-from cnc_interp.cam.needle_tiles import TileCutter
+from cnc_interp.cam.needle_tiles import cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.commands.cam import tile_workers
@@ -79,7 +79,7 @@ def in_tiles(sizes: list[int], counts: list[int]) -> None:
                 pool = tile_workers(None, workers)
                 list(pool.run(abs, iter([lambda: 1] * workers)))  # loads
                 begin = time.perf_counter()
-                TileCutter(grid, sweep).run(pool, store, lambda _: None)
+                cut_tiles(grid, sweep, pool, store, lambda _: None)
                 cut = time.perf_counter() - begin
                 figures = store.figures()
                 store.make_levels(figures.mean, TilePage(store, grid, 10 * UM).add_tile)

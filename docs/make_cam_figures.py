@@ -30,13 +30,12 @@ from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_s
 from cnc_interp.cam.make_program import across
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.next_posture import conditions, nearest_places, resting
 from cnc_interp.cam.passes import Pass, constant_tilt
-from cnc_interp.cam.scallop import scallop_points
+from cnc_interp.cam.scallop import conditions, nearest_places, resting, scallop_points
 from cnc_interp.cam.shapes import Bumps, Cap, Cylinder
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.commands.cli import main as command
 from cnc_interp.core.arrays import FloatArray
@@ -168,7 +167,7 @@ def contours() -> list[tuple[float, float, bool]]:
 
 def application() -> None:
     """Fig. 5b to 5d: tilt, widths of cut and heights with the numbers of the paper."""
-    surface = read_surface(EXAMPLES / 'hollow.json')
+    surface = read_part(EXAMPLES / 'hollow.json').surfaces[1]
     normal = across(surface, 0.0)
     options = IsoScallopOptions(
         scallop_height=HEIGHT, stepover=5 * MM, tilt=5 * DEG, start='tilt', stray=None, points=25
@@ -203,7 +202,7 @@ def application() -> None:
 
 def solvers() -> None:
     """Count the iterations of the paper's method and of ours on the passes of the application."""
-    surface = read_surface(EXAMPLES / 'hollow.json')
+    surface = read_part(EXAMPLES / 'hollow.json').surfaces[1]
     options = IsoScallopOptions(
         scallop_height=HEIGHT, stepover=5 * MM, tilt=5 * DEG, start='tilt', stray=None, points=25
     )

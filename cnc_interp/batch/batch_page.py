@@ -13,16 +13,7 @@ from typing import Any
 from cnc_interp.batch.task import BatchEntry, TaskOutcome, Verdict
 from cnc_interp.core.small_files import write_whole
 from cnc_interp.core.units import HOUR
-from cnc_interp.report.html import (
-    BLUE,
-    RED,
-    base_layout,
-    document,
-    drawing,
-    section,
-    tiles,
-    with_axes,
-)
+from cnc_interp.report import html
 
 Results = Sequence[tuple[BatchEntry, TaskOutcome]]
 #: Columns of the table: name with its unit, and type. All but the first two and ``cost`` are
@@ -62,19 +53,17 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
     """Write ``table.csv``, ``costs.csv`` and, with pyarrow, ``table.parquet``; return them."""
     rows = rows_of(results, rate)
     table, costs = folder / 'table.csv', folder / 'costs.csv'
-    write_whole(table, _csv(tuple(COLUMNS), [list(row.values()) for row in rows]))
-    write_whole(costs, _csv(COSTS, [_cost(job, outcome) for job, outcome in results]))
+    write_whole(table, csv_text(tuple(COLUMNS), [list(row.values()) for row in rows]))
+    spent = [
+        (job.program, job.model.name, f'{cost.seconds:.3f}', f'{cost.processor:.3f}',
+         f'{cost.memory / 1e6:.0f}')
+        for job, cost in ((job, outcome.cost) for job, outcome in results)
+    ]  # fmt: skip
+    write_whole(costs, csv_text(COSTS, spent))
     return [table, *_parquet(rows, folder / 'table.parquet'), costs]
 
 
-def _cost(job: BatchEntry, outcome: TaskOutcome) -> list[object]:
-    cost = outcome.cost
-    return [job.program, job.model.name, f'{cost.seconds:.3f}', f'{cost.processor:.3f}',
-            f'{cost.memory / 1e6:.0f}']  # fmt: skip
-
-
-def _csv(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return rows as CSV; numbers are exact, None is empty."""
+def csv_text(names: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(names)
@@ -141,7 +130,6 @@ document.querySelector('#find').oninput = event => {
 
 
 def write_page(results: Results, rate: float | None, file: Path) -> None:
-    """Write the page of a batch; the text needs nothing else."""
     rows = rows_of(results, rate)
     counts = Counter(outcome.row.verdict for _, outcome in results)
     good = counts[Verdict.PROVEN] == len(rows)
@@ -151,9 +139,9 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         f'<h1>{len(rows):,} plans{badge}</h1>',
         f'<p>{len({row["program"] for row in rows}):,} programs, '
         f'machines {escape(", ".join(dict.fromkeys(row["machine"] for row in rows)))}</p>',
-        tiles(_figures(rows, counts)),
+        html.tiles(_figures(rows, counts)),
         _time_section(rows),
-        section(
+        html.section(
             'Plans',
             'Press a heading to sort. Uses are the largest of any axis or place, as proven.'
             + (f' The first {MOST_ROWS:,}; table.csv has all.' if len(rows) > MOST_ROWS else ''),
@@ -161,7 +149,7 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         ),
     ]
     page = '\n'.join([*body, f'<script>{SCRIPT}</script>'])
-    write_whole(file, document(f'{len(rows)} plans', page, LOCAL_STYLE))
+    write_whole(file, html.document(f'{len(rows)} plans', page, LOCAL_STYLE))
 
 
 def _figures(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[tuple[str, str]]:
@@ -182,7 +170,7 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
     if not known:
         return ''
     figure = go.Figure()
-    for proven, colour, name in ((True, BLUE, 'proven'), (False, RED, 'not proven')):
+    for proven, colour, name in ((True, html.BLUE, 'proven'), (False, html.RED, 'not proven')):
         some = [row for row in known if (row['verdict'] == Verdict.PROVEN) is proven]
         if not some:
             continue
@@ -195,14 +183,13 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
             name=name,
             hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
         )
-    figure.update_layout(**base_layout(320) | {'hovermode': 'closest'})
     figure.update_xaxes(title='least time of any motion without jerk limits [s]', type='log')
     figure.update_yaxes(title='cycle time / least time [-]')
-    return section(
+    return html.section(
         'Cycle times',
         'The least time is that of any motion within the feeds, velocities and accelerations. '
         'What is above it is the price of the jerk limits.',
-        drawing(with_axes(figure)),
+        html.drawing(html.laid_out(figure, 320, hovermode='closest')),
     )
 
 
@@ -220,7 +207,6 @@ def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str
 
 
 def _cell(row: dict[str, Any], column: str, form: str, wide: int) -> str:
-    """Write one cell; the verdict has its reason, the program its notices."""
     value = row[column]
     if value is None:
         return '<td></td>'

@@ -20,8 +20,6 @@ UNCERTAIN = (Verdict.KILLED, Verdict.TOO_LONG, Verdict.TOO_LARGE)
 
 
 class Store:
-    """The results of a folder, by the keys of their tasks."""
-
     def __init__(self, folder: Path):
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,8 +56,6 @@ class Workers(Protocol):
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a batch is."""
-
     #: Tasks with a result, those of an earlier start among them, and all.
     done: int
     known: int

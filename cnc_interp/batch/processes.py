@@ -34,8 +34,6 @@ R = TypeVar('R')
 
 
 class Loss(Enum):
-    """Why a call has no result."""
-
     CRASHED = auto()
     KILLED = auto()
     TOO_LONG = auto()
@@ -43,8 +41,6 @@ class Loss(Enum):
 
 @dataclass(frozen=True)
 class EndedCall(Generic[R]):
-    """A call that has ended."""
-
     number: int  #: Number of the call, from 0.
     result: R | Loss  #: What it returned, or why it did not.
     kills: int = 0  #: How often it was killed and begun again.

@@ -5,7 +5,6 @@ Points are command lines.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import io
 import itertools
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from cnc_interp.batch.batch_page import csv_text
 from cnc_interp.batch.processes import EndedCall, Loss, Processes
 from cnc_interp.batch.task import engine
 from cnc_interp.core.errors import InterpError
@@ -29,17 +29,7 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.report.html import (
-    BLUE,
-    ORANGE,
-    RED,
-    base_layout,
-    document,
-    drawing,
-    section,
-    table,
-    with_axes,
-)
+from cnc_interp.report import html
 from cnc_interp.report.series import axis_use
 from cnc_interp.report.time_lost import AT_LIMIT, at_limits
 
@@ -53,16 +43,12 @@ SWEPT = (('plan',), ('cam', 'iso-scallop'))  #: Commands that can be swept.
 
 @dataclass(frozen=True)
 class Range:
-    """An option that is swept."""
-
     option: str  #: Its name, without the dashes.
     values: tuple[str, ...]  #: All values (grid), or the lowest and the highest (search).
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a sweep."""
-
     words: tuple[str, ...]  #: The command without its folder.
     values: tuple[tuple[str, str], ...]  #: The options that are swept, and their values.
 
@@ -72,7 +58,6 @@ class Point:
 
     @property
     def key(self) -> str:
-        """Return a hash of the command, the content of the files it names, and this package."""
         digest = hashlib.sha256(engine().encode())
         for word in self.command:
             digest.update(word.encode() + b'\0')
@@ -84,8 +69,6 @@ class Point:
 
 @dataclass(frozen=True)
 class Found:
-    """What became of a point."""
-
     cycle_time: float | None = None  #: Time of the motion [s].
     #: Largest error: the deepest cut into a surface, or the contour error of a plan [m].
     error: float | None = None
@@ -99,29 +82,23 @@ class Found:
 Main = Callable[[Sequence[str]], int]
 
 
-@dataclass(frozen=True)
-class Call:
-    """What a process is told: the command line, its function, and folders."""
-
-    main: Main  #: The function of the command line.
-    command: tuple[str, ...]  #: Its words.
-    here: str  #: Folder in which it is run.
-    out: str  #: Folder for its files.
+#: What a process is told: the function of the command line, its words, the folder in which it is
+#: run, and the folder for its files.
+Call = tuple[Main, tuple[str, ...], Path, Path]
 
 
 def run_point(call: Call) -> Found:
     said, printed = io.StringIO(), io.StringIO()
-    first, *more = call.command
+    main, (first, *more), here, out = call
     alone = ['--workers=1'] if first == 'plan' else []  # the points keep the processors busy
-    with chdir(call.here), redirect_stderr(said), redirect_stdout(printed):
+    with chdir(here), redirect_stderr(said), redirect_stdout(printed):
         try:
-            code = call.main([first, *alone, *more, f'--out={call.out}', '--json'])
+            code = main([first, *alone, *more, f'--out={out}', '--json'])
         except SystemExit as problem:  # wrong options
             code = int(problem.code or 0)
     lines = said.getvalue().strip().splitlines()
     if code == 2:
         return Found(fault=lines[-1].removeprefix('cnc-interp: ') if lines else 'refused')
-    out = Path(call.out)
     summary = read_json(out / 'summary.json')
     plan = out / 'plan' if (out / 'plan').is_dir() else out
     if code:
@@ -195,7 +172,6 @@ class Sweep:
         )  # fmt: skip
 
     def run(self, values: Sequence[tuple[tuple[str, str], ...]]) -> list[Found]:
-        """Run points that are not known yet; return what became of all."""
         points = [Point(self._words, one) for one in values]
         known = {point: self._read(point) for point in points if point not in self.found}
         new = [point for point, one in known.items() if one is None]
@@ -210,13 +186,12 @@ class Sweep:
         return [self.found[point] for point in points]
 
     def _call(self, point: Point) -> Call:
-        return Call(self._main, point.command, str(Path.cwd()), str(self.folder_of(point)))
+        return self._main, point.command, Path.cwd(), self.folder_of(point)
 
     def folder_of(self, point: Point) -> Path:
         return self._folder / 'points' / point.key
 
     def keep(self, point: Point) -> Path:
-        """Let ``best`` in the folder of the sweep name the files of a point; return that path."""
         best = self._folder / 'best'
         best.unlink(missing_ok=True)
         best.symlink_to(self.folder_of(point).relative_to(self._folder))
@@ -291,7 +266,6 @@ def lengths_text(one: Found) -> str:
 
 
 def why(one: Found) -> str:
-    """Name the limits that hold a motion for most of its time."""
     shares = list((one.at_limit or {}).items())[:NAMED]
     return ', '.join(f'{name} {share:.0%}' for name, share in shares if share >= 0.005)
 
@@ -299,15 +273,14 @@ def why(one: Found) -> str:
 def write_table(found: dict[Point, Found], file: Path) -> None:
     """Write every point as CSV; times in s, errors in um."""
     names = list(dict.fromkeys(name for point in found for name, _ in point.values))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator='\n')
-    writer.writerow([*names, 'cycle_time_s', 'scallop_um', 'error_um', 'at_limit', 'fault'])
+    rows = []
     for point, one in found.items():
         values = dict(point.values)
         lengths = [None if x is None else x / UM for x in (one.scallop, one.error)]
-        writer.writerow([*(values.get(n) for n in names), one.cycle_time, *lengths, why(one),
-                         one.fault])  # fmt: skip
-    write_whole(file, text.getvalue())
+        own = (one.cycle_time, *lengths, why(one), one.fault)
+        rows.append([*(values.get(n) for n in names), *own])
+    heads = 'cycle_time_s', 'scallop_um', 'error_um', 'at_limit', 'fault'
+    write_whole(file, csv_text([*names, *heads], rows))
 
 
 def write_page(found: dict[Point, Found], file: Path) -> None:
@@ -316,19 +289,24 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
     body = [
         f'<h1>{len(found)} points</h1><p><code>cnc-interp {escape(shlex.join(start.words))}</code>'
         '</p>',
-        section(
+        html.section(
             'Time and accuracy',
             'Every point that moves. Those of the line are best: no other point is at least as '
             'good in time, scallop and error.',
-            drawing(_scatter(found, best, start)),
+            html.drawing(_scatter(found, best, start)),
         ),
-        section('The best', 'At a limit: share of the time in which an axis, or the feed, is at '
-                'its limit. This is what holds the motion.', _table(found, best, start)),
-        *(section(f'--{escape(name)}', 'Each point over this option.',
-                  drawing(_over(found, name))) for name in names),
-        _faults(found),
-    ]  # fmt: skip
-    write_whole(file, document('sweep', '\n'.join(body), LOCAL_STYLE))
+        html.section(
+            'The best',
+            'At a limit: share of the time in which an axis, or the feed, is at its limit. This '
+            'is what holds the motion.',
+            _table(found, best, start),
+        ),
+    ]
+    for name in names:
+        drawn = html.drawing(_over(found, name))
+        body.append(html.section(f'--{escape(name)}', 'Each point over this option.', drawn))
+    body.append(_faults(found))
+    write_whole(file, html.document('sweep', '\n'.join(body), LOCAL_STYLE))
 
 
 def _moving(found: dict[Point, Found]) -> list[Point]:
@@ -357,22 +335,21 @@ def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
     moving = _moving(found)
     by_error = {
         'color': [(found[point].error or 0.0) / UM for point in moving], 'size': 9,
-        'colorscale': 'Blues', 'line': {'color': BLUE, 'width': 1},
+        'colorscale': 'Blues', 'line': {'color': html.BLUE, 'width': 1},
         'colorbar': {'title': {'text': 'error [um]'}},
     }  # fmt: skip
-    plain = {'color': BLUE, 'opacity': 0.5}
+    plain = {'color': html.BLUE, 'opacity': 0.5}
     figure = go.Figure([
         trace(moving, 'all', mode='markers', marker=by_error if scallops else plain),
-        trace(best, 'best', mode='lines+markers', line={'color': ORANGE, 'shape': 'hv'},
+        trace(best, 'best', mode='lines+markers', line={'color': html.ORANGE, 'shape': 'hv'},
               marker={'symbol': 'circle-open', 'size': 13}),
         trace([start], 'as it is', mode='markers',
-              marker={'color': RED, 'size': 11, 'symbol': 'x'}),
+              marker={'color': html.RED, 'size': 11, 'symbol': 'x'}),
     ])  # fmt: skip
-    figure.update_layout(**base_layout(420) | {'hovermode': 'closest'})
     figure.update_xaxes(title='cycle time [s]')
     title = 'highest ridge [um]' if scallops else 'largest error [um]'
     figure.update_yaxes(title=title, rangemode='tozero')
-    return with_axes(figure)
+    return html.laid_out(figure, 420, hovermode='closest')
 
 
 def _over(found: dict[Point, Found], name: str) -> Any:
@@ -386,13 +363,12 @@ def _over(found: dict[Point, Found], name: str) -> Any:
             text=[values_text(point) for point in points],
             hovertemplate='%{text}<br>%{y:.3f} s<extra></extra>',
             mode='markers',
-            marker={'color': BLUE, 'opacity': 0.5},
+            marker={'color': html.BLUE, 'opacity': 0.5},
         )
     )
-    figure.update_layout(**base_layout(260) | {'hovermode': 'closest'})
     figure.update_xaxes(title=f'--{name}')
     figure.update_yaxes(title='cycle time [s]')
-    return with_axes(figure)
+    return html.laid_out(figure, 260, hovermode='closest')
 
 
 def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
@@ -406,7 +382,7 @@ def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
         rows.append((escape(values_text(point)), f'{one.cycle_time:.3f}', *lengths,
                      escape(why(one)), command))  # fmt: skip
     heads = 'values', 'time [s]', 'scallop [um]', 'error [um]', 'at a limit', 'command'
-    return table(heads, rows)
+    return html.table(heads, rows)
 
 
 def _faults(found: dict[Point, Found]) -> str:

@@ -19,8 +19,6 @@ from cnc_interp.settings.options import Settings, texts_of
 
 
 class Verdict(StrEnum):
-    """What became of a program."""
-
     PROVEN = 'proven'
     NOT_PROVEN = 'not proven'
     REFUSED = 'refused'  # it cannot be read, or cannot run on the machine
@@ -32,8 +30,6 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Model:
-    """A machine as text."""
-
     name: str  #: As the user named it.
     text: str  #: Content of its file.
     file: str  #: Path of the file; empty for a bundled machine.
@@ -69,7 +65,6 @@ class Row:
 
     verdict: Verdict  #: What became of the program.
     message: str = ''  #: Why it is not proven, else ''.
-    #: Their numbers.
     blocks: int | None = None
     setpoints: int | None = None
     path_length: float | None = None  #: Way of the tool tip [m].
@@ -99,8 +94,6 @@ class Cost:
 
 @dataclass(frozen=True)
 class TaskOutcome:
-    """A row and its cost."""
-
     row: Row
     cost: Cost = Cost()
 
@@ -116,7 +109,6 @@ class TaskOutcome:
 
 
 def settings_of(settings: Settings) -> tuple[tuple[tuple[str, str], ...], str]:
-    """Return settings as texts without the setup file, and the content of that file."""
     texts = texts_of(settings)
     del texts['setup']
     if settings.setup is None:
@@ -139,8 +131,6 @@ def engine() -> str:
 
 @dataclass(frozen=True)
 class BatchEntry:
-    """One program on one machine."""
-
     path: Path  #: File of the program.
     program: str  #: Its name in the table.
     model: Model  #: The machine.
@@ -169,9 +159,6 @@ class Jobs:
             )
         self._jobs = found
 
-    def __len__(self) -> int:
-        return len(self._jobs)
-
     def __iter__(self) -> Iterator[BatchEntry]:
         return iter(self._jobs)
 
@@ -185,7 +172,6 @@ class Jobs:
 
 
 def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:
-    """Return files of programs, and their names: paths below the folder that all share."""
     files: dict[Path, None] = {}
     for path in paths:
         if path.is_dir():

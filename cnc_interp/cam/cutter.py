@@ -64,3 +64,10 @@ class Cutter:
         """Radius of the swept profile at the contact point on a plane [TL2008, Eq. 3.17]."""
         sine = np.sin(tilt)
         return float((self.tool_radius + self.corner_radius * sine) / sine)
+
+    def tilt_of_curvature(self, curvature: FloatArray, limits: tuple[float, float]) -> FloatArray:
+        """Return the tilts for which the swept profile has a curvature [1/m]."""
+        sine = (
+            curvature * self.tool_radius / np.maximum(1.0 - curvature * self.corner_radius, 1e-6)
+        )
+        return np.asarray(np.arcsin(np.clip(sine, np.sin(limits[0]), np.sin(limits[1]))))

@@ -6,9 +6,9 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingCurve
-from cnc_interp.cam.next_posture import resting
 from cnc_interp.cam.passes import Angles
 from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.scallop import resting
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM
@@ -50,7 +50,6 @@ HALVINGS = 14  #: Halvings of the interval of tilts.
 
 
 def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
-    """Return close places of the parts of a pass that are milled, with both ends of each."""
     step = float(np.median(np.diff(s))) / FINER
     return np.concatenate(
         [

@@ -54,8 +54,6 @@ class CurveFrames:
 
 @dataclass(frozen=True)
 class GuidingCurve:
-    """One guiding curve."""
-
     surface: Surface  #: The surface to machine.
     offset: float  #: Corner radius r_c: distance of the guiding surface [m].
     plane_normal: FloatArray  #: (3,): N [-].
@@ -199,7 +197,6 @@ class SurfaceCurve:
 
     @staticmethod
     def through(surface: Surface, offset: float, u: FloatArray, v: FloatArray) -> SurfaceCurve:
-        """Interpolate points by a quintic spline."""
         position = surface.at(u, v).offset(offset).position
         s = np.concatenate([[0.0], np.cumsum(norm(np.diff(position, axis=0)))])
         spline = make_interp_spline(s, np.stack([u, v], axis=1), k=5)
@@ -229,14 +226,12 @@ class SurfaceCurve:
 
 
 def crossing(u: FloatArray, v: FloatArray) -> int:
-    """Find where a line of parameters crosses itself."""
     n = len(u) - 1
     if n < 3:
         return -1
     du, dv = np.diff(u), np.diff(v)
 
     def side(i: slice, j: slice, shift: int) -> FloatArray:
-        """Tell on which side of segments i the ends j lie, (i, j)."""
         x = u[j.start + shift : j.stop + shift][None, :] - u[i][:, None]
         y = v[j.start + shift : j.stop + shift][None, :] - v[i][:, None]
         return np.asarray(du[i][:, None] * y - dv[i][:, None] * x)

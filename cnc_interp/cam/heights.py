@@ -14,7 +14,7 @@ import json
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from math import sqrt
@@ -43,7 +43,6 @@ class Extreme:
     """A lowest or highest height and its place; of equal heights the first needle counts."""
 
     height: float  #: The height [m]; the negative of it for a highest one.
-    #: Place of the needle.
     row: int
     column: int
 
@@ -95,7 +94,6 @@ class Figures:
 
     @property
     def mean(self) -> float:
-        """Mean height [m]."""
         if not self.cut:
             raise InterpError('the program cuts nothing of the surface; is it the right one?')
         return float(Fraction(self.total, self.cut << HEIGHT_BITS))
@@ -119,21 +117,16 @@ class Figures:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for a file; long numbers are texts."""
-        ends = [[e.height, e.row, e.column] if e else None for e in (self.lowest, self.highest)]
-        return {
-            'needles': self.needles, 'cut': self.cut, 'gouged': self.gouged,
-            'total': str(self.total), 'squares': str(self.squares), 'extremes': ends,
-            'classes': [[n, k] for n, k in sorted(self.classes.items())],
-        }  # fmt: skip
+        classes = sorted(self.classes.items())
+        long = {'total': str(self.total), 'squares': str(self.squares)}
+        return asdict(self) | long | {'classes': classes}
 
     @staticmethod
     def of_json(found: dict[str, Any]) -> Figures:
         """Return the figures of a file; raises KeyError, TypeError or ValueError."""
-        low, high = (Extreme(*e) if e else None for e in found['extremes'])
-        return Figures(
-            found['needles'], found['cut'], found['gouged'], int(found['total']),
-            int(found['squares']), low, high, {int(n): int(k) for n, k in found['classes']},
-        )  # fmt: skip
+        ends = {name: found[name] and Extreme(**found[name]) for name in ('lowest', 'highest')}
+        long = {name: int(found[name]) for name in ('total', 'squares')}
+        return Figures(**found | ends | long | {'classes': dict(found['classes'])})
 
 
 def is_cut(height: FloatArray) -> BoolArray:
@@ -145,7 +138,6 @@ def deviations(height: FloatArray, mean: float) -> int:
 
 
 def exact_sum(values: FloatArray, bits: int) -> int:
-    """Sum numbers so that the order does not matter."""
     whole = np.rint(np.ldexp(values, bits)).astype(np.int64)
     return (int((whole >> HALF).sum()) << HALF) + int((whole & ((1 << HALF) - 1)).sum())
 
@@ -159,8 +151,6 @@ UNREADABLE = (OSError, UnreadableError, ValueError, TypeError, KeyError)
 
 
 class HeightStore:
-    """The heights of one simulation."""
-
     def __init__(self, folder: Path, grid: NeedleGrid, about: dict[str, Any]):
         self.folder, self.shape = folder, grid.shape
         self._zarr = _zarr()
@@ -209,28 +199,33 @@ class HeightStore:
         )  # fmt: skip
 
     def knows(self, row: int, column: int, key: str) -> bool:
-        """Tell whether a tile was cut from the same."""
-        found = self._record(row, column)
-        return found is not None and found.get('key') == key
+        try:
+            found = read_json(self._file(row, column))
+            Figures.of_json(found['figures'])
+        except UNREADABLE:
+            return False
+        return bool(found['key'] == key)
 
     def keep(self, row: int, column: int, key: str, height: FloatArray, figures: Figures) -> None:
         rows, columns = height.shape
         self._height[row : row + rows, column : column + columns] = np.where(
             is_cut(height), height, np.nan
         )
-        record = {'key': key} | figures.to_json()
+        record = {'key': key, 'figures': figures.to_json()}
         write_whole(self._file(row, column), json.dumps(record) + '\n')
 
-    def tile(self, row: int, column: int, level: int = 0, kind: str = 'mean') -> FloatArray:
-        """Return a tile of a level [m]; NaN where nothing was cut."""
+    def tile(
+        self, row: int, column: int, level: int = 0, kind: str = 'mean', size: int = TILE
+    ) -> FloatArray:
+        """Return a part of a level, by default a tile [m]; NaN where nothing was cut."""
         array = self._height if level == 0 else self._group[f'level/{level}/{kind}']
-        return np.asarray(array[row : row + TILE, column : column + TILE])
+        return np.asarray(array[row : row + size, column : column + size])
 
     def figures(self) -> Figures:
         total = Figures()
         for place in patches(*self.shape, TILE, TILE):
             try:
-                total += Figures.of_json(read_json(self._file(*place)))
+                total += Figures.of_json(read_json(self._file(*place))['figures'])
             except UNREADABLE:
                 raise InterpError(f'{self._file(*place)}: the tile is missing') from None
         return total
@@ -238,7 +233,6 @@ class HeightStore:
     def make_levels(
         self, mean: float, seen: Callable[[int, int, int, list[FloatArray]], None]
     ) -> int:
-        """Make the image pyramid: 2 x 2 cells of the level below keep lowest, highest and mean."""
         away = 0
         for place in patches(*self.shape, TILE, TILE):
             height = self.tile(*place)
@@ -248,8 +242,8 @@ class HeightStore:
             shape = self.level_shape(level)
             arrays = [self._array(self._group, f'level/{level}/{k}', shape) for k in KINDS]
             for row, column in patches(*shape, TILE, TILE):
-                below = [self._below(level, row, column, kind) for kind in KINDS]
-                made = [reduced(cells, kind) for cells, kind in zip(below, KINDS, strict=True)]
+                below = 2 * row, 2 * column, level - 1
+                made = [reduced(self.tile(*below, kind, 2 * TILE), kind) for kind in KINDS]
                 for array, cells in zip(arrays, made, strict=True):
                     rows, columns = cells.shape
                     array[row : row + rows, column : column + columns] = cells
@@ -267,19 +261,6 @@ class HeightStore:
     def level_shape(self, level: int) -> tuple[int, int]:
         rows, columns = self.shape
         return -(-rows // (1 << level)), -(-columns // (1 << level))
-
-    def _below(self, level: int, row: int, column: int, kind: str) -> FloatArray:
-        array = self._height if level == 1 else self._group[f'level/{level - 1}/{kind}']
-        return np.asarray(array[2 * row : 2 * (row + TILE), 2 * column : 2 * (column + TILE)])
-
-    def _record(self, row: int, column: int) -> dict[str, Any] | None:
-        """Return the record of a tile; None if there is none that can be read."""
-        try:
-            found = read_json(self._file(row, column))
-            Figures.of_json(found)
-        except UNREADABLE:
-            return None
-        return found if isinstance(found, dict) else None
 
     def _file(self, row: int, column: int) -> Path:
         return self.folder / 'tiles' / f'{row // TILE}_{column // TILE}.json'

@@ -17,8 +17,6 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import finely, gouge_depth, raised
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
-from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
-from cnc_interp.cam.next_posture import Fit, Freedom, fit_postures, nearest_places, resting
 from cnc_interp.cam.passes import (
     Angles,
     Pass,
@@ -28,10 +26,21 @@ from cnc_interp.cam.passes import (
     constant_tilt,
     constant_width,
     evenly,
+    kept_places,
+    kept_ranges,
+    places_around,
     plane_distance,
 )
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.scallop import estimated_half_width, scallop_points
+from cnc_interp.cam.scallop import (
+    Fit,
+    Freedom,
+    estimated_half_width,
+    fit_postures,
+    nearest_places,
+    resting,
+    scallop_points,
+)
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
@@ -59,8 +68,6 @@ class HeelError(UnfitError):
 
 
 class PassRecursion:
-    """The recursion over the passes of one surface."""
-
     def __init__(
         self, surface: Surface, cutter: Cutter, normal: FloatArray, options: IsoScallopOptions
     ):
@@ -94,7 +101,6 @@ class PassRecursion:
         return passes
 
     def first_pass(self) -> Pass:
-        """Place the first pass so that its strip covers the border."""
         width = self.half_width_at(self.planes.span[0])
         plane = self.planes.span[0] + 0.9 * width
         try:
@@ -134,7 +140,6 @@ class PassRecursion:
         return self.options.points or max(25, int(np.ceil(curve.length / SPACING)))
 
     def fresh_pass(self, plane: float, number: int, tilted: bool = False) -> Pass:
-        """Make a pass that does not depend on the previous pass."""
         o, curve = self.options, self.planes.curve(plane)
         if tilted or o.freedom == 'yaw':
             angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
@@ -204,7 +209,6 @@ class PassRecursion:
     def closest(
         self, before: Pass | None, plane: float, yaw: float
     ) -> tuple[GuidingCurve, Angles] | None:
-        """Return the farthest plane up to one that leaves no ridge, and its angles."""
         o, start = self.options, self.planes.span[0] if before is None else before.plane
         least = CLOSEST * (plane - start)
         for _ in range(CLOSER_PLANES):
@@ -251,16 +255,12 @@ class PassRecursion:
 
     def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
         """Return how far the next pass cuts towards each scallop point, shape (n,) [m]."""
-        s = nearest_places(curve, before.right)
-        n = len(s)
-        postures = resting(
-            self.cutter, curve.frames(s), np.full(n, tilt), np.full(n, self.options.yaw)
-        )
+        frames = curve.frames(nearest_places(curve, before.right))
+        postures = resting(self.cutter, frames, tilt, self.options.yaw)
         left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         return plane_distance(postures, left, self.normal)
 
     def continued(self, before: Pass, distance: float, number: int) -> Pass:
-        """Fit the postures of the next pass to the scallop points of the previous pass."""
         o = self.options
         curve = self.planes.curve(before.plane + distance)
         fixed = o.yaw if o.freedom == 'tilt' else o.tilt
@@ -285,7 +285,6 @@ class PassRecursion:
         return self.finished(curve, angles, fit.iterations[run], fresh=False, number=number)
 
     def check_strip(self, before: Pass, postures: Postures, kept: BoolArray, number: int) -> None:
-        """Refuse a pass whose strip ends before the scallop to which the pass was fitted."""
         left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         gap = norm(left.position - before.right.position)
         wrong = kept & ~(gap < HIDDEN)
@@ -301,7 +300,6 @@ class PassRecursion:
     def finished(
         self, curve: GuidingCurve, angles: Angles, iterations: IntArray, fresh: bool, number: int
     ) -> Pass:
-        """Spread the angles evenly, find the scallop points on the right, check what is milled."""
         s = evenly(curve, self.count(curve))
         postures = angles.postures(curve, self.cutter, s)
         right = scallop_points(self.surface, postures, self.options.scallop_height)
@@ -326,7 +324,6 @@ class PassRecursion:
         return made
 
     def check_heel(self, made: Pass, number: int) -> None:
-        """Refuse a pass whose mill enters the surface where it is milled."""
         parts = kept_ranges(made.curve, made.s, made.reach, self.options.overrun)
         if not parts:
             return
@@ -344,7 +341,6 @@ class PassRecursion:
         self, before: Pass, curve: GuidingCurve, fit: Fit, fits: BoolArray, distance: float,
         number: int,
     ) -> tuple[str, str]:  # fmt: skip
-        """Say where no posture was found, and which plane distances are possible there."""
         o = self.options
         low, high = o.tilt_limits
         i = int(np.argmin(fits))
@@ -367,8 +363,6 @@ class PassRecursion:
 
 @dataclass(frozen=True)
 class IsoScallopOptions:
-    """The user's choices."""
-
     scallop_height: float = 10.0 * UM  #: S_h [m].
     #: Distance d of the guiding planes [m]. By default every pass has the largest distance that
     #: its tilts allow.
@@ -405,8 +399,6 @@ class IsoScallopOptions:
 
 @dataclass(frozen=True)
 class IsoScallopPaths:
-    """All passes over a surface."""
-
     passes: list[Pass]  #: The passes in order.
     notes: list[str] = field(default_factory=list)  #: Which passes started afresh, and why.
 
@@ -424,7 +416,6 @@ def iso_scallop_paths(
     surface: Surface, cutter: Cutter, plane_normal: FloatArray, options: IsoScallopOptions,
     progress: Callable[[float], None] | None = None,
 ) -> IsoScallopPaths:  # fmt: skip
-    """Compute all passes over a surface."""
     if cutter.is_ball:
         raise SurfaceError(
             'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '

@@ -41,7 +41,7 @@ from cnc_interp.core.vectors import cross, norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
-from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
@@ -49,7 +49,6 @@ SMOOTHING = 0.2  #: Tolerances of the program, as a share of the scallop height.
 
 
 def make_program(options: argparse.Namespace) -> int:
-    """Make the program of faces, simulate it if requested, and write all files."""
     part = _part(options)
     cutter = _cutter(options)
     faces = [_machined(number, part, cutter, options) for number in part.surfaces]
@@ -92,7 +91,7 @@ def make_program(options: argparse.Namespace) -> int:
             )['cycle_time']  # fmt: skip
             progress.end(complete=True)
             files = read_plan(out / 'plan').in_memory()
-            motions += [planned(files, machine), executed(files, machine, _model(options))]
+            motions += [planned(files, machine), _executed(files, machine, options)]
     figures = _drawn(faces, motions, cutter, summary, options)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     text = describe(summary)
@@ -107,7 +106,6 @@ def make_program(options: argparse.Namespace) -> int:
 
 
 def _upwards(faces: list[MachinedFace]) -> FloatArray:
-    """Return the mean of the mean normals of all faces, shape (3,) [-]."""
     mean = np.mean([unit(_mean_normal(face.surface)) for face in faces], axis=0)
     if float(norm(mean)) < UPRIGHT:
         raise SurfaceError('the faces look in opposite directions; make a program for each side')
@@ -154,10 +152,14 @@ def _drawn(
     faces: list[MachinedFace], motions: list[Motion], cutter: Cutter, summary: dict[str, Any],
     options: argparse.Namespace,
 ) -> list[tuple[str, str, Any]]:  # fmt: skip
+    from cnc_interp.cam.program_page import path_figure, tilt_figure
+
     figures = []
     for face, figures_of in zip(faces, face_facts(summary), strict=True):
         name = f'Face {face.number}: ' if len(faces) > 1 else ''
-        drawn = _path_figures(face.paths)
+        drawn = [('Passes', 'Contact lines and tool axes.', path_figure(face.paths))]
+        if isinstance(face.paths, IsoScallopPaths):
+            drawn.append(('Tilt', 'Tilt along the passes.', tilt_figure(face.paths)))
         for motion in motions:
             heights, section = _cut(face.surface, cutter, motion, face.across, options)
             figures_of[motion.name] = results(heights, section)
@@ -202,21 +204,20 @@ def _followed(
     return strips
 
 
-def _model(options: argparse.Namespace) -> Machine | None:
-    return Machine.load(options.compensate) if options.compensate else None
+def _executed(files: PlanFiles, machine: Machine, options: argparse.Namespace) -> Motion:
+    model = Machine.load(options.compensate) if options.compensate else None
+    return executed(files, machine, model)
 
 
 def simulate_motion(options: argparse.Namespace) -> int:
-    """Cut a surface with the motion of a program or a plan."""
     refuse_options(options)
     ((_, surface),) = _part(options).surfaces.items()
     cutter = _cutter(options)
     machine = Machine.load(options.machine)
     if options.motion.is_dir():
         files = read_plan(options.motion).in_memory()
-        motion = planned(files, machine)
-        if options.executed:
-            motion = executed(files, machine, _model(options))
+        of_drives = options.executed
+        motion = _executed(files, machine, options) if of_drives else planned(files, machine)
     else:
         reading = Settings(feedrate=MM_PER_MIN, contour_tolerance=SMOOTHING * options.scallop * UM)
         motion = programmed(read_program(options.motion, Transform.of(machine), reading))
@@ -224,10 +225,9 @@ def simulate_motion(options: argparse.Namespace) -> int:
     if options.tiles:
         section = cross_sections(surface, cutter, motion, normal, options.margin * MM)
         summary = {motion.name: simulate_in_tiles(surface, cutter, motion, section, options)}
-        print(json.dumps(summary, indent=2) if options.json else describe(summary))
-        return 0
-    heights, section = _cut(surface, cutter, motion, normal, options)
-    summary = {motion.name: results(heights, section)}
+    else:
+        heights, section = _cut(surface, cutter, motion, normal, options)
+        summary = {motion.name: results(heights, section)}
     if options.out:
         from cnc_interp.cam.program_page import page
 
@@ -251,7 +251,6 @@ def across(surface: Surface, direction: float) -> FloatArray:
 
 
 def _mean_normal(surface: Surface) -> FloatArray:
-    """Return the mean of the normals, shape (3,), which is shorter than one [-]."""
     u, v = surface.grid(21, 21)
     return np.asarray(surface.at(u, v).normal.reshape(-1, 3).mean(axis=0))
 
@@ -270,28 +269,16 @@ def _cut(
     return heights, cross_sections(surface, cutter, motion, normal, options.margin * MM)
 
 
-def _path_figures(paths: Strips) -> list[tuple[str, str, Any]]:
-    from cnc_interp.cam.program_page import path_figure, tilt_figure
-
-    figures = [('Passes', 'Contact lines and tool axes.', path_figure(paths))]
-    if isinstance(paths, IsoScallopPaths):
-        figures.append(('Tilt', 'Tilt along the passes.', tilt_figure(paths)))
-    return figures
-
-
 def _height_figures(
     motion: Motion, heights: Heights, section: Section, scallop: float
 ) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.program_page import map_figure, section_figure
 
     words = heights_in_words(results(heights, section))
+    drawn = section_figure(section, scallop)
     return [
         (f'Surface, {motion.name}', words, map_figure(heights, scallop)),
-        (
-            f'Section, {motion.name}',
-            'Heights across the passes.',
-            section_figure(section, scallop),
-        ),
+        (f'Section, {motion.name}', 'Heights across the passes.', drawn),
     ]
 
 

@@ -26,8 +26,6 @@ GROUPS = 16  #: Groups of needles in each direction of a part that is cut at onc
 
 @dataclass(frozen=True)
 class Heights:
-    """The material that the mill leaves on the needles."""
-
     needles: Needles  #: The needles.
     #: (rows, columns): Signed height above the surface; ``TOP`` where nothing was cut [m].
     height: FloatArray
@@ -44,7 +42,6 @@ class Heights:
         return self.height if counted is None else np.where(counted, self.height, np.nan)
 
     def statistics(self) -> dict[str, float]:
-        """Return the roughness figures of the needles that were cut; see ``Figures``."""
         figures = Figures.of(self.on_face)
         return figures.statistics(deviations(self.on_face, figures.mean))
 
@@ -53,7 +50,6 @@ def cut_needles(
     needles: Needles, cutter: Cutter, tip: FloatArray, axis: FloatArray,
     progress: Callable[[float], None] | None = None, device: Device = 'cpu',
 ) -> Heights:  # fmt: skip
-    """Cut needles by the volume that the mill sweeps along poses."""
     sweep = MotionPieces.of(cutter, tip, axis)
     rows, columns = needles.shape
     height = np.empty(needles.shape)
@@ -69,7 +65,6 @@ def cut_needles(
 
 
 def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> FloatArray:
-    """Cut needles by pieces of motion."""
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
     R, skin, (stages, widest) = sweep.cutter.tool_radius, sweep.skin, sweep.search
     if device != 'cpu':

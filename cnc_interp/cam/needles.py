@@ -24,8 +24,6 @@ MOST_AT_ONCE, MOST_IN_LINE, MOST = 50_000_000, 1 << 24, 1 << 40
 
 @dataclass(frozen=True)
 class Needles:
-    """Needles that stand on a surface."""
-
     base: FloatArray  #: (rows, columns, 3): Points of the surface [m].
     normal: FloatArray  #: (rows, columns, 3): Unit normals there [-].
     #: (rows, columns): Needles on the face, where it does not fill the rectangle of parameters.
@@ -102,7 +100,6 @@ class NeedleGrid:
 
     @staticmethod
     def on(surface: Surface, spacing: float, margin: float = 0.0) -> NeedleGrid:
-        """Place needles on a surface at nearly equal distances."""
         grow = surface.growth(-margin) if margin else (0.0, 0.0)
         (u0, u1), (v0, v1) = surface.domain
         u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.milled import runs
+from cnc_interp.cam.passes import runs
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.units import MM, UM
 from cnc_interp.core.vectors import unit
@@ -45,7 +45,6 @@ class Neighbours:
     def free_parts(
         self, rows: RowsAt, cutter: Cutter, parts: list[tuple[float, float]]
     ) -> list[tuple[float, float]]:
-        """Cut parts of a pass back to where the mill stays out of the neighbours."""
         free = []
         for first, last in parts:
             s = np.linspace(first, last, max(2, int(np.ceil((last - first) / STEP)) + 1))

@@ -1,4 +1,4 @@
-"""Passes along guiding curves: their angles, their width and the check that the mill fits."""
+"""Passes along guiding curves: their angles, their width, and the parts that are milled."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.guiding import GuidingCurve
-from cnc_interp.cam.milled import kept_places
+from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.core.vectors import dot
+from cnc_interp.core.vectors import dot, scaled
 
 
 class UnfitError(SurfaceError):
@@ -56,8 +55,6 @@ class Angles:
 
 @dataclass(frozen=True)
 class Pass:
-    """One pass of the mill."""
-
     curve: GuidingCurve  #: Path of the guided point K.
     angles: Angles  #: Tilt and yaw along it.
     s: FloatArray  #: (n,): Places of the scallop points [m].
@@ -76,7 +73,6 @@ class Pass:
 
     @property
     def plane(self) -> float:
-        """Distance of the guiding plane from the origin along N [m]."""
         return self.curve.plane
 
     @property
@@ -121,7 +117,7 @@ def constant_width(
     last = np.full(count, np.nan), np.full(count, np.nan)
     wide, narrow = np.full(count, -np.inf), np.full(count, np.inf)
     for _ in range(24):
-        angles = Angles(s, tilt_of_curvature(cutter, wanted, limits), np.full(count, yaw))
+        angles = Angles(s, cutter.tilt_of_curvature(wanted, limits), np.full(count, yaw))
         postures = angles.postures(curve, cutter, s)
         right = scallop_points(curve.surface, postures, height)
         # Where no scallop was found, the strip is wider than the mill.
@@ -147,7 +143,7 @@ def constant_width(
     # Where the width jumps, the strip is wider; elsewhere a tilt is at its limit.
     jumps = (miss > 0.005 * half_width) & np.isfinite(wide) & np.isfinite(narrow)
     if jumps.any():
-        tilt = tilt_of_curvature(cutter, np.where(jumps, wide, held), limits)
+        tilt = cutter.tilt_of_curvature(np.where(jumps, wide, held), limits)
         angles = Angles(s, tilt, angles.yaw)
     if strict and float(miss[~jumps].max(initial=0.0)) > 0.005 * half_width:
         i = int(np.argmax(np.where(jumps, 0.0, miss)))
@@ -165,10 +161,52 @@ def constant_width(
     return angles
 
 
-def tilt_of_curvature(
-    cutter: Cutter, curvature: FloatArray, limits: tuple[float, float]
-) -> FloatArray:
-    """Return the tilts for which the swept profile has a curvature."""
-    R, r = cutter.tool_radius, cutter.corner_radius
-    sine = curvature * R / np.maximum(1.0 - curvature * r, 1e-6)
-    return np.asarray(np.arcsin(np.clip(sine, np.sin(limits[0]), np.sin(limits[1]))))
+SPACING = 0.2 * MM  #: Distance of the places at which the border is compared with the strip [m].
+LINES = 9  #: Lines along the strip that are compared with the border, over its whole width.
+
+
+def kept_ranges(
+    curve: GuidingCurve | SurfaceCurve, s: FloatArray, reach: FloatArray, overrun: float
+) -> list[tuple[float, float]]:
+    """Return the milled parts of a pass: where its strip lies on the surface, and overruns."""
+    dense = np.linspace(0.0, curve.length, max(60, int(curve.length / SPACING)))
+    known = np.isfinite(reach)
+    width = np.interp(dense, s[known], reach[known]) if known.any() else np.zeros(len(dense))
+    frames, surface = curve.frames(dense), curve.surface
+    a, b = surface.at(frames.u, frames.v).components(scaled(width, frames.across))
+    across = np.linspace(-1.0, 1.0, LINES)[:, None]
+    inside = surface.contains(frames.u + across * a, frames.v + across * b).any(axis=0)
+    longer = overrun + dense[1]
+    parts: list[tuple[float, float]] = []
+    for run in runs(inside):
+        first = max(float(dense[run.start]) - longer, 0.0)
+        last = min(float(dense[run.stop - 1]) + longer, float(dense[-1]))
+        if parts and first <= parts[-1][1]:
+            first = parts.pop()[0]
+        parts.append((first, last))
+    return parts
+
+
+def kept_places(
+    curve: GuidingCurve, s: FloatArray, reach: FloatArray, overrun: float
+) -> BoolArray:
+    kept = np.zeros(len(s), bool)
+    for first, last in kept_ranges(curve, s, reach, overrun):
+        kept |= (s >= first) & (s <= last)
+    return kept
+
+
+def runs(true: BoolArray) -> list[slice]:
+    bounds = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]])))
+    return [slice(int(a), int(b)) for a, b in zip(bounds[::2], bounds[1::2], strict=True)]
+
+
+def places_around(good: BoolArray, kept: BoolArray) -> IntArray:
+    """Return the good places from the run with the first milled place to that with the last."""
+    found = runs(good)
+    ours = [run for run in found if kept[run].any()]
+    if not ours:
+        ours = sorted(found, key=lambda run: run.stop - run.start)[-1:]
+    if not ours:
+        return np.zeros(0, np.int64)
+    return np.asarray(ours[0].start + np.flatnonzero(good[ours[0].start : ours[-1].stop]))

@@ -31,8 +31,6 @@ THROUGH = 0.5
 
 @dataclass(frozen=True)
 class PoleTurn:
-    """How passes come near the pole, and what avoids it."""
-
     axis: str  #: Name of the outer rotary axis.
     passes: int  #: Number of passes that are near the pole.
     distance: float  #: Smallest angle between tool axis and pole in these passes [rad].
@@ -55,7 +53,6 @@ class PoleTurn:
 def pole_turn(
     passes: Sequence[SplinePass], feedrate: float, tolerance: float, machine: Machine
 ) -> PoleTurn | None:
-    """Find out whether passes come near the pole, and how to turn the workpiece."""
     if not machine.has_rotary or not passes:
         return None
     transform = Transform.of(machine)

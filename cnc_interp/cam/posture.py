@@ -24,8 +24,6 @@ from cnc_interp.core.vectors import cross, scaled
 
 @dataclass(frozen=True)
 class Postures:
-    """Postures at n places of a pass."""
-
     cutter: Cutter  #: The mill.
     frames: CurveFrames  #: Guided points and their frames.
     #: (n,): Angles [rad].
@@ -64,7 +62,6 @@ class Postures:
 
     @property
     def tip(self) -> FloatArray:
-        """Tool tip, the lowest point on the tool axis [m]."""
         return self.cutter.tip(self.centre, self.axis)
 
     @property

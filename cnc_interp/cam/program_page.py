@@ -16,24 +16,13 @@ from cnc_interp.cam.tile_work import COLOURS, RANGE
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG, MM, UM
 from cnc_interp.core.vectors import norm
-from cnc_interp.report.html import (
-    BLUE,
-    INK,
-    RED,
-    base_layout,
-    document,
-    drawing,
-    rounded,
-    section,
-    with_axes,
-)
+from cnc_interp.report import html
 
 CELLS = 700  #: Largest number of cells of a map in each direction.
 CURVES = 12  #: Number of tilt curves in a figure.
 
 
 def map_figure(heights: Heights, scallop: float) -> Any:
-    """Draw the signed heights as a coloured map over the surface."""
     rows, columns = heights.height.shape
     skip = max(1, -(-max(rows, columns) // CELLS))
     base = heights.needles.base
@@ -44,15 +33,14 @@ def map_figure(heights: Heights, scallop: float) -> Any:
     shown = thinned(shown, skip)
     top = RANGE * scallop / UM
     figure = go.Figure(go.Heatmap(
-        x=rounded(x[::skip]), y=rounded(y[::skip]), z=rounded(shown.T), zmin=-top, zmax=top,
-        colorscale=COLOURS,
+        x=html.rounded(x[::skip]), y=html.rounded(y[::skip]), z=html.rounded(shown.T),
+        zmin=-top, zmax=top, colorscale=COLOURS,
         colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
         hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
     ))  # fmt: skip
-    figure.update_layout(base_layout(560), hovermode='closest')
     figure.update_xaxes(title_text='along u (mm)', constrain='domain')
     figure.update_yaxes(title_text='along v (mm)', scaleanchor='x')
-    return with_axes(figure)
+    return html.laid_out(figure, 560, hovermode='closest')
 
 
 def thinned(values: FloatArray, skip: int) -> FloatArray:
@@ -70,17 +58,15 @@ def thinned(values: FloatArray, skip: int) -> FloatArray:
 
 
 def section_figure(section: Section, scallop: float) -> Any:
-    """Draw the heights of the middle section against the scallop height."""
     row = section.height[len(section.height) // 2] / UM
     figure = go.Figure(go.Scatter(
-        x=rounded(section.way / MM), y=rounded(row), line={'color': BLUE, 'width': 1.2},
-        name='height',
+        x=html.rounded(section.way / MM), y=html.rounded(row), name='height',
+        line={'color': html.BLUE, 'width': 1.2},
     ))  # fmt: skip
-    figure.add_hline(scallop / UM, line={'color': RED, 'width': 1.0, 'dash': 'dash'})
-    figure.update_layout(base_layout(300), showlegend=False)
+    figure.add_hline(scallop / UM, line={'color': html.RED, 'width': 1.0, 'dash': 'dash'})
     figure.update_xaxes(title_text='across the passes (mm)')
     figure.update_yaxes(title_text='height (&#181;m)')
-    return with_axes(figure)
+    return html.laid_out(figure, 300, showlegend=False)
 
 
 def tilt_figure(paths: IsoScallopPaths) -> Any:
@@ -91,17 +77,15 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
         made = paths.passes[k]
         tilt = made.postures.tilt / DEG
         figure.add_trace(go.Scatter(
-            x=rounded(made.s / made.curve.length), y=rounded(tilt), name=f'pass {k + 1}',
+            x=html.rounded(made.s / made.curve.length), y=html.rounded(tilt), name=f'pass {k + 1}',
             line={'width': 1.5},
         ))  # fmt: skip
-    figure.update_layout(base_layout(380))
     figure.update_xaxes(title_text='along the pass (-)')
     figure.update_yaxes(title_text='tilt (deg)')
-    return with_axes(figure)
+    return html.laid_out(figure, 380)
 
 
 def path_figure(paths: Strips) -> Any:
-    """Draw contact lines and tool axes of the passes in space."""
     figure = go.Figure()
     gap = np.full((1, 3), np.nan)
     lines, axes = [], []
@@ -111,20 +95,18 @@ def path_figure(paths: Strips) -> Any:
         for i in range(0, len(contact), 4):
             axes += [contact[i : i + 1], contact[i : i + 1] + 3.0 * made.postures.axis[i], gap]
     for points, name, style in (
-        (np.vstack(lines), 'contact', {'color': BLUE, 'width': 3}),
+        (np.vstack(lines), 'contact', {'color': html.BLUE, 'width': 3}),
         (np.vstack(axes), 'tool axis', {'color': '#9aa5b1', 'width': 1}),
     ):
-        figure.add_trace(go.Scatter3d(
-            x=rounded(points[:, 0]), y=rounded(points[:, 1]), z=rounded(points[:, 2]),
-            mode='lines', name=name, line=style, hoverinfo='skip',
-        ))  # fmt: skip
-    figure.update_layout(base_layout(520), scene={'aspectmode': 'data'})
+        figure.add_scatter3d(
+            **html.xyz(points), mode='lines', name=name, line=style, hoverinfo='skip'
+        )
+    figure.update_layout(html.base_layout(520), scene={'aspectmode': 'data'})
     return figure
 
 
 def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
-    """Write figures with headings and texts as one page that needs no network."""
     parts = [f'<h1>{escape(title)}</h1><section><pre>{escape(facts)}</pre></section>']
     for heading, text, figure in figures:
-        parts.append(section(escape(heading), escape(text), drawing(figure)))
-    return document(title, ''.join(parts), f' pre {{ color: {INK}; }}')
+        parts.append(html.section(escape(heading), escape(text), html.drawing(figure)))
+    return html.document(title, ''.join(parts), f' pre {{ color: {html.INK}; }}')

@@ -4,30 +4,42 @@
 is a circle about Q = C_L + R e. The envelope touches it where the tool normal m is perpendicular
 to V_Q and to the circle of centres: m = unit(V_Q x e'). P = Q + r_c m then satisfies Eq. 3.2 and
 3.3. Eq. 3.1 is ``height(P) = S_h``. It is solved from phi = 0, the contact point.
+
+Stage 2: the posture of the next pass that leaves a given scallop point [TL2008, 3.2]. The unknowns
+are the place s on the next guiding curve and one angle, the tilt or the yaw. Let v = P - C_L and
+e* its direction in the plane of the corner circle. With Q* = C_L + R e*:
+
+    |P - Q*| = r_c        P lies on the corner torus        (Eq. 3.13)
+    T_sc . (P - Q*) = 0   the envelope follows the scallop  (Eq. 3.14)
+
+For a flat mill (r_c = 0) P lies on its edge instead. Up to six roots exist. The valid root has P
+on the front of the tool, on the side of the previous pass, and a tilt between 0 and 90 deg.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.guiding import CurveFrames, GuidingCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import cross, dot, scaled, unit
+from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.vectors import cross, dot, norm, scaled, unit
 
 Angle = float | FloatArray
 
-CLOSE = 1e-11  #: Largest distance of scallop points from the iso-scallop surface [m].
+#: Largest distance of scallop points from the iso-scallop surface; residual of stage 2 [m].
+CLOSE = 1e-11
 WIDEST = 1.55  #: Largest angle of the corner circle at which the envelope is sought [rad].
 
 
 @dataclass(frozen=True)
 class Scallops:
-    """Scallop points on one side of a pass."""
-
     #: (n, 3): P [m]; NaN where ``found`` is false, like ``tangent`` and ``normal``.
     position: FloatArray
     #: (n, 3): Unit tangent of the scallop curve and unit normal of the surface [-].
@@ -67,7 +79,6 @@ def estimated_half_width(
 def scallop_points(
     surface: Surface, postures: Postures, height: float, side: float = 1.0
 ) -> Scallops:
-    """Find the scallop points of a pass."""
     frames, n = postures.frames, len(postures)
     u, v = frames.u.copy(), frames.v.copy()
 
@@ -121,3 +132,139 @@ def scallop_points(
     return Scallops(
         point + missing, tangent + missing, normal + missing, angle, found, marched, refined
     )
+
+
+Freedom = Literal['tilt', 'yaw']
+
+#: Further guesses of the free angle, if the first guess fails [rad].
+OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
+LARGEST_STEP = 1.0 * MM, 0.3  #: Largest Newton step of the place [m] and of the angle [rad].
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Postures on the next guiding curve, one for each scallop point."""
+
+    s: FloatArray  #: (n,): Places on the guiding curve [m].
+    #: (n,): Angles [rad].
+    tilt: FloatArray
+    yaw: FloatArray
+    found: BoolArray  #: (n,): False where no valid root was reached.
+    iterations: IntArray  #: (n,): Number of Newton steps.
+
+
+def resting(cutter: Cutter, frames: CurveFrames, tilt: Angle, yaw: Angle) -> Postures:
+    zero = np.zeros(len(frames))
+    return Postures(cutter, frames, zero + tilt, zero + yaw, zero, zero)
+
+
+def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the residuals of Eq. 3.13 and, times 1 mm, 3.14, and which roots would be valid."""
+    cutter, u = postures.cutter, postures.axis
+    v = scallops.position - postures.centre
+    along = dot(v, u)
+    e = v - scaled(along, u)
+    across = norm(e)
+    e = scaled(1.0 / across, e)
+    away = v - cutter.tool_radius * e
+    distance = norm(away)
+    if cutter.corner_radius > 0.0:
+        first, second = distance - cutter.corner_radius, dot(scallops.tangent, unit(away)) * MM
+        below = (dot(away, e) >= 0.0) & (along <= 0.0)
+    else:
+        first, second = along, across - cutter.tool_radius
+        below = np.ones(len(v), bool)
+    front = (dot(e, postures.front) > 0.0) & (dot(e, postures.turned[1]) < 0.0)
+    upright = (postures.tilt > 0.0) & (postures.tilt <= 0.5 * np.pi)
+    return first, second, below & front & upright
+
+
+def fit_postures(
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float, freedom: Freedom,
+    fixed_angle: float,
+) -> Fit:  # fmt: skip
+    s = nearest_places(curve, scallops)
+    guess = first_guess(curve, cutter, scallops, height, freedom, fixed_angle, s)
+    fit = _newton(curve, cutter, scallops, freedom, fixed_angle, s, guess)
+    for other in OTHER_GUESSES:
+        again = ~fit.found & scallops.found
+        if not again.any():
+            break
+        retry = _newton(
+            curve, cutter, scallops, freedom, fixed_angle, s, np.full_like(guess, other)
+        )
+        better = again & retry.found
+        fit = Fit(
+            np.where(better, retry.s, fit.s), np.where(better, retry.tilt, fit.tilt),
+            np.where(better, retry.yaw, fit.yaw), fit.found | better,
+            fit.iterations + np.where(again, retry.iterations, 0),
+        )  # fmt: skip
+    return fit
+
+
+def nearest_places(curve: GuidingCurve, scallops: Scallops) -> FloatArray:
+    s = np.linspace(0.0, curve.length, max(64, int(curve.length / (0.5 * MM))))
+    uv = curve.parameters(s)
+    guide = curve.surface.at(uv[:, 0], uv[:, 1]).offset(curve.offset).position
+    gaps = np.nan_to_num(scallops.position)[:, None, :] - guide[None, :, :]
+    nearest = s[np.argmin(dot(gaps, gaps), axis=1)]
+    for _ in range(2):
+        frames = curve.frames(nearest)
+        move = dot(np.nan_to_num(scallops.position) - frames.position, frames.feed)
+        nearest = nearest + np.clip(move, -MM, MM)
+    return np.asarray(nearest)
+
+
+def first_guess(
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float,
+    freedom: Freedom, fixed_angle: float, s: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Guess the free angle from the cylinder with the local curvature [TL2008, 3.2]."""
+    frames = curve.frames(s)
+    width = np.abs(dot(np.nan_to_num(scallops.position) - frames.position, frames.across))
+    # The width of a convex surface's strip grows with the distance from it.
+    width = width / np.maximum(1.0 + curve.offset * frames.curvature, 0.1)
+    wanted = 2.0 * height / np.maximum(width, 1.0 * UM) ** 2 - frames.curvature
+    if freedom == 'tilt':
+        return cutter.tilt_of_curvature(wanted, (0.002, 1.53))
+    across = cutter.effective_radius(fixed_angle)
+    radius = 1.0 / np.maximum(wanted, 1e-3)
+    share = (radius - cutter.corner_radius) / (across - cutter.corner_radius)
+    return np.asarray(np.arccos(np.sqrt(np.clip(share, 0.01, 0.99))))
+
+
+def _newton(
+    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, freedom: Freedom, fixed_angle: float,
+    s: FloatArray, angle: FloatArray,
+) -> Fit:  # fmt: skip
+    n = len(s)
+    fixed = np.full(n, fixed_angle)
+
+    def at(place: FloatArray, value: FloatArray) -> Postures:
+        tilt, yaw = (value, fixed) if freedom == 'tilt' else (fixed, value)
+        return resting(cutter, curve.frames(place), tilt, yaw)
+
+    iterations = np.zeros(n, np.int64)
+    right = np.zeros(n, bool)
+    done = np.zeros(n, bool)
+    for _ in range(30):
+        first, second, right = conditions(at(s, angle), scallops)
+        done = (np.abs(first) < CLOSE) & (np.abs(second) < CLOSE)
+        if not np.any(~done & scallops.found):
+            break
+        iterations += ~done
+        ds, da = 1e-8, 1e-7
+        by_place = conditions(at(s + ds, angle), scallops)
+        by_angle = conditions(at(s, angle + da), scallops)
+        a = (by_place[0] - first) / ds, (by_place[1] - second) / ds
+        b = (by_angle[0] - first) / da, (by_angle[1] - second) / da
+        with np.errstate(invalid='ignore', divide='ignore'):
+            determinant = a[0] * b[1] - a[1] * b[0]
+            move = (b[0] * second - b[1] * first) / determinant
+            turn = (a[1] * first - a[0] * second) / determinant
+        move = np.clip(np.nan_to_num(move), -LARGEST_STEP[0], LARGEST_STEP[0])
+        turn = np.clip(np.nan_to_num(turn), -LARGEST_STEP[1], LARGEST_STEP[1])
+        s = np.where(done, s, s + move)
+        angle = np.where(done, angle, np.clip(angle + turn, -0.2, 1.8))
+    tilt, yaw = (angle, fixed) if freedom == 'tilt' else (fixed, angle)
+    return Fit(s, tilt, yaw, done & right & scallops.found, iterations)

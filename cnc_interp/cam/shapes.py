@@ -40,8 +40,6 @@ class Graph(Surface):
 
 
 class Plane(Graph):
-    """The plane z = 0."""
-
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
 
@@ -56,7 +54,6 @@ class Bumps(Graph):
             raise SurfaceError('bumps must be rows of x, y, height and a positive width')
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return the sum of the bells and its derivatives."""
         total = [np.zeros_like(x) for _ in range(6)]
         for x0, y0, tall, width in self.bumps:
             p, q, w = (x - x0) / width, (y - y0) / width, width
@@ -80,7 +77,6 @@ class Cap(Graph):
         self.top = radius - (radius + blend) * np.cos(angle) + blend
 
     def height(self, x: FloatArray, y: FloatArray) -> tuple[Any, ...]:
-        """Return the meridian h(rho), turned about z, and its derivatives."""
         rho = np.sqrt(x * x + y * y)
         safe = np.maximum(rho, 1e-12)
         ball = np.sqrt(np.maximum(self.radius**2 - np.minimum(rho, self.join) ** 2, 1e-12))
@@ -96,14 +92,8 @@ class Cap(Graph):
         )
         c, s = x / safe, y / safe
         ratio = np.where(rho < 1e-9, bend, slope / safe)
-        return (
-            h,
-            slope * c,
-            slope * s,
-            bend * c * c + ratio * s * s,
-            (bend - ratio) * c * s,
-            bend * s * s + ratio * c * c,
-        )
+        second = bend * c * c + ratio * s * s, (bend - ratio) * c * s, bend * s * s + ratio * c * c
+        return h, slope * c, slope * s, *second
 
 
 class Cylinder(Surface):
@@ -225,9 +215,7 @@ class RationalSurface(Surface):
         s = a / w
         s_u, s_v = (a_u - w_u * s) / w, (a_v - w_v * s) / w
         return (
-            s,
-            s_u,
-            s_v,
+            *(s, s_u, s_v),
             (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
             (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w,
             (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
@@ -258,7 +246,6 @@ class Trimmed(Surface):
         return self.surface.derivatives(u, v)
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Tell which points lie within the boundary, or no further than a margin outside."""
         u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
         inside: BoolArray = within(self.pieces, u.ravel(), v.ravel()).reshape(u.shape)
         if not margin:

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.milled import runs
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
+from cnc_interp.cam.passes import runs
 from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
 from cnc_interp.convert.conversion import with_chords
@@ -34,8 +34,6 @@ PROMINENCE = 0.15  #: Smallest prominence of a ridge, as a share of the range of
 
 @dataclass(frozen=True)
 class Motion:
-    """Successive poses of the mill."""
-
     name: str  #: 'programmed', 'planned' or 'executed'.
     tip: FloatArray  #: (n, 3): Tool tips [m].
     axis: FloatArray  #: (n, 3): Unit tool axes [-].
@@ -64,12 +62,10 @@ def programmed(program: Program) -> Motion:
 
 
 def planned(plan: PlanFiles, machine: Machine) -> Motion:
-    """Return the motion that the setpoints of a plan command."""
     return thinned(Motion('planned', *Transform.of(machine).forward(plan.position)))
 
 
 def executed(plan: PlanFiles, machine: Machine, model: Machine | None = None) -> Motion:
-    """Return the motion of simulated drives for a plan, with ``model`` compensated if given."""
     velocity = np.asarray(plan.setpoints['velocity'])
     rest = round(SETTLING / plan.period)
     held = np.concatenate([plan.position, np.tile(plan.position[-1:], (rest, 1))])
@@ -90,22 +86,18 @@ class Section:
 def cross_sections(
     surface: Surface, cutter: Cutter, motion: Motion, across: FloatArray, margin: float
 ) -> Section:
-    """Cut fine sections across the passes and find the scallop ridges."""
     (u0, u1), (v0, v1) = surface.domain
     middle = surface.at(np.array([0.5 * (u0 + u1)]), np.array([0.5 * (v0 + v1)]))
     along_u = abs(float(middle.d_u[0] @ across)) * float(norm(middle.d_v)[0]) > abs(
         float(middle.d_v[0] @ across)
     ) * float(norm(middle.d_u)[0])
     grow, fine = surface.growth(-margin), surface.growth(FINE)
-    u0, u1, v0, v1 = u0 - grow[0], u1 + grow[0], v0 - grow[1], v1 + grow[1]
-    if along_u:
-        lines = np.linspace(v0, v1, SECTIONS)
-        points = np.linspace(u0, u1, max(16, int((u1 - u0) / fine[0])))
-        v, u = np.meshgrid(lines, points, indexing='ij')
-    else:
-        lines = np.linspace(u0, u1, SECTIONS)
-        points = np.linspace(v0, v1, max(16, int((v1 - v0) / fine[1])))
-        u, v = np.meshgrid(lines, points, indexing='ij')
+    ends = (u0 - grow[0], u1 + grow[0]), (v0 - grow[1], v1 + grow[1])
+    along, beside = (0, 1) if along_u else (1, 0)
+    first, last = ends[along]
+    points = np.linspace(first, last, max(16, int((last - first) / fine[along])))
+    grid = np.meshgrid(np.linspace(*ends[beside], SECTIONS), points, indexing='ij')
+    u, v = grid[::-1] if along_u else grid
     at = surface.at(u, v)
     heights = cut_needles(Needles(at.position, at.normal), cutter, motion.tip, motion.axis)
     way = np.concatenate([[0.0], np.cumsum(norm(np.diff(at.position[0], axis=0)))])

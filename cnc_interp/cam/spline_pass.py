@@ -11,8 +11,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
-from cnc_interp.cam.milled import kept_ranges
 from cnc_interp.cam.neighbours import Neighbours
+from cnc_interp.cam.passes import kept_ranges
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
@@ -27,34 +27,22 @@ COARSEST = 3.2 * MM  #: Distance of the knots at first [m].
 
 
 class Strip(Protocol):
-    """A pass of any strategy: a curve on the surface, a width and postures."""
+    """A pass of any strategy: path of the point K; half width and postures at places ``s``."""
 
     @property
-    def curve(self) -> GuidingCurve | SurfaceCurve:
-        """Path of the guided point K."""
-
+    def curve(self) -> GuidingCurve | SurfaceCurve: ...
     @property
-    def s(self) -> FloatArray:
-        """Places at which the width is known."""
-
+    def s(self) -> FloatArray: ...
     @property
-    def reach(self) -> FloatArray:
-        """Half width of the strip."""
-
+    def reach(self) -> FloatArray: ...
     @property
-    def postures(self) -> Postures:
-        """The postures at these places."""
-
-    def tool(self, s: FloatArray) -> Postures:
-        """Return the postures at places of the pass."""
+    def postures(self) -> Postures: ...
+    def tool(self, s: FloatArray) -> Postures: ...
 
 
 class Strips(Protocol):
-    """The passes of any strategy over a surface."""
-
     @property
-    def passes(self) -> Sequence[Strip]:
-        """The passes in order."""
+    def passes(self) -> Sequence[Strip]: ...
 
 
 @dataclass(frozen=True)
@@ -69,8 +57,6 @@ class SplinePass:
         made: Strip, overrun: float, fixed_axis: FloatArray | None = None,
         neighbours: Neighbours | None = None,
     ) -> list[SplinePass]:  # fmt: skip
-        """Fit splines to the parts of a pass whose strip lies on the surface."""
-
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)
             axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (1, 3))
@@ -116,7 +102,6 @@ class SplinePass:
 
 
 def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Sample a pass so that its chords keep a tolerance."""
     s = np.linspace(*curve.ends, 9)
     for _ in range(FINEST):
         tip, axis = curve.poses(s)
@@ -130,7 +115,12 @@ def sampled(curve: SplinePass, tolerance: float) -> tuple[FloatArray, FloatArray
         if not split.any():
             break
         s = np.sort(np.concatenate([s, 0.5 * (s[:-1] + s[1:])[split]]))
-    return merged(curve, s, tolerance)
+    tip, axis = curve.poses(s)
+    top, both = tip + ARM * axis, np.array([0, len(s) - 1])
+    whole = [np.broadcast_to(x[both], (len(s), 2, 3)) for x in (tip, top)]
+    if float(chord_error(whole[0], whole[1], tip, top).max()) <= tolerance:
+        return tip[both], axis[both]  # one line
+    return tip, axis
 
 
 def chord_error(
@@ -144,24 +134,11 @@ def chord_error(
     return np.maximum(across, norm(middle_top - top[:, 0] - scaled(share, chord_top)))
 
 
-def merged(curve: SplinePass, s: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
-    """Replace a pass by its two end poses if that keeps the tolerance."""
-    tip, axis = curve.poses(s)
-    top = tip + ARM * axis
-    ends = np.array([0, len(s) - 1])
-    whole = [np.broadcast_to(x[ends], (len(s), 2, 3)) for x in (tip, top)]
-    if float(chord_error(whole[0], whole[1], tip, top).max()) <= tolerance:
-        return tip[ends], axis[ends]
-    return tip, axis
-
-
 NOTICED = 0.5 * MM  #: Length that is left out before a note says so [m].
 
 
 @dataclass(frozen=True)
 class MachinedFace:
-    """One face and its passes."""
-
     number: int  #: Number of the face.
     surface: Surface  #: Its surface.
     across: FloatArray  #: (3,): Unit normal N of the guiding planes [-].
@@ -175,7 +152,6 @@ def cut_back(
     paths: Strips, cutter: Cutter, overrun: float,
     fixed_axis: FloatArray | None, others: Neighbours | None,
 ) -> tuple[list[list[SplinePass]], list[str]]:  # fmt: skip
-    """Fit splines to the milled parts of all passes."""
     found = [SplinePass.of(made, overrun, fixed_axis, others) for made in paths.passes]
     parts = [one for one in found if one]
     if others is None:

@@ -7,8 +7,9 @@ control points. Others are converted exactly to rational B-splines. The package
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +57,6 @@ ANY = 1.0  #: Sizes of shapes before those of the face are known.
 
 @dataclass(frozen=True)
 class Part:
-    """Faces to machine, and the other faces of the part."""
-
     #: Surfaces by the number of their face, in the order in which they are machined.
     surfaces: dict[int, Surface]
     #: Points of all faces, also of those that are machined; none for a single face.
@@ -65,8 +64,6 @@ class Part:
 
 
 class StepFace:
-    """One face of a file."""
-
     def __init__(self, shape: Any):
         from OCP.BRep import BRep_Tool
         from OCP.BRepTools import BRepTools
@@ -109,19 +106,25 @@ class StepFace:
             return surface
         return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
 
-    def edges(self) -> list[FloatArray]:
-        """Return the edges of outer loop and holes as polylines."""
+    def _curves(self) -> Iterator[Callable[[int], FloatArray]]:
+        """Yield for each edge what returns u and v at so many places along it, (n, 2)."""
         from OCP.BRepAdaptor import BRepAdaptor_Curve2d
         from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopoDS import TopoDS
 
-        found = []
+        def uv_at(curve: Any, count: int) -> FloatArray:
+            places = np.linspace(curve.FirstParameter(), curve.LastParameter(), count).tolist()
+            return np.array([(p.X(), p.Y()) for p in map(curve.Value, places)])
+
         for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
-            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
-            first, last, count = curve.FirstParameter(), curve.LastParameter(), EDGE_PIECES
+            yield partial(uv_at, BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape))
+
+    def edges(self) -> list[FloatArray]:
+        found = []
+        for uv_at in self._curves():
+            count = EDGE_PIECES
             while True:
-                places = np.linspace(first, last, 2 * count + 1).tolist()
-                uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places)])
+                uv = uv_at(2 * count + 1)
                 chord = 0.5 * (uv[:-2:2] + uv[2::2])
                 away = norm(self.points(uv[1::2]) - self.points(chord))
                 if float(away.max()) < CHORD or count >= MOST_PIECES:
@@ -131,11 +134,9 @@ class StepFace:
         return found
 
     def points(self, uv: FloatArray) -> FloatArray:
-        """Return points of the surface, shape (n, 3) [m], at u and v of OpenCASCADE, (n, 2)."""
         return np.array([_vector(self.geometry.Value(u, v)) for u, v in uv.tolist()]) * MM
 
     def samples(self, spacing: float, most: int) -> FloatArray:
-        """Return points within the boundary and along it, (n, 3) [m]."""
         edges = joined(self.edges())
         corners = np.concatenate(edges)
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -180,19 +181,17 @@ class StepFace:
             for direction in (position.XDirection(), position.YDirection(), position.Direction())
         )
         shape: Surface
-        axes, top = np.stack([y, z, x]), 0.0
+        axes = np.stack([y, z, x])
         if self.kind == 'Geom_Plane':
-            shape, axes = Plane((ANY, ANY)), np.stack([x, y, z])
+            shape, axes, top = Plane((ANY, ANY)), np.stack([x, y, z]), 0.0
             u = u[0] * MM, u[1] * MM
-        elif self.kind == 'Geom_CylindricalSurface':
-            top = self.geometry.Radius() * MM
-            shape = Cylinder(top, ANY, ANY)
-        elif self.kind == 'Geom_SphericalSurface':
-            top = self.geometry.Radius() * MM
-            shape = Torus(0.0, top, ANY, ANY)
-        else:
+        elif self.kind == 'Geom_ToroidalSurface':
             ring, radius = self.geometry.MajorRadius() * MM, self.geometry.MinorRadius() * MM
             shape, top = Torus(ring, radius, ANY, ANY), ring + radius
+        else:
+            top = self.geometry.Radius() * MM
+            ball = self.kind == 'Geom_SphericalSurface'
+            shape = Torus(0.0, top, ANY, ANY) if ball else Cylinder(top, ANY, ANY)
         if self.kind in ('Geom_Plane', 'Geom_CylindricalSurface'):
             v = v[0] * MM, v[1] * MM
         # Our round shapes turn about y, and their highest point u = v = 0 is the origin.
@@ -224,10 +223,6 @@ class StepFace:
 
     def _distance_inside(self, surface: Surface) -> float:
         """Return how far the boundary lies inside the border of the surface at most [m]."""
-        from OCP.BRepAdaptor import BRepAdaptor_Curve2d
-        from OCP.TopAbs import TopAbs_ShapeEnum
-        from OCP.TopoDS import TopoDS
-
         if self.kind == SPLINE:
             low, high = (np.array(ends) for ends in zip(*surface.domain, strict=True))
         else:
@@ -236,10 +231,8 @@ class StepFace:
             b - a for a, b in surface.domain
         ]) / (np.array(surface.growth(1.0)) * (high - low))  # fmt: skip
         farthest = 0.0
-        for edge in _parts(self.shape, TopAbs_ShapeEnum.TopAbs_EDGE):
-            curve = BRepAdaptor_Curve2d(TopoDS.Edge(edge), self.shape)
-            places = np.linspace(curve.FirstParameter(), curve.LastParameter(), EDGE_POINTS)
-            uv = np.array([(p.X(), p.Y()) for p in (curve.Value(t) for t in places.tolist())])
+        for uv_at in self._curves():
+            uv = uv_at(EDGE_POINTS)
             inside = np.min(np.minimum(uv - low, high - uv) * scale, axis=1)
             farthest = max(farthest, float(inside.max()))
         return farthest
@@ -291,13 +284,11 @@ def _patch(geometry: Any, flip: bool) -> Surface:
 
 
 def extent(surface: Surface) -> str:
-    """Return the lengths of the middle lines of a surface as text."""
     s = surface.at(*surface.grid(101, 101)).position
     along = norm(np.diff(s[:, 50], axis=0)).sum(), norm(np.diff(s[50], axis=0)).sum()
     return f'{along[0] / MM:.4g} x {along[1] / MM:.4g} mm'
 
 
-#: What to do where the optional package is missing.
 INSTALL = 'reading STEP needs OpenCASCADE: pip install cadquery-ocp-novtk'
 SYSTEM_LIBRARY = 'OpenCASCADE cannot be loaded: apt-get install libgl1'
 
@@ -306,10 +297,7 @@ SYSTEM_LIBRARY = 'OpenCASCADE cannot be loaded: apt-get install libgl1'
 SPACING, MOST_POINTS = 0.25 * MM, 150_000
 
 
-def read_step_part(
-    path: Path, numbers: Sequence[int], note: Callable[[str], None] | None = None
-) -> Part:
-    """Read the surfaces of faces, and points of all faces."""
+def read_step_part(path: Path, numbers: Sequence[int], note: Callable[[str], None]) -> Part:
     faces = _faces(path, note)
     if not numbers and len(faces) > 1:
         lines = [f'{k:6}  {one.description()}' for k, one in enumerate(faces, 1)]
@@ -331,7 +319,7 @@ def read_step_part(
 
 
 def _neighbours(
-    path: Path, faces: list[StepFace], note: Callable[[str], None] | None
+    path: Path, faces: list[StepFace], note: Callable[[str], None]
 ) -> Neighbours | None:
     if len(faces) == 1:
         return None
@@ -341,17 +329,16 @@ def _neighbours(
             found.append(face.samples(spacing, MOST_POINTS // len(faces)))
         except Exception as fault:  # bindings of OpenCASCADE raise anything
             found.append(np.zeros((0, 3)))
-            if note:
-                note(
-                    f'{path}: the mill is not tested against face {number}, it has no points: '
-                    f'{" ".join(str(fault).split())[:100]}'
-                )
+            note(
+                f'{path}: the mill is not tested against face {number}, it has no points: '
+                f'{" ".join(str(fault).split())[:100]}'
+            )
     counts = [len(points) for points in found]
     owner = np.repeat(np.arange(1, len(faces) + 1), counts)
     return Neighbours(np.ascontiguousarray(np.concatenate(found)), owner)
 
 
-def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
+def _faces(path: Path, note: Callable[[str], None]) -> list[StepFace]:
     try:
         path.open('rb').close()
     except OSError as error:
@@ -364,7 +351,6 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
         from OCP.Message import Message
         from OCP.STEPControl import STEPControl_Reader
         from OCP.TopAbs import TopAbs_ShapeEnum
-        from OCP.TopExp import TopExp_Explorer
         from OCP.TopLoc import TopLoc_Location
     except ModuleNotFoundError as error:
         raise SurfaceError(f'{path}: {INSTALL}') from error
@@ -386,14 +372,12 @@ def _faces(path: Path, note: Callable[[str], None] | None) -> list[StepFace]:
         raise SurfaceError(f'{path}: has no unit of length (LENGTH_UNIT)')
     faults = _faults(reader, reader.WS().TransferReader().LastCheckList())
     found: dict[Any, Any] = {}
-    explorer = TopExp_Explorer(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_FACE)
-    while explorer.More():
-        shape = explorer.Current().Located(TopLoc_Location())
+    for face in _parts(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_FACE):
+        shape = face.Located(TopLoc_Location())
         found.setdefault(shape.TShape(), shape)
-        explorer.Next()
     if not found:
         raise SurfaceError(f'{path}: {(faults or ["holds no face"])[0]}')
-    if note and faults:
+    if faults:
         note(f'{path}: {len(faults)} entities were left out; {faults[0]}')
     return [StepFace(shape) for shape in found.values()]
 

@@ -66,7 +66,6 @@ def ridges_of(section: Section) -> dict[str, Any]:
 
 
 def describe(summary: dict[str, Any]) -> str:
-    """Return a summary as text in shop units."""
     lines = []
     if 'surface' in summary:
         lines.append(f'surface        {summary["surface"]}')
@@ -111,7 +110,6 @@ def _planes_in_words(summary: dict[str, Any]) -> list[str]:
 
 
 def heights_in_words(found: dict[str, Any]) -> str:
-    """Return the figures of a simulated surface as text."""
     um = {k: v / UM for k, v in found.items() if isinstance(v, float)}
     text = (
         f'{um["lowest"]:.2f} to {um["highest"]:.2f} um, Sa {um["Sa"]:.2f}, Sq {um["Sq"]:.2f}, '

@@ -8,7 +8,7 @@ The normal n points out of the material. Curvatures are positive where the surfa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -33,15 +33,10 @@ class SurfacePoint:
     n_v: FloatArray
 
     def offset(self, distance: float) -> SurfacePoint:
-        """Return the corresponding points of the surface S + distance n."""
-        return SurfacePoint(
-            self.position + distance * self.normal,
-            self.d_u + distance * self.n_u,
-            self.d_v + distance * self.n_v,
-            self.normal,
-            self.n_u,
-            self.n_v,
-        )
+        return replace(
+            self, position=self.position + distance * self.normal,
+            d_u=self.d_u + distance * self.n_u, d_v=self.d_v + distance * self.n_v,
+        )  # fmt: skip
 
     def components(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a and b with ``tangent = a S_u + b S_v``."""
@@ -51,7 +46,6 @@ class SurfacePoint:
         return (g * p - f * q) / determinant, (e * q - f * p) / determinant
 
     def normal_rate(self, tangent: FloatArray) -> FloatArray:
-        """Return the derivative of the normal along tangent vectors."""
         a, b = self.components(tangent)
         return scaled(a, self.n_u) + scaled(b, self.n_v)
 
@@ -90,7 +84,6 @@ class Surface(ABC):
         """Return the position and its first and second derivatives."""
 
     def at(self, u: FloatArray, v: FloatArray) -> SurfacePoint:
-        """Return points, tangents, normals and derivatives of the normals at parameters (...)."""
         s, s_u, s_v, s_uu, s_uv, s_vv = self.derivatives(u, v)
         m = self.sign * cross(s_u, s_v)
         with np.errstate(invalid='ignore', divide='ignore'):
@@ -141,7 +134,6 @@ class Surface(ABC):
         return u, v
 
     def growth(self, extension: float) -> tuple[float, float]:
-        """Return the change of u and v that corresponds to a distance on the surface."""
         u, v = self.grid(9, 9)
         _, s_u, s_v, *_ = self.derivatives(u, v)
         return extension / float(np.median(norm(s_u))), extension / float(np.median(norm(s_v)))

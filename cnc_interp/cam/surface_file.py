@@ -2,10 +2,20 @@
 
 {"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
 "placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
+
+OpenCASCADE reads a STEP file in a process of its own, with bounds on memory and time. It may
+crash, or compute without end, for a file that is wrong on purpose. Then only that process ends,
+and the file is refused. It writes the surface, or a reason, to its standard output.
 """
 
 from __future__ import annotations
 
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,11 +24,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.shapes import BSplineSurface, Bumps, Cap, Cylinder, Plane, Torus
-from cnc_interp.cam.step_file import Part
-from cnc_interp.cam.step_process import read_step_safely
+from cnc_interp.cam.step_file import Part, read_step_part
 from cnc_interp.cam.surface import Placed, Surface, SurfaceError
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.small_files import UnreadableError, read_json
+from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json
 from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
@@ -40,8 +49,6 @@ KEYS: dict[str, dict[str, bool]] = {
 
 
 class _File:
-    """The contents of one file, with its name for errors."""
-
     def __init__(self, path: Path, contents: Any):
         self.path, self.contents = path, contents
 
@@ -49,7 +56,6 @@ class _File:
         return SurfaceError(f'{self.path}: {message}')
 
     def numbers(self, key: str, shape: tuple[int, ...], default: Any = None) -> FloatArray:
-        """Return an array of finite numbers; -1 in the shape stands for any length."""
         value = self.contents.get(key, default)
         try:
             array = np.asarray(value, float)
@@ -63,22 +69,13 @@ class _File:
             raise self.fault(f'{key} must hold {size + " " if shape else "one "}finite numbers')
         return array
 
-    def number(self, key: str, unit: float) -> float:
-        return float(self.numbers(key, ())) * unit
-
-
-def read_surface(
-    path: Path, face: int | None = None, note: Callable[[str], None] | None = None
-) -> Surface:
-    """Read one surface; as ``read_part``."""
-    (surface,) = read_part(path, [] if face is None else [face], note).surfaces.values()
-    return surface
+    def number(self, key: str) -> float:
+        return float(self.numbers(key, ())) * (MM if key.endswith('_mm') else DEG)
 
 
 def read_part(
-    path: Path, faces: Sequence[int] = (), note: Callable[[str], None] | None = None
+    path: Path, faces: Sequence[int] = (), note: Callable[[str], None] = lambda _: None
 ) -> Part:
-    """Read a surface file, or faces of a STEP file (.step, .stp, .p21)."""
     if path.suffix.lower() in STEP_SUFFIXES:
         return read_step_safely(path, faces, note)
     if faces:
@@ -114,22 +111,13 @@ def _surface(file: _File, kind: str) -> Surface:
             return Plane((x, y))
         if kind == 'bumps':
             return Bumps((x, y), file.numbers('bumps_mm', (-1, 4)) * MM)
-        return Cap(
-            (x, y), file.number('radius_mm', MM), file.number('blend_mm', MM),
-            file.number('angle_deg', DEG),
-        )  # fmt: skip
+        return Cap((x, y), *map(file.number, ('radius_mm', 'blend_mm', 'angle_deg')))
     if kind == 'cylinder':
-        hollow = bool(file.contents.get('hollow', False))
-        return Cylinder(
-            file.number('radius_mm', MM), file.number('angle_deg', DEG),
-            file.number('length_mm', MM), hollow,
-        )  # fmt: skip
+        radius, angle, length = map(file.number, ('radius_mm', 'angle_deg', 'length_mm'))
+        return Cylinder(radius, angle, length, bool(file.contents.get('hollow', False)))
     if kind in ('sphere', 'torus'):
-        ring = file.number('ring_mm', MM) if kind == 'torus' else 0.0
-        return Torus(
-            ring, file.number('radius_mm', MM), file.number('u_angle_deg', DEG),
-            file.number('v_angle_deg', DEG),
-        )  # fmt: skip
+        ring = file.number('ring_mm') if kind == 'torus' else 0.0
+        return Torus(ring, *map(file.number, ('radius_mm', 'u_angle_deg', 'v_angle_deg')))
     flip = bool(file.contents.get('flip', False))
     points = file.numbers('points_mm', (-1, -1, 3)) * MM
     if kind == 'grid':
@@ -150,3 +138,64 @@ def _placed(file: _File, surface: Surface) -> Surface:
     shift = inner.numbers('shift_mm', (3,), [0.0, 0.0, 0.0]) * MM
     rotation = Rotation.from_euler('xyz', turn, degrees=True).as_matrix()
     return Placed(surface, np.asarray(rotation), shift)
+
+
+#: Time of a processor for a file [s], and for each MB of it. Memory beside what its length
+#: explains [bytes].
+SECONDS, SECONDS_PER_MB, ROOM = 8, 2, 1 << 29
+
+
+def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], None]) -> Part:
+    """Read faces in a process of its own; as ``step_file.read_step_part``."""
+    words = [str(path), *map(str, faces)]
+    # -P: it imports this package and installed ones, and nothing from the folder of the user.
+    command = [sys.executable, '-P', '-m', 'cnc_interp.cam.surface_file', *words]
+    given, own = os.environ.get('PYTHONPATH', ''), str(Path(__file__).parents[2])
+    places = os.pathsep.join(filter(None, [given, own]))
+    child = subprocess.run(
+        command, env=os.environ | {'PYTHONPATH': places},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    if code := child.returncode:
+        why = f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
+        if code == -signal.SIGXCPU:
+            why = 'it takes longer than a file of this length may'
+        raise SurfaceError(f'{path}: OpenCASCADE cannot read it: {why}')
+    part, notes, refusal = pickle.loads(child.stdout)
+    for text in notes:
+        note(text)
+    if refusal:
+        raise SurfaceError(refusal)
+    read: Part = part
+    return read
+
+
+def answer(path: Path, faces: Sequence[int]) -> tuple[Part | None, list[str], str]:
+    notes: list[str] = []
+    try:
+        length = path.stat().st_size if path.is_file() else 0
+        most = SECONDS + SECONDS_PER_MB * length // 1_000_000
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        BoundedMemory(*[path] * (length > 0), room=ROOM)
+        return read_step_part(path, faces, notes.append), notes, ''
+    except SurfaceError as refusal:
+        return None, notes, str(refusal)
+    except MemoryError:
+        return None, notes, f'{path}: it needs more memory than its length explains'
+    except Exception as fault:  # bindings of OpenCASCADE raise anything
+        reason = ' '.join(str(fault).split())[:200] or type(fault).__name__
+        return None, notes, f'{path}: cannot be read ({reason})'
+
+
+def main() -> None:
+    output = os.fdopen(os.dup(1), 'wb')
+    os.dup2(2, 1)  # what OpenCASCADE prints is no part of the answer
+    with output:
+        pickle.dump(answer(Path(sys.argv[1]), [int(word) for word in sys.argv[2:]]), output)
+        output.flush()
+        os._exit(0)  # destructors of OpenCASCADE may crash, too
+
+
+if __name__ == '__main__':
+    main()

@@ -41,8 +41,8 @@ function tileOf(level, row, column) {
     loading.add(name);
     const script = document.createElement('script');
     script.src = `page/${name}.js`;
-    script.onload = () => script.remove();
-    script.onerror = () => script.remove(); // it stays in `loading`: a missing file is asked once
+    // After an error it stays in `loading`: a missing file is asked once.
+    script.onload = script.onerror = () => script.remove();
     document.head.append(script);
   }
   return tile;
@@ -147,15 +147,9 @@ function drawLength(brush) {
 function drawLevel(brush, level, wanted) {
   const wide = facts.tile * 2 ** level;
   const count = [Math.ceil(ROWS / wide), Math.ceil(COLUMNS / wide)];
-  const half = [canvas.width / 2 / view.scale, canvas.height / 2 / view.scale];
-  const first = [0, 1].map((k) => {
-    const middle = k ? view.y : view.x;
-    return Math.max(0, Math.floor((middle - half[k]) / CELL[k] / wide));
-  });
-  const last = [0, 1].map((k) => {
-    const middle = k ? view.y : view.x;
-    return Math.min(count[k] - 1, Math.floor((middle + half[k]) / CELL[k] / wide));
-  });
+  const middle = [view.x, view.y], half = [canvas.width, canvas.height].map((n) => n / 2 / view.scale);
+  const first = [0, 1].map((k) => Math.max(0, Math.floor((middle[k] - half[k]) / CELL[k] / wide)));
+  const last = [0, 1].map((k) => Math.min(count[k] - 1, Math.floor((middle[k] + half[k]) / CELL[k] / wide)));
   for (let row = first[0]; row <= last[0]; row++) {
     for (let column = first[1]; column <= last[1]; column++) {
       const known = tiles.get(`${level}/${row}_${column}`);
@@ -191,12 +185,7 @@ function drawScale() {
     brush.fillStyle = `rgb(${c & 255},${c >> 8 & 255},${c >> 16 & 255})`;
     brush.fillRect(x, 0, 1, high);
   }
-  words(brush, 12);
-  for (let k = 0; k <= 8; k++) {
-    const x = k / 8 * bar.width;
-    brush.textAlign = k === 0 ? 'left' : k === 8 ? 'right' : 'center';
-    brush.fillText(`${(top_ * (k / 4 - 1)).toPrecision(3)}${k === 8 ? ' µm' : ''}`, x, high + 14 * ratio);
-  }
+  labels(brush, bar.width, high + 14 * ratio, 8, (share) => (top_ * (2 * share - 1)).toPrecision(3));
 }
 
 function drawClasses() {
@@ -221,14 +210,17 @@ function drawClasses() {
   brush.moveTo(line, 0);
   brush.lineTo(line, floor);
   brush.stroke();
-  words(brush, 12);
-  for (let k = 0; k <= 6; k++) {
-    brush.textAlign = k === 0 ? 'left' : k === 6 ? 'right' : 'center';
-    const text = (low + k / 6 * (high - low)).toFixed(2) + (k === 6 ? ' µm' : '');
-    brush.fillText(text, k / 6 * place.width, place.height - 5 * ratio);
-  }
+  labels(brush, place.width, place.height - 5 * ratio, 6, (share) => (low + share * (high - low)).toFixed(2));
   brush.textAlign = 'right';
   brush.fillText(`most: ${Math.max(...counts).toLocaleString('en')} needles`, place.width, 12 * ratio);
+}
+
+function labels(brush, width, y, count, text) {
+  words(brush, 12);
+  for (let k = 0; k <= count; k++) {
+    brush.textAlign = k === 0 ? 'left' : k === count ? 'right' : 'center';
+    brush.fillText(text(k / count) + (k === count ? ' µm' : ''), k / count * width, y);
+  }
 }
 
 function words(brush, size) {

@@ -22,7 +22,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
-from cnc_interp.cam.needle_tiles import TileCutter, TileProgress, TileWorkers
+from cnc_interp.cam.needle_tiles import TileProgress, TileWorkers, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of
@@ -57,7 +57,6 @@ def simulate_in_tiles(
     surface: Surface, cutter: Cutter, motion: Motion, section: Section,
     options: argparse.Namespace,
 ) -> dict[str, Any]:  # fmt: skip
-    """Cut needles tile by tile; write heights, levels and page."""
     out: Path = options.tiles
     u, v = surface.grid(SAMPLES, SAMPLES)
     if not surface.contains(u, v).all():
@@ -77,10 +76,10 @@ def simulate_in_tiles(
         known = f', {progress.known} known before' if progress.known else ''
         bar.show('cutting', progress.share, f'{progress.done} of {progress.total} tiles{known}')
 
-    tiles = TileCutter(grid, MotionPieces.of(cutter, motion.tip, motion.axis), options.device)
-    done = False
+    sweep, done = MotionPieces.of(cutter, motion.tip, motion.axis), False
     try:
-        reached = tiles.run(pool(options.scheduler, workers), store, tell)
+        crew = pool(options.scheduler, workers)
+        reached = cut_tiles(grid, sweep, crew, store, tell, options.device)
         done = True
     finally:
         bar.end(complete=done)
@@ -100,7 +99,6 @@ def simulate_in_tiles(
 
 
 def histogram(figures: Figures) -> dict[str, Any]:
-    """Return the classes of the heights that are not empty: lower ends [m] and counts."""
     numbers = sorted(figures.classes)
     return {
         'width': CLASS,
@@ -121,8 +119,6 @@ RANGE = 1.3
 
 
 class TilePage:
-    """The page of a store."""
-
     def __init__(self, store: HeightStore, grid: NeedleGrid, scallop: float):
         self._store, self._grid, self._scallop = store, grid, scallop
 

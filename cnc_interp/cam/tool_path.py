@@ -32,8 +32,6 @@ UPRIGHT = 0.2  #: Smallest cosine between the tool axis and the direction of the
 
 @dataclass(frozen=True)
 class LinkOptions:
-    """How passes are linked."""
-
     #: Every second pass in the opposite direction after a short lift, or all passes in one
     #: direction with a return over a safe level.
     linking: Linking = 'zigzag'
@@ -47,8 +45,6 @@ class LinkOptions:
 
 @dataclass(frozen=True)
 class Link:
-    """A straight move between passes."""
-
     tip: FloatArray  #: (3,): Tool tip at the end [m].
     axis: FloatArray  #: (3,): Unit tool axis at the end [-].
     rapid: bool  #: True for a rapid move.
@@ -58,7 +54,6 @@ def link(
     passes: Sequence[Sequence[SplinePass]], surface: Surface, cutter: Cutter,
     options: LinkOptions, around: Neighbours | None = None, up: FloatArray | None = None,
 ) -> list[Link | SplinePass]:  # fmt: skip
-    """Put passes into the order and direction of cutting, with safe moves between them."""
     u, v = surface.grid(SAMPLES, SAMPLES)
     ours = surface.contains(u, v)
     points = surface.at(u[ours], v[ours])
@@ -137,7 +132,6 @@ class ToolPath:
 
     @staticmethod
     def of(steps: Sequence[Link | SplinePass], chord_tolerance: float) -> ToolPath:
-        """Sample the passes within a chord tolerance."""
         tips, axes, rapid, numbers, number = [], [], [], [], 0
         for step in steps:
             if isinstance(step, Link):
@@ -153,7 +147,6 @@ class ToolPath:
 
 
 Format = Literal['spline', 'cl', 'gcode']
-#: Suffix of the file for each dialect.
 SUFFIXES: dict[str, str] = {'spline': '.mpf', 'cl': '.apt', 'gcode': '.ngc'}
 
 
@@ -161,7 +154,6 @@ def write_tool_path(
     steps: Sequence[Link | SplinePass], feedrate: float, chord_tolerance: float, file: Path,
     form: Format, machine: Machine, reading: Settings,
 ) -> Path:  # fmt: skip
-    """Write a tool path as a part program."""
     path = file.with_suffix(SUFFIXES[form])
     if form == 'spline':
         text = siemens(_control_points(steps, feedrate), [])

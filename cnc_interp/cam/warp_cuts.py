@@ -48,7 +48,6 @@ def cut_needle(
 
 
 def warp(device: str) -> ModuleType:
-    """Return Warp, ready for a device."""
     try:
         import warp as wp
     except ModuleNotFoundError:
@@ -63,7 +62,6 @@ def warp(device: str) -> ModuleType:
 
 
 def cut_by_warp(needle: FloatArray, sweep: MotionPieces, device: str) -> FloatArray:
-    """Cut needles with Warp; see ``needle_cuts.cut``."""
     wp = warp(device)
     place = 'cpu' if device == 'warp-cpu' else 'cuda'
 
@@ -102,7 +100,6 @@ def _kernel() -> Any:
 
 
 def translated(function: Any) -> str:
-    """Return the text of a function of ``needle_cuts.py`` as Warp reads it."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     (definition,) = tree.body
     assert isinstance(definition, ast.FunctionDef)

@@ -23,8 +23,6 @@ LEVELS = {DiagnosticStatus.WARN: 'warning', DiagnosticStatus.ERROR: 'error'}
 
 @dataclass(frozen=True)
 class Alarm:
-    """One alarm or notice."""
-
     time: str  #: Time of day.
     level: str  #: How serious it is.
     source: str  #: Which part of which node reports it.
@@ -37,10 +35,7 @@ class Alarm:
 
 
 class AlarmList:
-    """The latest alarms; a repeated one is kept once, with its count.
-
-    ``clock``: returns a steady time [s].
-    """
+    """The latest alarms; a repeated one is kept once, with its count; ``clock``: time [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -64,7 +59,6 @@ class AlarmList:
         self.hide(lambda _: True)
 
     def hide(self, gone: Callable[[Alarm], bool]) -> None:
-        """Hide some of what there is now, as ``clear``."""
         before, now = self._cleared, self.history
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 

@@ -1,9 +1,10 @@
-"""A move by hand from the command line: ask for it, wait for its end, tell where it ended."""
+"""By hand from the command line: a move, homing, lines (MDI); each is waited for and told."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,11 +14,11 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import MoveAxes
 
-from cnc_interp.client.operator_client import SILENCE, OperatorClient
+from cnc_interp.client.operator_client import SILENCE, Answer, OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
 PATIENCE = 10.0  #: Longest wait for the nodes [s].
@@ -27,27 +28,13 @@ THERE = 1e-6  #: Nearer than this to its target, a move has arrived [m, rad].
 
 
 @dataclass(frozen=True)
-class HandMove:
-    """What is wanted of a move."""
-
-    values: Mapping[str, float]  #: Values of axes [mm, deg]; of a pose X Y Z [mm] and I J K [-].
-    relative: bool  #: Whether they are distances.
-    tool: float  #: A distance along the tool [mm].
-    speed: float  #: Share of the largest velocities [-].
-    pose: bool = False  #: Whether the values are a tool pose in the workpiece frame.
-
-
-@dataclass(frozen=True)
 class Ended:
-    """Where a move has ended, and why."""
-
     axes: tuple[Axis, ...]
     position: FloatArray
     arrived: bool
     message: str
 
     def text(self) -> str:
-        """Return the place in words and shop units."""
         return f'{self.message}: {place_text(self.axes, self.position)}'
 
     def to_json(self) -> dict[str, Any]:
@@ -75,7 +62,6 @@ def connected(
     name: str, namespace: str, domain: int | None,
     ready: Callable[[OperatorClient], bool] = lambda _: True,
 ) -> Iterator[tuple[OperatorClient, Machine]]:  # fmt: skip
-    """Yield a client of running nodes, once what it needs is there, and their machine."""
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
@@ -90,16 +76,13 @@ def connected(
         yield client, Machine.load(client.machine)
 
 
-def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
-    """Move axes of a running machine and wait for the end; Ctrl-C stops them.
-
-    Raises InterpError if no machine answers, or it refuses the move.
-    """
+def move_by_hand(
+    namespace: str, domain: int | None, values: Mapping[str, float], pose: bool, **fields: Any
+) -> Ended:
+    """Move axes [mm, deg], or to a pose, and wait; Ctrl-C stops them. InterpError if refused."""
+    request = pose_request(values, fields['speed']) if pose else MoveAxes.Request(**fields)
     with connected('jog', namespace, domain) as (client, machine):
-        request = pose_request(wanted.values, wanted.speed) if wanted.pose else MoveAxes.Request(
-            relative=wanted.relative, speed=wanted.speed, tool=wanted.tool * MM
-        )  # fmt: skip
-        for name, value in wanted.values.items() if not wanted.pose else ():
+        for name, value in values.items() if not pose else ():
             if name not in machine.axis_names:
                 raise InterpError(
                     f'the machine has no axis {name} ({" ".join(machine.axis_names)})'
@@ -111,10 +94,7 @@ def move_by_hand(wanted: HandMove, namespace: str, domain: int | None) -> Ended:
 
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
-    """Home axes of a running machine, all where none is named; Ctrl-C stops them.
-
-    Raises InterpError if no machine answers, or it refuses.
-    """
+    """Home axes, all where none is named; return those that are not. InterpError if refused."""
     with connected('home', namespace, domain) as (client, machine):
         client.granted(client.home(axes))
         wanted = set(axes or machine.homing.switches)
@@ -149,7 +129,6 @@ def _states(client: OperatorClient) -> Iterator[Any]:
 
 @contextmanager
 def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
-    """Hold the axes where Ctrl-C ends what is done here."""
     try:
         yield
     except KeyboardInterrupt:
@@ -170,3 +149,91 @@ def _followed(client: OperatorClient, machine: Machine, request: Any) -> Ended:
             held = state.reason == MachineState.REASON_FEED_HOLD
             short = state.message or ('feed hold' if held else 'stopped')
             return Ended(machine.axes, position, arrived, 'there' if arrived else short)
+
+
+PER_TURN = 1e-3  #: Unit of the feedrate with G95, as it is shown [m].
+MOST = 100  #: Lines that are remembered.
+
+
+class LineHistory:
+    """The lines given, the last one first, shared by all pages."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque(maxlen=MOST)
+
+    def add(self, line: str) -> None:
+        if not self._lines or self._lines[0] != line:
+            self._lines.appendleft(line)
+
+    def at(self, age: int) -> tuple[int, str]:
+        """Return the line of an age, and that age, limited to what there is; empty for -1."""
+        age = max(-1, min(age, len(self._lines) - 1))
+        return age, self._lines[age] if age >= 0 else ''
+
+
+def modes_text(modes: Any) -> str:
+    words = list(modes.codes)
+    if 'G93' in words:
+        words += [] if modes.duration != modes.duration else [f'F{60.0 / modes.duration:g}']
+    elif modes.feedrate == modes.feedrate:
+        unit = PER_TURN if 'G95' in words else MM_PER_MIN
+        words.append(f'F{modes.feedrate / unit:.10g}')
+    words += [f'S{modes.spindle_speed:g}'] if modes.spindle_speed else []
+    words += [f'T{modes.tool}'] if modes.tool else []
+    return ' '.join(words)
+
+
+@dataclass(frozen=True)
+class LineEnd:
+    line: str
+    answer: Answer
+    modes: str
+    place: str
+    position: dict[str, float]
+
+    def text(self) -> str:
+        return f'{self.line}: {self.answer.message}: {self.place}' if self.line else self.place
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            'line': self.line,
+            'ok': self.answer.ok,
+            'message': self.answer.message,
+            'modes': self.modes,
+            'position': self.position,
+        }
+
+
+def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
+    """Have lines executed until one is refused; yield their ends, or the modal state without."""
+    with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
+        client, machine,
+    ):  # fmt: skip
+        if not lines:
+            yield _end(client, machine, '', Answer(True, 'the modal state'))
+        for line in lines:
+            asked = client.give_line(line)
+            try:
+                answer = client.wait_for(asked)
+            except KeyboardInterrupt:
+                client.cancel_lines()
+                client.wait_for(asked)
+                raise
+            run = answer.response
+            while run is not None and run.samples and not _rests(client.state, run.program_id):
+                client.serve()
+            yield _end(client, machine, line, answer)
+            if not answer.ok:
+                return
+
+
+def _rests(state: Any, program_id: str) -> bool:
+    return bool(state.program_id == program_id and state.resting)
+
+
+def _end(client: OperatorClient, machine: Machine, line: str, answer: Answer) -> LineEnd:
+    assert client.state is not None
+    position = client.state.commanded_positions
+    place = place_text(machine.axes, position)
+    at = dict(zip(machine.axis_names, map(float, position), strict=True))
+    return LineEnd(line, answer, modes_text(client.modes), place, at)

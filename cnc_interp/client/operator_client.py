@@ -82,14 +82,11 @@ class SharedValue:
         self._heard = value
 
     def at(self, now: float) -> float:
-        """Return the value that counts at the time ``now`` [s]."""
         return self._wishes[-1] if self._wishes and now < self._until else self._heard
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer to a command."""
-
     ok: bool
     message: str
     response: Any = None
@@ -114,9 +111,7 @@ class OperatorClient:
         stay_on_this_host()
         self._context = rclpy.Context()
         rclpy.init(
-            context=self._context,
-            domain_id=domain,
-            signal_handler_options=SignalHandlerOptions.NO,
+            context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
         )
         node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self.node, self.namespace = node, node.get_namespace()
@@ -169,7 +164,6 @@ class OperatorClient:
 
     @property
     def state(self) -> MachineState | None:
-        """The last state of the machine; None before the first."""
         return self.peers.state
 
     def silent_for(self, patience: float) -> str:
@@ -240,7 +234,6 @@ class OperatorClient:
         return self.ask(self._move_axes, request, 'move_axes')
 
     def home(self, axes: Sequence[str] = ()) -> Future[Answer]:
-        """Home axes, all where none is named; answered when it has begun."""
         return self.ask(self._home, Home.Request(axes=list(axes)), 'home')
 
     def beat(self, message: Jog) -> None:
@@ -279,41 +272,44 @@ class OperatorClient:
         on_result: Callable[[RunProgram.Result], None] = lambda _: None,
     ) -> Future[Answer]:
         """Send a program from any thread. Answered when it is accepted; its end is an alarm."""
-        wanted: Future[Answer] = Future()
 
         def see_result(result: RunProgram.Result) -> None:
             good = result.code == RunProgram.Result.SUCCEEDED
             self.alarms.add('notice' if good else 'error', 'program', result.message)
             on_result(result)
 
-        def send() -> None:
-            if not self.takes_programs:
-                wanted.set_result(Answer(False, 'program_node does not answer; start it'))
-                return
-            sent = self.run(goal, see_result)
-            self._pending.append(lambda: accepted(sent))
+        def accepted(sent: SentProgram) -> Answer | None:
+            return Answer(True, 'started') if sent.accepted else None
 
-        def accepted(sent: SentProgram) -> bool:
-            if sent.accepted:
-                wanted.set_result(Answer(True, 'started'))
-            return sent.accepted
-
-        self._executor.create_task(send)
-        return wanted
+        return self._program(goal, accepted, see_result)
 
     def give_line(self, text: str) -> Future[Answer]:
-        """Have a line by hand (MDI) executed; answered at its end."""
-        wanted: Future[Answer] = Future()
 
-        def see_result(result: RunProgram.Result) -> None:
-            good = result.code == RunProgram.Result.SUCCEEDED
-            wanted.set_result(Answer(good, result.message, result))
+        def ended(sent: SentProgram) -> Answer | None:
+            result = sent.result
+            good = result is not None and result.code == RunProgram.Result.SUCCEEDED
+            return None if result is None else Answer(good, result.message, result)
+
+        return self._program(RunProgram.Goal(text=text, mdi=True), ended)
+
+    def _program(
+        self, goal: RunProgram.Goal, answer: Callable[[SentProgram], Answer | None],
+        on_result: Callable[[RunProgram.Result], None] | None = None,
+    ) -> Future[Answer]:  # fmt: skip
+        """Send a program; ``answer``: asked again and again for what is answered."""
+        wanted: Future[Answer] = Future()
 
         def send() -> None:
             if self.takes_programs:
-                self.run(RunProgram.Goal(text=text, mdi=True), see_result)
+                sent = self.run(goal, on_result)
+                self._pending.append(lambda: answered(sent))
             else:
                 wanted.set_result(Answer(False, 'program_node does not answer; start it'))
+
+        def answered(sent: SentProgram) -> bool:
+            if (found := answer(sent)) is not None:
+                wanted.set_result(found)
+            return wanted.done()
 
         self._executor.create_task(send)
         return wanted
@@ -323,7 +319,6 @@ class OperatorClient:
             self._executor.create_task(sent.cancel)
 
     def cancel_waiting(self) -> int:
-        """Cancel the waiting programs sent by this client and return their number."""
         found = [sent for sent in list(self._sent) if sent.programs_ahead > 0]
         for sent in found:
             self._executor.create_task(sent.cancel)
@@ -367,7 +362,6 @@ class OperatorClient:
         return answer.result()
 
     def granted(self, answer: Future[Answer]) -> Answer:
-        """Serve until something that was asked for is granted; return the answer."""
         found = self.wait_for(answer)
         if not found.ok:
             raise InterpError(found.message)

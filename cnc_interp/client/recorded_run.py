@@ -31,11 +31,15 @@ from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
-from cnc_interp.wire.function_messages import check_functions, functions_from
 from cnc_interp.wire.message_checks import check_setpoints
-from cnc_interp.wire.path_messages import blocks_from, blocks_of, segments_from
-from cnc_interp.wire.run_messages import run_id_of
-from cnc_interp.wire.settings_messages import settings_of_block
+from cnc_interp.wire.path_messages import (
+    blocks_from,
+    blocks_of,
+    check_functions,
+    functions_from,
+    segments_from,
+)
+from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 BATCH = 256  #: Segments taken over together.
 #: Number of setpoints per grid point of the path, and shortest cell made in this way [m].

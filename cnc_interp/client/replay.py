@@ -11,7 +11,7 @@ from itertools import takewhile
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
-from cnc_interp_msgs.msg import G1Block, MachineState, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, SetpointChunk
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
@@ -33,19 +33,15 @@ from cnc_interp.run.setpoints import Setpoints, Wait
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.path_messages import blocks_from
-from cnc_interp.wire.run_messages import run_id_of
-from cnc_interp.wire.settings_messages import settings_of_block
+from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 #: Topics that are published again. The streams are left out: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-#: Columns of a setpoint that are compared.
 COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's')
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Setpoints of one plan as recorded and as computed again."""
-
     run_id: RunId  #: Run, attempt and plan.
     recorded: int  #: Setpoints that were recorded.
     same: int  #: Number of setpoints, from the first on, that are the same bit for bit.
@@ -73,11 +69,7 @@ class Comparison:
 
 
 def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
-    """Compute the setpoints of all runs in a bag again from its blocks, and compare.
-
-    ``machine``: another machine than the bag names. Raises InterpError if blocks or setpoints are
-    missing.
-    """
+    """Compute the setpoints of all runs in a bag again from its blocks, and compare."""
     name = machine or bag.parameters.get('machine_node.machine', '')
     if not name:
         raise InterpError(f'{bag.path}: does not tell the machine; name it with --machine')
@@ -108,10 +100,11 @@ def _compare_run(
         own_settings(bag, 'feedrate_node'),
         flank_height=blocks[0].flank_height, interpolation_period=period,
     )  # fmt: skip
+    place = float(told[0].s[0])
     planner = RunPlanner(
         transform, blocks[0].flank_height, period,
         float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
-        _place(float(told[0].s[0]), float(blocks[0].continue_at)) if goes_on else math.nan,
+        (place if place > 0.0 else float(blocks[0].continue_at)) if goes_on else math.nan,
         followed, wanted.retract, wanted.plunge_feed, wanted_tool(transform.machine, wanted),
         asks=run_id.attempt == 0,
     )  # fmt: skip
@@ -139,20 +132,13 @@ def _compare_run(
         )  # fmt: skip
 
 
-def _place(s: float, continue_at: float) -> float:
-    """Return where an attempt went on [m]: where it began, or after the approach to there."""
-    return s if s > 0.0 else continue_at
-
-
 def own_settings(bag: Bag, node: str = 'lookahead_node') -> Settings:
-    """Return the parameters of a node; they count where block 0 leaves a choice open."""
     prefix = f'{node}.'
     told = {k.removeprefix(prefix): v for k, v in bag.parameters.items() if k.startswith(prefix)}
     return parameters.settings_of(told)
 
 
 def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
-    """Join the chunks of a plan, from setpoint 0."""
     following, parts = 0, []
     for first in sorted(chunks):
         if first != following:
@@ -170,24 +156,17 @@ def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
         if topic == 'setpoints':
             running = running or run_id_of(message).same_attempt(run_id)
         elif running and run_id_of(message).same_attempt(run_id):
-            found.append(_settings(message))
+            found.append(OperatorSettings(message.feed_override, rapid=message.rapid_override))
         elif not running:
-            found = [_settings(message)]
+            found = [OperatorSettings(message.feed_override, rapid=message.rapid_override)]
     return found
-
-
-def _settings(state: MachineState) -> OperatorSettings:
-    return OperatorSettings(state.feed_override, rapid=state.rapid_override)
 
 
 def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
     parts: list[Setpoints] = []
-    count = 0
     plan = planner.stream.current
-    while count < wanted and (plan.can_sample or plan.can_plan):
-        for chunk in planner.work(plan, True, -np.inf):
-            parts.append(chunk.samples)
-            count += len(chunk.samples)
+    while sum(map(len, parts)) < wanted and (plan.can_sample or plan.can_plan):
+        parts += [chunk.samples for chunk in planner.work(plan, True, -np.inf)]
     return Setpoints.concatenate(parts)
 
 
@@ -207,11 +186,6 @@ def _difference(samples: Setpoints, again: Setpoints) -> float:
 
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
-    """Publish the machine's messages of a bag again, at their pace; return their number.
-
-    ``rate``: times as fast as it was [-]; ``clock``: publish the time of the bag on ``/clock``,
-    too.
-    """
     stay_on_this_host()
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)

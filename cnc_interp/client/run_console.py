@@ -32,7 +32,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import Children
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 from cnc_interp.program.notices import tell, warnings_of
-from cnc_interp.wire.settings_messages import goal_of
+from cnc_interp.wire.run_messages import add_executed, goal_of
 
 Result = RunProgram.Result
 #: Longest time that the nodes may take to start [s]. All kernels may have to be compiled.
@@ -45,16 +45,21 @@ STOP_TEXTS = {
     MachineState.REASON_APPROACH: 'the way to the path is ready: retract, position, plunge',
     MachineState.REASON_FUNCTION: 'the operator must see to an output',
 }
-#: Stops after which only the operator goes on.
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
 SILENCE = 1.0  #: Silence after which a node counts as lost [s].
 RECORD_TIMEOUT = 10.0  #: Longest wait for the answers of the nodes to a recorder [s].
 SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
 
-class RunConsole:
-    """Runs programs on nodes that are child processes."""
+#: Figures of a result that are told as they are, and those with a value for each axis.
+AS_TOLD = (
+    'message', 'program_id', 'cycle_time', 'approach_time', 'path_length', 'blocks_sent',
+    'blocks_executed', 'samples', 'starvations', 'least_buffered_time', 'contour_error',
+)  # fmt: skip
+BY_AXIS = ('following_error', 'velocity_use', 'acceleration_use', 'jerk_use')
 
+
+class RunConsole:
     def __init__(
         self,
         client: OperatorClient,
@@ -117,40 +122,24 @@ class RunConsole:
     ) -> RunResult:
         names, state = machine.axis_names, self._client.state
 
-        def by_axis(values: Any) -> dict[str, float]:
+        def by_axis(values: Any) -> Any:
             return dict(zip(names, values, strict=False))
 
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
-            message=outcome.message,
             program=program,
             machine=machine.name,
-            program_id=outcome.program_id,
-            cycle_time=outcome.cycle_time,
-            approach_time=outcome.approach_time,
             start_to_motion=self._first_motion - started,
-            path_length=outcome.path_length,
-            blocks_sent=outcome.blocks_sent,
-            blocks_executed=outcome.blocks_executed,
-            samples=outcome.samples,
-            starvations=outcome.starvations,
-            least_buffered_time=outcome.least_buffered_time,
-            contour_error=outcome.contour_error,
             axis_units={axis.name: axis.unit for axis in machine.axes},
-            following_error=by_axis(outcome.following_error),
-            velocity_use=by_axis(outcome.velocity_use),
-            acceleration_use=by_axis(outcome.acceleration_use),
-            jerk_use=by_axis(outcome.jerk_use),
+            **{name: getattr(outcome, name) for name in AS_TOLD},
+            **{name: by_axis(getattr(outcome, name)) for name in BY_AXIS},
             position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
             faults=tuple(self._children.faults.values()),
         )
 
     def _wait_for_nodes(self) -> None:
-        """Wait until program_node takes programs; it waits for the others while it checks one.
-
-        A recorder must receive from all of them before anything moves.
-        """
+        """Wait until program_node takes programs and a recorder hears all nodes."""
         recorder = self._recorder
         if recorder is None:
             if not self._spin(lambda: self._client.takes_programs, START_TIMEOUT):
@@ -168,8 +157,7 @@ class RunConsole:
             raise InterpError('not all topics of the run can be heard; run it again')
 
     def _send(self, program: Path) -> SentProgram:
-        request = self._request
-        sent = self._client.run(goal_of(program, request.settings))
+        sent = self._client.run(goal_of(program, self._request.settings))
         self._spin(lambda: sent.accepted)
         return sent
 
@@ -208,7 +196,6 @@ class RunConsole:
             tell(warnings_of(program.start_notes))
 
     def _show_progress(self, sent: SentProgram) -> None:
-        """Show the progress of the program's check, then that of its motion."""
         feedback, name = sent.feedback, Path(sent.goal.program).name
         if self._client.prepared is not None:
             self._progress.show(self._client.waits_for.partition(':')[0], self._client.prepared)
@@ -220,39 +207,28 @@ class RunConsole:
 
     def _forgotten_result(self) -> RunProgram.Result:
         """Return what is known of a run whose program_node was lost; the words are the default."""
-        state = self._client.state
-        if state is None:
-            return Result()
-        period = self._client.peers.period
-        return Result(
-            program_id=state.program_id,
-            samples=state.samples - state.approach_samples,
-            approach_time=state.approach_samples * period,
-            cycle_time=max(0, state.samples - state.approach_samples - 1) * period,
-            blocks_executed=state.sequence,
-            path_length=max(0.0, state.path_position),
-            starvations=state.starvations,
-        )
+        result, state = Result(), self._client.state
+        if state is not None:
+            result.program_id = state.program_id
+            add_executed(result, [state])
+        return result
 
     def _bring_back_lost_nodes(self) -> None:
-        """Restart lost nodes and continue from where the machine has stopped."""
         for name, why in self._children.revive().items():
             print(f'\n{name} {why}; it is started again', file=sys.stderr)
             self._restarted = True
             self._forgotten = self._forgotten or name == 'program_node'
         state = self._client.state
-        stands = (
-            state is not None and state.may_resume and state.plan_over and not state.start_wanted
-        )
-        lost = self._client.silent_for(SILENCE)
-        if stands and state is not None and state.reason in OPERATORS_STOPS:
+        if state is None or not (state.may_resume and state.plan_over) or state.start_wanted:
+            return
+        if state.reason in OPERATORS_STOPS:
             self._restarted = False
-        if self._restarted and not self._forgotten and stands and not lost:
-            if self._pressed is not None and self._pressed.done():
-                self._restarted = not self._pressed.result().ok
-                self._pressed = None
-            elif self._pressed is None:
-                self._pressed = self._client.trigger('cycle_start')
+        if not self._restarted or self._forgotten or self._client.silent_for(SILENCE):
+            return
+        if self._pressed is None:
+            self._pressed = self._client.trigger('cycle_start')
+        elif self._pressed.done():
+            self._restarted, self._pressed = not self._pressed.result().ok, None
 
     def _pass_program_stop(self) -> None:
         """Continue after Enter at the terminal, or by the option, where the machine waits (M0)."""
@@ -282,7 +258,6 @@ class RunConsole:
             self._passed = self._client.trigger('cycle_start')
 
     def _elsewhere(self) -> str:
-        """Return how a run without a terminal is continued."""
         space, domain = self._client.namespace, self._client.domain
         return (
             'waits for cycle start. Press it on the page '
@@ -316,7 +291,6 @@ class RunConsole:
 
 
 def at_terminal() -> bool:
-    """Tell whether an operator can answer: a job in the background must not read the terminal."""
     try:
         return sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except (AttributeError, OSError, ValueError):  # no input at all, or a closed terminal
@@ -335,10 +309,7 @@ def run_recorded(
     children: Children,
     started: float,
 ) -> list[RunResult]:
-    """Run programs, record them where that is asked for, and write the plan files of ``out``.
-
-    A limit of the error at the tool is judged by the executed setpoints, so they are recorded.
-    """
+    """Run programs; they are recorded also for ``out`` and for a limit of the tool error."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None
     with bag_folder(request) as folder:
@@ -357,7 +328,6 @@ def run_recorded(
 
 
 def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> RunResult:
-    """Write the plan files of a run that has ended well; return its result with their figures."""
     if not result.ok:
         return result
     run = replace(recorded_run(bag, result.program_id), name=result.program)

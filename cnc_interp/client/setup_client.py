@@ -22,16 +22,11 @@ from cnc_interp.program.frames import rotation
 from cnc_interp.program.job import ROTATION
 from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 
-#: Services that change the table.
 SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff}
 
 
 class SetupClient:
-    """Hears the table of offsets and tools, and asks for changes.
-
-    ``nodes``: the ROS node; not yet served by a thread; ``who``: name of this client in the log of
-    changes.
-    """
+    """Hears the table of offsets and tools; ``who``: its name in the log of what it changes."""
 
     def __init__(self, nodes: OperatorClient, who: str):
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
@@ -47,7 +42,6 @@ class SetupClient:
 
     @property
     def is_ready(self) -> bool:
-        """Tell whether the table is known and can be changed."""
         ready = all(client.service_is_ready() for client in self._clients.values())
         return self.table is not None and ready
 
@@ -57,15 +51,11 @@ class SetupClient:
 
 
 def of_axes(values: dict[str, float]) -> dict[str, Any]:
-    """Return values by axis letter [m, rad] as fields of a request."""
     return {'axes': list(values), 'values': list(values.values())}
 
 
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
-    """Return a work offset with its rotation R [m, rad].
-
-    Where it has no value, it has the zero of the machine file.
-    """
+    """Return a work offset with its rotation R [m, rad]; what has no value is that of the file."""
     zero = dict(zip(table.axes, table.zero, strict=True))
     return zero | {ROTATION: 0.0} | dict(setup.work_offsets.get(name, {}))
 
@@ -109,7 +99,6 @@ def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray
 
 @contextmanager
 def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
-    """Yield a console for the table of running nodes; InterpError if they do not answer."""
     found: list[SetupClient] = []
 
     def ready(client: OperatorClient) -> bool:
@@ -122,14 +111,11 @@ def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
 
 
 class SetupConsole:
-    """The table of offsets and tools on the command line."""
-
     def __init__(self, client: OperatorClient, setup: SetupClient):
         self._client, self._setup = client, setup
 
     @property
     def _now(self) -> tuple[SetupTable, JobSetup, MachineState]:
-        """What the nodes told last."""
         table, state = self._setup.table, self._client.state
         assert table is not None
         assert state is not None
@@ -139,15 +125,10 @@ class SetupConsole:
         return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
     def ask(self, service: str, **request: Any) -> str:
-        """Change something; returns what was changed.
-
-        Raises InterpError if it is refused.
-        """
         answer = self._client.granted(self._setup.ask(service, **request))
         return answer.message.partition(': ')[2]
 
     def offsets_text(self) -> str:
-        """Return positions and offsets as a table in mm and deg; a star marks the active one."""
         table, setup, state = self._now
         machine = dict(zip(table.axes, state.positions, strict=False))
         rows = [('machine', machine), (f'work {setup.offset}', self._work())]
@@ -169,7 +150,6 @@ class SetupConsole:
         return '\n'.join([*lines, self._file_text()])
 
     def tools_text(self) -> str:
-        """Return the tool table in mm; a star marks the tool in the spindle."""
         setup = self._setup.setup
         lines = [f'{"tool":<8}{"length":>12}{"radius":>12}{"corner":>12}  remark']
         for number in sorted({*setup.tools} | ({setup.tool} if setup.tool else set())):

@@ -71,7 +71,6 @@ def replay_command(options: Namespace) -> int:
 
 
 def repair_command(options: Namespace) -> int:
-    """Copy whole messages into a new bag."""
     from cnc_interp.client.bag import repair
 
     count, duration = repair(options.bag, options.out)

@@ -9,7 +9,15 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, flag, option, positive
+from cnc_interp.commands.parser import (
+    FAILED,
+    FINE,
+    command,
+    flag,
+    option,
+    positive,
+    workers_option,
+)
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.command_line import add_settings, settings_from
 from cnc_interp.settings.options import DEFAULT_MACHINE
@@ -17,7 +25,7 @@ from cnc_interp.settings.options import DEFAULT_MACHINE
 GIGABYTE = 1e9
 
 
-def add_batch_command(commands: Any) -> None:
+def add_batch_commands(commands: Any) -> None:
     batch = command(
         commands, 'batch', batch_command,
         'plan and prove many programs on one or more machines; writes one table and one page',
@@ -32,10 +40,7 @@ def add_batch_command(commands: Any) -> None:
         '--out', type=Path, metavar='DIR', required=True,
         help='folder for table, page and results; a second start goes on from them',
     )  # fmt: skip
-    batch.add_argument(
-        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
-        help='programs that are planned at the same time (one for each processor)',
-    )  # fmt: skip
+    workers_option(batch, 'programs that are planned at the same time')
     option(batch, '--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
     flag(batch, '--keep-plans', 'keep the plan files of all, in DIR/plans')
     option(batch, '--rate', 'what an hour of the machine costs', positive, 'COST')
@@ -49,6 +54,25 @@ def add_batch_command(commands: Any) -> None:
     )  # fmt: skip
     add_settings(batch)
     flag(batch, '--json', 'print the counts as JSON')
+
+    cluster = command(
+        commands, 'cluster', cluster_command,
+        'plan batches on several computers: a scheduler and workers, or further workers',
+        'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
+        'tcp://192.168.1.10:8786',
+    )  # fmt: skip
+    option(cluster, '--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
+    option(
+        cluster, '--workers',
+        'programs that are planned here at the same time, 0: a scheduler only (one for '
+        'each processor)', int, 'N', default=len(os.sched_getaffinity(0)),
+    )  # fmt: skip
+    cluster.add_argument(
+        '--host', default='127.0.0.1',
+        help='address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
+    )  # fmt: skip
+    option(cluster, '--port', 'its port, 0 for any (8786)', int, default=8786)
+    option(cluster, '--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
 
 
 def batch_command(options: argparse.Namespace) -> int:
@@ -89,27 +113,6 @@ def batch_command(options: argparse.Namespace) -> int:
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
     return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
-
-
-def add_cluster_command(commands: Any) -> None:
-    cluster = command(
-        commands, 'cluster', cluster_command,
-        'plan batches on several computers: a scheduler and workers, or further workers',
-        'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
-        'tcp://192.168.1.10:8786',
-    )  # fmt: skip
-    option(cluster, '--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
-    option(
-        cluster, '--workers',
-        'programs that are planned here at the same time, 0: a scheduler only (one for '
-        'each processor)', int, 'N', default=len(os.sched_getaffinity(0)),
-    )  # fmt: skip
-    cluster.add_argument(
-        '--host', default='127.0.0.1',
-        help='address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
-    )  # fmt: skip
-    option(cluster, '--port', 'its port, 0 for any (8786)', int, default=8786)
-    option(cluster, '--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
 
 
 def cluster_command(options: argparse.Namespace) -> int:

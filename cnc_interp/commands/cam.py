@@ -95,26 +95,21 @@ def add_cam_commands(commands: Any) -> None:
     flag(simulate, '--executed', 'take the motion of the drives, not the setpoints')
     simulate.add_argument('--out', '--html', type=Path, metavar='FILE', help='page to write')
     _cutting(simulate)
-    _tiles(simulate)
-    flag(simulate, '--json', 'print the figures as JSON')
-
-
-def _tiles(added: argparse.ArgumentParser) -> None:
     option(
-        added, '--tiles',
+        simulate, '--tiles',
         'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
         'that zooms; a second start goes on', Path, 'DIR',
     )  # fmt: skip
-    option(
-        added, '--workers',
-        'tiles that are cut at the same time (one for each processor)', int, 'N',
-    )  # fmt: skip
-    option(added, '--scheduler', 'let the workers of `cluster` cut the tiles', metavar='ADDRESS')
-    added.add_argument(
+    text = 'tiles that are cut at the same time (one for each processor)'
+    option(simulate, '--workers', text, int, 'N')
+    text = 'let the workers of `cluster` cut the tiles'
+    option(simulate, '--scheduler', text, metavar='ADDRESS')
+    simulate.add_argument(
         '--device', choices=('cpu', 'warp-cpu', 'cuda'), default='cpu',
         help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
     )  # fmt: skip
-    added.set_defaults(pool=tile_workers)
+    simulate.set_defaults(pool=tile_workers)
+    flag(simulate, '--json', 'print the figures as JSON')
 
 
 def _mill(added: argparse.ArgumentParser) -> None:

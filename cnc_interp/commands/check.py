@@ -16,7 +16,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
 
-def add_check_command(commands: Any) -> None:
+def add_check_commands(commands: Any) -> None:
     check = command(
         commands, 'check', check_command,
         'prove every setpoint of a plan or a recorded run against limits and tolerances',
@@ -30,8 +30,6 @@ def add_check_command(commands: Any) -> None:
     )  # fmt: skip
     flag(check, '--json', 'print the proof as JSON')
 
-
-def add_report_command(commands: Any) -> None:
     report = command(
         commands, 'report', report_command,
         'write one self-contained HTML page about a plan or a recorded run',

@@ -13,19 +13,12 @@ from types import FrameType
 
 from cnc_interp import __version__
 from cnc_interp.commands.bags import add_bag_commands
-from cnc_interp.commands.batch import add_batch_command, add_cluster_command
+from cnc_interp.commands.batch import add_batch_commands
 from cnc_interp.commands.cam import add_cam_commands
-from cnc_interp.commands.check import add_check_command, add_report_command
-from cnc_interp.commands.convert import add_convert_command, add_hal_command, add_urdf_command
-from cnc_interp.commands.identify import add_identify_commands, add_learn_command
-from cnc_interp.commands.operate import (
-    add_home_command,
-    add_jog_command,
-    add_mdi_command,
-    add_probe_command,
-    add_probe_rotary_command,
-    add_setup_commands,
-)
+from cnc_interp.commands.check import add_check_commands
+from cnc_interp.commands.convert import add_convert_command, add_machine_commands
+from cnc_interp.commands.identify import add_identify_commands
+from cnc_interp.commands.operate import add_operate_commands
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser
 from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
@@ -91,12 +84,10 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(required=True, metavar='COMMAND')
 
     for add in (
-        add_run_command, add_plan_command, add_batch_command, add_cluster_command,
-        partial(add_sweep_command, main=main), add_convert_command, add_check_command,
-        add_report_command, add_panel_command, add_jog_command, add_setup_commands,
-        add_home_command, add_mdi_command, add_probe_command, add_probe_rotary_command,
-        add_urdf_command, add_hal_command, add_bag_commands, add_identify_commands,
-        add_learn_command, add_cam_commands,
+        add_run_command, add_plan_command, add_batch_commands,
+        partial(add_sweep_command, main=main), add_convert_command, add_check_commands,
+        add_panel_command, add_operate_commands, add_machine_commands, add_bag_commands,
+        add_identify_commands, add_cam_commands,
     ):  # fmt: skip
         add(commands)
     return top

@@ -53,7 +53,7 @@ def convert_command(options: argparse.Namespace) -> int:
     return FINE
 
 
-def add_urdf_command(commands: Any) -> None:
+def add_machine_commands(commands: Any) -> None:
     urdf = command(
         commands, 'urdf', urdf_command,
         'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
@@ -62,16 +62,6 @@ def add_urdf_command(commands: Any) -> None:
     option(urdf, 'machine', 'bundled machine or YAML file', metavar='M')
     option(urdf, '--out', 'file to write (default: print it)', Path, 'FILE')
 
-
-def urdf_command(options: argparse.Namespace) -> int:
-    from cnc_interp.description.urdf import urdf_of
-    from cnc_interp.machine_model.machine import Machine
-
-    _write(urdf_of(Machine.load(options.machine)), options.out)
-    return FINE
-
-
-def add_hal_command(commands: Any) -> None:
     hal = command(
         commands, 'hal', hal_command,
         'write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC',
@@ -87,6 +77,14 @@ def add_hal_command(commands: Any) -> None:
         help='letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
     )  # fmt: skip
     option(hal, '--out', 'file to write (default: print it)', Path, 'FILE')
+
+
+def urdf_command(options: argparse.Namespace) -> int:
+    from cnc_interp.description.urdf import urdf_of
+    from cnc_interp.machine_model.machine import Machine
+
+    _write(urdf_of(Machine.load(options.machine)), options.out)
+    return FINE
 
 
 def hal_command(options: argparse.Namespace) -> int:

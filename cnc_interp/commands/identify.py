@@ -30,6 +30,17 @@ def add_identify_commands(commands: Any) -> None:
     option(identify, '--out', 'machine file to write', Path, 'FILE', required=True)
     option(identify, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
 
+    learn = command(
+        commands, 'learn', learn_command,
+        'learn from a recorded, compensated run how to follow the same program better',
+        'cnc-interp learn out/bag --out out/learnt.npz',
+    )  # fmt: skip
+    option(learn, 'bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
+    learn.add_argument(
+        '--out', type=Path, required=True, metavar='FILE',
+        help='file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',
+    )  # fmt: skip
+
 
 def excite_command(options: Namespace) -> int:
     from cnc_interp.drives.identification import excitation
@@ -81,19 +92,6 @@ def identify_command(options: Namespace) -> int:
     print(f'machine file   {options.out}')
     print(f'page           {page}')
     return FINE
-
-
-def add_learn_command(commands: Any) -> None:
-    learn = command(
-        commands, 'learn', learn_command,
-        'learn from a recorded, compensated run how to follow the same program better',
-        'cnc-interp learn out/bag --out out/learnt.npz',
-    )  # fmt: skip
-    option(learn, 'bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
-    learn.add_argument(
-        '--out', type=Path, required=True, metavar='FILE',
-        help='file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',
-    )  # fmt: skip
 
 
 def learn_command(options: Namespace) -> int:

@@ -1,4 +1,4 @@
-"""`cnc-interp jog`: move axes of a running machine by a distance or to a position."""
+"""`cnc-interp jog`, `home`, `mdi`, `probe`, `offsets` and others: a running machine operated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
 
 
-def add_jog_command(commands: Any) -> None:
+def add_operate_commands(commands: Any) -> None:
     jog = command(
         commands, 'jog', jog_command,
         'move axes of a running machine by hand, by a distance or to a position',
@@ -51,173 +51,6 @@ def add_jog_command(commands: Any) -> None:
     flag(jog, '--json', 'print the result as JSON')
     nodes_options(jog)
 
-
-def pairs(words: list[str]) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for name, value in zip(words[::2], words[1::2], strict=False):
-        try:
-            found[name.upper()] = float(value)
-        except ValueError:
-            raise InterpError(
-                f'{name} {value}: write an axis and a number, such as X 10'
-            ) from None
-    if 2 * len(found) != len(words):
-        raise InterpError('write each axis once, with its value: X 10 Y -5')
-    return found
-
-
-def jog_command(options: argparse.Namespace) -> int:
-    values = pairs(options.words)
-    if bool(values) == bool(options.tool):
-        raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
-    if ((options.to or options.pose) and options.tool) or (options.to and options.pose):
-        raise InterpError('--to, --pose and --tool exclude each other')
-    if options.pose and (wrong := ' '.join(sorted(set(values) - set('XYZIJK')))):
-        raise InterpError(f'{wrong}: a pose has X Y Z [mm] and the tool axis I J K')
-    from cnc_interp.client.hand_move import HandMove, move_by_hand
-
-    relative = not (options.to or options.pose)
-    wanted = HandMove(values, relative, options.tool, options.speed / 100.0, options.pose)
-    ended = move_by_hand(wanted, options.namespace, options.domain)
-    if options.json:
-        print(json.dumps(ended.to_json(), indent=2))
-    else:
-        print(ended.text())
-    return FINE if ended.arrived else FAILED
-
-
-def add_home_command(commands: Any) -> None:
-    home = command(
-        commands, 'home', home_command,
-        'home axes of a running machine, all that have a reference switch or those named',
-        'cnc-interp home; cnc-interp home Z',
-    )  # fmt: skip
-    option(home, 'axes', 'letter of an axis', metavar='AXIS', nargs='*')
-    nodes_options(home)
-
-
-def home_command(options: argparse.Namespace) -> int:
-    from cnc_interp.client.hand_move import home_axes
-
-    missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)
-    print(f'not homed: {" ".join(missing)}' if missing else 'homed')
-    return FAILED if missing else FINE
-
-
-def add_mdi_command(commands: Any) -> None:
-    mdi = command(
-        commands, 'mdi', mdi_command,
-        'have lines of G-code executed by a running machine, from where it stands',
-        "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
-    )  # fmt: skip
-    option(mdi, 'lines', 'a line of G-code', metavar='LINE', nargs='*')
-    flag(mdi, '--json', 'print the results as JSON')
-    nodes_options(mdi)
-
-
-def mdi_command(options: argparse.Namespace) -> int:
-    """Give the lines and wait for the end of each; the first one refused ends it."""
-    from cnc_interp.client.mdi import give_lines
-
-    ends = []
-    for end in give_lines(options.lines, options.namespace, options.domain):
-        ends.append(end)
-        if not options.json:
-            print(end.text(), flush=True)
-    if options.json:
-        print(json.dumps([end.to_json() for end in ends], indent=2))
-    else:
-        print(f'modes: {ends[-1].modes}')
-    return FINE if ends[-1].answer.ok else BAD_INPUT
-
-
-def add_probe_command(commands: Any) -> None:
-    probe = command(
-        commands, 'probe', probe_command,
-        'have a running machine find a place with its probe, and set the work offset there',
-        'cnc-interp probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
-    )  # fmt: skip
-    option(probe, 'cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
-    option(
-        probe, 'words', 'what the cycle is told, and its value; may be repeated',
-        metavar='NAME VALUE', nargs='*',
-    )  # fmt: skip
-    nodes_options(probe)
-
-
-def probe_command(options: argparse.Namespace) -> int:
-    """Run a probing cycle from where the machine stands; without one, tell them all."""
-    from cnc_interp.program.probe_cycles import cycles
-
-    cycle = cycles().get(options.cycle)
-    if not options.cycle:
-        for each in cycles().values():
-            print(f'{each.name:<14}{each.text}')
-            for told in each.parameters:
-                print(f'  {told.name:<12}{told.text} ({told.default:g} {told.unit})')
-        return FINE
-    if cycle is None:
-        raise InterpError(f'no cycle {options.cycle!r}; there are {", ".join(cycles())}')
-    from cnc_interp.client.mdi import give_lines
-    from cnc_interp.client.setup_client import setup_console
-
-    values = {name.lower(): value for name, value in pairs(options.words).items()}
-    (end,) = give_lines([cycle.line(values)], options.namespace, options.domain)
-    print(end.text())
-    if end.answer.ok:
-        with setup_console(options.namespace, options.domain) as console:
-            print(console.tools_text() if cycle.name == 'tool' else console.offsets_text())
-    return FINE if end.answer.ok else FAILED
-
-
-def add_probe_rotary_command(commands: Any) -> None:
-    probe = command(
-        commands, 'probe-rotary', probe_rotary_command,
-        'find the rotary axes of a running machine by touching one ball, from above it',
-        'cnc-interp probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
-    )  # fmt: skip
-    option(probe, '--ball', 'diameter of the ball', positive, 'MM', required=True)
-    option(probe, '--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
-    option(
-        probe, '--longer', 'length of the probe beyond the tip in the machine file (0)', float,
-        'MM', default=0.0,
-    )  # fmt: skip
-    option(probe, '--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
-    option(probe, '--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
-    option(probe, '--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
-    for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
-        angles = ' '.join(f'{angle:g}' for angle in default)
-        probe.add_argument(
-            f'--{name}', nargs='+', type=float, default=default, metavar='DEG',
-            help=f'positions of the {name} axis ({angles})',
-        )  # fmt: skip
-    option(probe, '--out', 'machine file to write', Path, 'FILE')
-    nodes_options(probe)
-
-
-def probe_rotary_command(options: argparse.Namespace) -> int:
-    """Touch the ball at all poses; print what the machine file should say, and write it."""
-    from cnc_interp.client.rotary_probing import BallProbing, probe_rotary_centres
-    from cnc_interp.machine_model.machine import with_geometry
-
-    wanted = BallProbing(
-        ball=options.ball * MM, tip=options.tip * MM, longer=options.longer * MM,
-        beside=options.beside * MM, feed=options.feed, slow=options.slow,
-        primary=[angle * DEG for angle in options.primary],
-        secondary=[angle * DEG for angle in options.secondary],
-    )  # fmt: skip
-    fit, name = probe_rotary_centres(
-        wanted, options.namespace, options.domain, lambda text: print(text, flush=True)
-    )
-    print(f'{len(fit.residuals)} touches fit within {np.abs(fit.residuals).max() / UM:.1f} um')
-    print(fit.text())
-    if options.out is not None:
-        with_geometry(name, options.out, fit.machine)
-        print(f'machine file   {options.out}')
-    return FINE
-
-
-def add_setup_commands(commands: Any) -> None:
     offsets = command(
         commands, 'offsets', offsets_command,
         'show or change the work offsets and G92 of a running machine',
@@ -259,6 +92,163 @@ def add_setup_commands(commands: Any) -> None:
         flag(added, '--json', 'print the result as JSON')
         nodes_options(added)
 
+    home = command(
+        commands, 'home', home_command,
+        'home axes of a running machine, all that have a reference switch or those named',
+        'cnc-interp home; cnc-interp home Z',
+    )  # fmt: skip
+    option(home, 'axes', 'letter of an axis', metavar='AXIS', nargs='*')
+    nodes_options(home)
+
+    mdi = command(
+        commands, 'mdi', mdi_command,
+        'have lines of G-code executed by a running machine, from where it stands',
+        "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
+    )  # fmt: skip
+    option(mdi, 'lines', 'a line of G-code', metavar='LINE', nargs='*')
+    flag(mdi, '--json', 'print the results as JSON')
+    nodes_options(mdi)
+
+    probe = command(
+        commands, 'probe', probe_command,
+        'have a running machine find a place with its probe, and set the work offset there',
+        'cnc-interp probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
+    )  # fmt: skip
+    option(probe, 'cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
+    option(
+        probe, 'words', 'what the cycle is told, and its value; may be repeated',
+        metavar='NAME VALUE', nargs='*',
+    )  # fmt: skip
+    nodes_options(probe)
+
+    rotary = command(
+        commands, 'probe-rotary', probe_rotary_command,
+        'find the rotary axes of a running machine by touching one ball, from above it',
+        'cnc-interp probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
+    )  # fmt: skip
+    option(rotary, '--ball', 'diameter of the ball', positive, 'MM', required=True)
+    option(rotary, '--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
+    option(
+        rotary, '--longer', 'length of the probe beyond the tip in the machine file (0)', float,
+        'MM', default=0.0,
+    )  # fmt: skip
+    option(rotary, '--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
+    option(rotary, '--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
+    option(rotary, '--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
+    for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
+        angles = ' '.join(f'{angle:g}' for angle in default)
+        rotary.add_argument(
+            f'--{name}', nargs='+', type=float, default=default, metavar='DEG',
+            help=f'positions of the {name} axis ({angles})',
+        )  # fmt: skip
+    option(rotary, '--out', 'machine file to write', Path, 'FILE')
+    nodes_options(rotary)
+
+
+def pairs(words: list[str]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in zip(words[::2], words[1::2], strict=False):
+        try:
+            found[name.upper()] = float(value)
+        except ValueError:
+            raise InterpError(
+                f'{name} {value}: write an axis and a number, such as X 10'
+            ) from None
+    if 2 * len(found) != len(words):
+        raise InterpError('write each axis once, with its value: X 10 Y -5')
+    return found
+
+
+def jog_command(options: argparse.Namespace) -> int:
+    values = pairs(options.words)
+    if bool(values) == bool(options.tool):
+        raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
+    if ((options.to or options.pose) and options.tool) or (options.to and options.pose):
+        raise InterpError('--to, --pose and --tool exclude each other')
+    if options.pose and (wrong := ' '.join(sorted(set(values) - set('XYZIJK')))):
+        raise InterpError(f'{wrong}: a pose has X Y Z [mm] and the tool axis I J K')
+    from cnc_interp.client.hand_move import move_by_hand
+
+    ended = move_by_hand(
+        options.namespace, options.domain, values, options.pose, relative=not options.to,
+        speed=options.speed / 100.0, tool=options.tool * MM,
+    )  # fmt: skip
+    if options.json:
+        print(json.dumps(ended.to_json(), indent=2))
+    else:
+        print(ended.text())
+    return FINE if ended.arrived else FAILED
+
+
+def home_command(options: argparse.Namespace) -> int:
+    from cnc_interp.client.hand_move import home_axes
+
+    missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)
+    print(f'not homed: {" ".join(missing)}' if missing else 'homed')
+    return FAILED if missing else FINE
+
+
+def mdi_command(options: argparse.Namespace) -> int:
+    from cnc_interp.client.hand_move import give_lines
+
+    ends = []
+    for end in give_lines(options.lines, options.namespace, options.domain):
+        ends.append(end)
+        if not options.json:
+            print(end.text(), flush=True)
+    if options.json:
+        print(json.dumps([end.to_json() for end in ends], indent=2))
+    else:
+        print(f'modes: {ends[-1].modes}')
+    return FINE if ends[-1].answer.ok else BAD_INPUT
+
+
+def probe_command(options: argparse.Namespace) -> int:
+    """Run a probing cycle from where the machine stands; without one, tell them all."""
+    from cnc_interp.program.probe_cycles import cycles
+
+    cycle = cycles().get(options.cycle)
+    if not options.cycle:
+        for each in cycles().values():
+            print(f'{each.name:<14}{each.text}')
+            for told in each.parameters:
+                print(f'  {told.name:<12}{told.text} ({told.default:g} {told.unit})')
+        return FINE
+    if cycle is None:
+        raise InterpError(f'no cycle {options.cycle!r}; there are {", ".join(cycles())}')
+    from cnc_interp.client.hand_move import give_lines
+    from cnc_interp.client.setup_client import setup_console
+
+    values = {name.lower(): value for name, value in pairs(options.words).items()}
+    (end,) = give_lines([cycle.line(values)], options.namespace, options.domain)
+    print(end.text())
+    if end.answer.ok:
+        with setup_console(options.namespace, options.domain) as console:
+            print(console.tools_text() if cycle.name == 'tool' else console.offsets_text())
+    return FINE if end.answer.ok else FAILED
+
+
+def probe_rotary_command(options: argparse.Namespace) -> int:
+    """Touch the ball at all poses; print what the machine file should say, and write it."""
+    from cnc_interp.client.rotary_probing import BallProbing, probe_rotary_centres
+    from cnc_interp.machine_model.machine import with_geometry
+
+    wanted = BallProbing(
+        ball=options.ball * MM, tip=options.tip * MM, longer=options.longer * MM,
+        beside=options.beside * MM, feed=options.feed, slow=options.slow,
+        primary=[angle * DEG for angle in options.primary],
+        secondary=[angle * DEG for angle in options.secondary],
+    )  # fmt: skip
+    fit, name = probe_rotary_centres(
+        wanted, options.namespace, options.domain, lambda text: print(text, flush=True)
+    )
+    print(f'{len(fit.residuals)} touches fit within {np.abs(fit.residuals).max() / UM:.1f} um')
+    print(fit.text())
+    if options.out is not None:
+        with_geometry(name, options.out, fit.machine)
+        print(f'machine file   {options.out}')
+    return FINE
+
 
 def offsets_command(options: argparse.Namespace) -> int:
     words = pairs(options.words)
@@ -283,7 +273,6 @@ def tools_command(options: argparse.Namespace) -> int:
 
 
 def touch_off_command(options: argparse.Namespace) -> int:
-    """Set an offset from where the axes stand."""
     return _do(options, 'touch_off', {'offset': options.offset.upper()}, pairs(options.words))
 
 
@@ -293,7 +282,6 @@ def _do(
     wanted: dict[str, Any] | None,
     words: dict[str, float] | None = None,
 ) -> int:
-    """Ask for a change, or show the table where nothing is asked for."""
     from cnc_interp.client.setup_client import setup_console
 
     with setup_console(options.namespace, options.domain) as console:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import os
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -69,11 +70,14 @@ def flag(added: Any, name: str, meaning: str) -> None:
     added.add_argument(name, action='store_true', help=meaning)
 
 
+def workers_option(added: argparse.ArgumentParser, meaning: str) -> None:
+    here = len(os.sched_getaffinity(0))
+    option(added, '--workers', f'{meaning} (one for each processor)', count, 'N', default=here)
+
+
 def machine_option(added: argparse.ArgumentParser) -> None:
-    default = DEFAULT_MACHINE
-    added.add_argument(
-        '--machine', default=default, metavar='M', help=f'bundled machine or YAML file ({default})'
-    )
+    text = f'bundled machine or YAML file ({DEFAULT_MACHINE})'
+    option(added, '--machine', text, metavar='M', default=DEFAULT_MACHINE)
 
 
 def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
@@ -89,24 +93,11 @@ def nodes_options(added: argparse.ArgumentParser) -> None:
 
 
 def drives_option(added: argparse.ArgumentParser) -> None:
-    added.add_argument(
-        '--drives',
-        type=drives,
-        default={},
-        metavar='KIND[,PARAMETER=VALUE ...]',
-        help=f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)',
-    )
+    text = f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)'
+    option(added, '--drives', text, drives, 'KIND[,PARAMETER=VALUE ...]', default={})
 
 
 def drives(text: str) -> dict[str, str]:
-    """Read the drives and their parameters, as parameters of the machine node.
-
-    Examples
-    --------
-    >>> drives('trajectory,controller=/arm_controller,controller_joints=a b')
-    {'drives': 'trajectory', 'controller': "'/arm_controller'", 'controller_joints': "['a', 'b']"}
-
-    """
     name, *pairs = text.split(',')
     if name not in KINDS:
         raise argparse.ArgumentTypeError(f'{name!r} is unknown; choose {", ".join(KINDS)}')
@@ -125,12 +116,8 @@ def drives(text: str) -> dict[str, str]:
 def page_options(added: argparse.ArgumentParser) -> None:
     option(added, '--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
     option(added, '--port', 'its port, 0 for any free one (8650)', int, default=8650)
-    added.add_argument(
-        '--token-file',
-        type=Path,
-        metavar='FILE',
-        help='holds what commands from the page need (default: a random token is printed)',
-    )
+    text = 'holds what commands from the page need (default: a random token is printed)'
+    option(added, '--token-file', text, Path, 'FILE')
 
 
 def number(

@@ -11,7 +11,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, flag, option, program_options
+from cnc_interp.commands.parser import (
+    FAILED,
+    FINE,
+    command,
+    flag,
+    option,
+    program_options,
+    workers_option,
+)
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
 from cnc_interp.settings.command_line import settings_from
@@ -32,18 +40,11 @@ def add_plan_command(commands: Any) -> None:
     option(plan, '--out', 'folder for the plan files', Path, 'DIR', required=True)
     flag(plan, '--look', 'draw the feed profile in text, as a terminal always gets it')
     for axis in 'xyz':
-        plan.add_argument(
-            f'--place-{axis}', type=float, default=0.0, metavar='MM',
-            help=f'clamp the workpiece so far from its usual place, along {axis.upper()}',
-        )  # fmt: skip
-    plan.add_argument(
-        '--turn', type=float, default=0.0, metavar='DEG',
-        help='clamp it turned about Z on the table; C counts from the turned workpiece',
-    )  # fmt: skip
-    plan.add_argument(
-        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
-        help='processes that plan a long program between its exact stops (one for each processor)',
-    )  # fmt: skip
+        text = f'clamp the workpiece so far from its usual place, along {axis.upper()}'
+        option(plan, f'--place-{axis}', text, float, 'MM', default=0.0)
+    text = 'clamp it turned about Z on the table; C counts from the turned workpiece'
+    option(plan, '--turn', text, float, 'DEG', default=0.0)
+    workers_option(plan, 'processes that plan a long program between its exact stops')
 
 
 def plan_command(options: argparse.Namespace) -> int:
@@ -146,7 +147,6 @@ def describe(summary: dict[str, Any]) -> str:
 
 
 def sketch(directory: Path) -> str:
-    """Draw the feed profile of a plan with the characters that the output can show."""
     from cnc_interp.report.sketch import EIGHTHS, feed_sketch
 
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
+import math
 import shlex
 import sys
 from collections import Counter
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, option
+from cnc_interp.commands.parser import FAILED, FINE, command, count, option, workers_option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 
@@ -19,7 +19,6 @@ FAULTS = 5  #: Most reasons why points do not move that are printed; the page ha
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
-    """Declare `sweep`; ``main`` runs a command line."""
     sweep = command(
         commands, 'sweep', lambda options: sweep_command(options, main, commands),
         'try many values of the options of `plan` or `cam iso-scallop`; tells the fastest and why',
@@ -35,10 +34,7 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
         sweep, '--search', 'search with at most N points, instead of all combinations', count, 'N'
     )
     option(sweep, '--out', 'folder to write', Path, 'DIR', required=True)
-    sweep.add_argument(
-        '--workers', type=count, default=len(os.sched_getaffinity(0)), metavar='N',
-        help='commands that run at the same time (one for each processor)',
-    )  # fmt: skip
+    workers_option(sweep, 'commands that run at the same time')
     option(sweep, 'words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
 
 
@@ -60,10 +56,7 @@ def sweep_command(
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
     _check_options(commands, options.words, ranges)
-    total = 1
-    for one in ranges:
-        total *= len(one.values)
-    total = 1 + (options.search or total)
+    total = 1 + (options.search or math.prod(len(one.values) for one in ranges))
     bar = ProgressBar(sys.stderr)
     workers = Processes(options.workers, total_memory() / options.workers, HOUR)
     sweep = Sweep(
@@ -105,7 +98,6 @@ def sweep_command(
 
 
 def _check_options(commands: Any, words: Sequence[str], ranges: Sequence[Any]) -> None:
-    """Refuse options that the command does not have, before anything is planned."""
     from cnc_interp.batch.sweep import SWEPT
 
     known = next((swept for swept in SWEPT if tuple(words[: len(swept)]) == swept), None)

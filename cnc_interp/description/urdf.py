@@ -33,8 +33,6 @@ BRIDGE, HALF_WIDTH = 0.78, 0.68
 
 @dataclass(frozen=True)
 class Shape:
-    """A box or a cylinder."""
-
     size: tuple[float, ...]  #: Edges of a box (3), or radius and length of a cylinder (2) [m].
     centre: Vector  #: Middle, in the frame of the link [m].
     colour: Colour  #: Red, green, blue and opacity, 0 to 1.
@@ -61,7 +59,6 @@ def table_radius(machine: Machine) -> float:
 
 
 def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the fixed parts: rails of the bridge on posts, and the support of the table."""
     rail, reach = 0.06, 0.62
     shapes = [Shape((1.6, 1.6, 0.04), (0.0, 0.0, -0.36), IRON)]
     for side in (-HALF_WIDTH, HALF_WIDTH):
@@ -87,11 +84,17 @@ def frame_shapes(machine: Machine) -> tuple[Shape, ...]:
     return tuple(shapes)
 
 
-def slide_shapes() -> tuple[tuple[Shape, ...], ...]:
-    bridge = Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE)
-    saddle = Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON)
-    ram = Shape((0.09, 0.09, 0.75), (0.02, 0.0, 0.63), SLIDE)
-    return (bridge,), (saddle,), (ram,)
+#: Bridge, saddle and ram, which X, Y and Z move.
+SLIDES = (
+    Shape((0.10, 2 * HALF_WIDTH, 0.12), (-0.13, 0.0, BRIDGE), SLIDE),
+    Shape((0.12, 0.20, 0.20), (-0.06, 0.0, BRIDGE), IRON),
+    Shape((0.09, 0.09, 0.75), (0.02, 0.0, 0.63), SLIDE),
+)
+TOOL = (
+    Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER),
+    Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
+    Shape((0.038, 0.15), (0.0, 0.0, 0.185), IRON),
+)
 
 
 def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
@@ -107,7 +110,6 @@ def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:
 
 
 def disc_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the rotary table with its top in the origin; a slot shows the rotation."""
     radius = table_radius(machine)
     disc = Shape((radius, 0.025), (0.0, 0.0, -0.0125), STEEL)
     slot = Shape((0.85 * radius, 0.012, 0.003), (0.5 * radius, 0.0, 0.0), IRON)
@@ -115,7 +117,6 @@ def disc_shapes(machine: Machine) -> tuple[Shape, ...]:
 
 
 def head_shapes(along: Vector, arm: Vector) -> tuple[Shape, ...]:
-    """Draw a rotary axis of the head: its hub and the arm to the next part."""
     length = float(np.linalg.norm(arm))
     hub = Shape((0.05, 0.12), ZERO, TURNING, along)
     if length < 0.05:
@@ -125,35 +126,21 @@ def head_shapes(along: Vector, arm: Vector) -> tuple[Shape, ...]:
     return hub, Shape((0.03, 0.5 * length), middle, SLIDE, direction)
 
 
-def tool_shapes() -> tuple[Shape, ...]:
-    return (
-        Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER),
-        Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
-        Shape((0.038, 0.15), (0.0, 0.0, 0.185), IRON),
-    )
-
-
-def stock_shapes(machine: Machine) -> tuple[Shape, ...]:
-    """Draw the stock between the table and the workpiece zero."""
+def stock_shape(machine: Machine) -> Shape:
     height = abs(float(machine.offsets[0, 2]))
     if height < 1e-3:
-        return (Shape((0.2, 0.2, 0.02), (0.0, 0.0, -0.01), STOCK),)
-    return (Shape((0.1, 0.1, height), (0.0, 0.0, -height / 2), STOCK),)
+        return Shape((0.2, 0.2, 0.02), (0.0, 0.0, -0.01), STOCK)
+    return Shape((0.1, 0.1, height), (0.0, 0.0, -height / 2), STOCK)
 
 
 BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
-
-
 UNLIMITED = 10.0  #: Travel of a linear axis without limits, because URDF requires numbers [m].
 
 
 @dataclass(frozen=True)
 class Joint:
-    """The connection of two links."""
-
     name: str  #: Name of the axis or of the fixed connection.
     kind: str  #: ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
-    #: Names of the links.
     parent: str
     child: str
     origin: Vector  #: Origin of the child in the frame of the parent, with the axis at zero [m].
@@ -164,8 +151,6 @@ class Joint:
 
 @dataclass(frozen=True)
 class Description:
-    """A machine as a tree of links."""
-
     name: str  #: Name of the machine.
     links: dict[str, tuple[Shape, ...]]  #: Shapes of each link, the base first.
     joints: tuple[Joint, ...]  #: Parents before children.
@@ -198,11 +183,11 @@ def describe_machine(machine: Machine) -> Description:
         return joint.child
 
     carrier = BASE
-    for k, (name, shapes) in enumerate(zip('XYZ', slide_shapes(), strict=True)):
+    for k, (name, shape) in enumerate(zip('XYZ', SLIDES, strict=True)):
         joint = axis_joint(
             machine, k, carrier, f'{name.lower()}_slide', ZERO, vector(np.eye(3)[k])
         )
-        carrier = add(joint, *shapes)
+        carrier = add(joint, shape)
 
     # The tip is at X Y Z in M while the head is at zero; its pivots lie above the tip.
     arms = machine.tool_offset[::-1] * any(machine.rotary_on_head)  # primary pivot first
@@ -227,9 +212,9 @@ def describe_machine(machine: Machine) -> Description:
             table = add(joint, *(cradle_shapes if tilts_another else disc_shapes)(machine))
             on_table = np.zeros(3)
         on_head = on_head - arm
-    add(Joint('tool', 'fixed', carrier, TOOL_TIP, vector(on_head)), *tool_shapes())
+    add(Joint('tool', 'fixed', carrier, TOOL_TIP, vector(on_head)), *TOOL)
     zero = on_table + machine.offsets[0]
-    add(Joint('clamping', 'fixed', table, WORKPIECE, vector(zero)), *stock_shapes(machine))
+    add(Joint('clamping', 'fixed', table, WORKPIECE, vector(zero)), stock_shape(machine))
     return Description(machine.name, links, tuple(joints))
 
 
@@ -247,21 +232,16 @@ UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: needed by URDF, unknown [N, N
 
 
 def urdf_of(machine: Machine) -> str:
-    """Return the URDF of a machine, with its axis names as joints and its limits."""
     description = describe_machine(machine)
     robot = ElementTree.Element('robot', name=description.name)
-    add_links(robot, description)
-    for joint in description.joints:
-        add_joint(robot, joint)
-    ElementTree.indent(robot)
-    return HEADER + ElementTree.tostring(robot, encoding='unicode') + '\n'
-
-
-def add_links(robot: ElementTree.Element, description: Description) -> None:
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
         for shape in shapes:
             add_shape(ElementTree.SubElement(link, 'visual'), shape)
+    for joint in description.joints:
+        add_joint(robot, joint)
+    ElementTree.indent(robot)
+    return HEADER + ElementTree.tostring(robot, encoding='unicode') + '\n'
 
 
 def add_shape(part: ElementTree.Element, shape: Shape) -> None:

@@ -29,7 +29,7 @@ from numba import carray, cfunc, njit, types
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.native import call_drives, pointer
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
 BESIDE, FEWEST = 8e-3, 5  #: Setpoints to each side: time [s], least number.
@@ -160,8 +160,7 @@ class Compensation:
     """
 
     def __init__(self, model: Machine, period: float, position: FloatArray):
-        drives = [model.drives.get(j, IDEAL) for j in range(len(model.axis_names))]
-        for name, drive in zip(model.axis_names, drives, strict=True):
+        for name, (drive, _) in zip(model.axis_names, model.driven, strict=True):
             if drive.feed_forward < LEAST:
                 raise MachineError(
                     f'{drive.feed_forward:g} is too little to compensate by; at least {LEAST:g}',
@@ -169,13 +168,12 @@ class Compensation:
                 )
         beside = max(math.ceil(BESIDE / period - 1e-9), FEWEST)
         turning = math.ceil(max(TURNING / period, SMOOTH_PERIODS) - 1e-9)
-        latest = max(drive.delay for drive in drives)
+        latest = max(drive.delay for drive, _ in model.driven)
         #: Time by which all axes are later than their setpoints [s].
         self.lead = (beside + turning) * period + latest
         self.known = math.ceil(self.lead / period) + beside + 2
-        self.words = np.zeros((len(drives), FIRST + COLUMNS * self.known))
-        for j, drive in enumerate(drives):
-            load = model.loads.get(j) if j in model.drives else None
+        self.words = np.zeros((len(position), FIRST + COLUMNS * self.known))
+        for j, (drive, load) in enumerate(model.driven):
             columns = self.words[j, FIRST:].reshape(COLUMNS, self.known)
             self.words[j, COULOMB : STRIBECK + 1] = _friction(drive, load)
             later = (self.lead - drive.delay) / period
@@ -221,19 +219,10 @@ def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, f
     return coulomb, max(drive.static / load.inertia - coulomb, 0.0), drive.stribeck_velocity
 
 
-def _crossing(drive: AxisDrive, load: DriveLoad | None) -> float:
-    """Return half of the time in which the motor crosses the backlash [s], see ``_bump``."""
-    if load is None:
-        return CROSSING
-    most = CROSSING_TORQUE * load.torque / load.inertia
-    return min(max(math.sqrt(1.88 * drive.backlash / most), QUICKEST), BESIDE)
-
-
 def _write_weights(
     columns: FloatArray, drive: AxisDrive, load: DriveLoad | None, period: float,
     timing: tuple[float, int, int],
 ) -> None:  # fmt: skip
-    """Write the weights of one axis; ``timing`` is that of ``Compensation`` in periods."""
     later, beside, turning = timing
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
     viscous = load.viscous / load.inertia if load is not None else 0.0
@@ -246,7 +235,11 @@ def _write_weights(
     # Relative to the c that is sent: f g = (kv + (1 + tau B) d + tau d2) m
     loops = np.array([kv, 1.0 + tau * viscous, tau]) / f
     known, half = columns.shape[1], 0.5 * drive.backlash
-    crossing = max(_crossing(drive, load), SMOOTH_PERIODS * period) / period
+    crossing = CROSSING  # half of the time in which the motor crosses the backlash, see ``_bump``
+    if load is not None:
+        most = CROSSING_TORQUE * load.torque / load.inertia
+        crossing = min(max(math.sqrt(1.88 * drive.backlash / most), QUICKEST), BESIDE)
+    crossing = max(crossing, SMOOTH_PERIODS * period) / period
     # A sign holds from one setpoint to the next.
     edges = np.arange(known + 1.0)
     columns[IN_RATE] = _polynomial(np.convolve(loops, mode), known, later, beside, period)

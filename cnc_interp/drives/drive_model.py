@@ -30,7 +30,7 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.native import pointer
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
 STEP = 1e-4  #: Longest step where one exact step does not do [s].
@@ -41,13 +41,11 @@ SHORTEST_MEMORY, LONGEST_MEMORY = 2, 1000
 
 def words_of(machine: Machine, period: float, position: FloatArray) -> FloatArray:
     """Compute the words (n_axes, n_words) of axes that stand still at ``position`` [m, rad]."""
-    drives = [machine.drives.get(j, IDEAL) for j in range(len(machine.axis_names))]
-    longest = max(drive.delay for drive in drives)
-    words = np.zeros((len(drives), room_of_delay(longest, period)))
-    for j, drive in enumerate(drives):
-        load = machine.loads.get(j) if j in machine.drives else None
-        axis_words(words[j], drive, load, period)
-        place(words[j], float(position[j]))
+    longest = max(drive.delay for drive, _ in machine.driven)
+    words = np.zeros((len(position), room_of_delay(longest, period)))
+    for row, (drive, load), at in zip(words, machine.driven, position, strict=True):
+        axis_words(row, drive, load, period)
+        place(row, float(at))
     return words
 
 
@@ -57,7 +55,7 @@ def room_of_delay(delay: float, period: float) -> int:
 
 
 def lag_of(machine: Machine) -> float:
-    return max(machine.drives.get(j, IDEAL).lag for j in range(len(machine.axis_names)))
+    return max(drive.lag for drive, _ in machine.driven)
 
 
 def memory_of(period: float, lag: float) -> int:
@@ -72,7 +70,6 @@ def place(words: FloatArray, position: float) -> None:
 
 
 def axis_words(words: FloatArray, drive: AxisDrive, load: DriveLoad | None, period: float) -> None:
-    """Write the words of one axis, without its state."""
     if load is not None:
         torque, coulomb, viscous = (float(x) for x in load.row)
         excess = max(drive.static / load.inertia - coulomb, 0.0) if drive.static else 0.0
@@ -212,7 +209,6 @@ def _loop(
 def _move_motor(
     words: FloatArray, m: float, v: float, r0: float, f0: float, r: float, f: float
 ) -> tuple[float, float]:
-    """Advance the motor by one step, with its largest torque and its friction."""
     torque = (words[GAIN] * (r0 - m) + words[FEED_FORWARD] * f0 - v) / words[LAG]
     if abs(torque) <= words[TORQUE]:
         m_next, v_next = _loop(words, m, v, r0, f0, r, f)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine
 
 TERMS = 3  #: Terms of the series: 1, s, s^2.
@@ -33,8 +33,6 @@ TERMS = 3  #: Terms of the series: 1, s, s^2.
 
 @dataclass(frozen=True)
 class ErrorSeries:
-    """The errors of all axes."""
-
     #: (n_axes,): c1 and c2 [s, s2].
     by_velocity: FloatArray
     by_acceleration: FloatArray
@@ -43,20 +41,12 @@ class ErrorSeries:
 
 
 def error_series(machine: Machine, model: Machine | None = None) -> ErrorSeries:
-    """Compute the errors of the axes in slow motion."""
     count = len(machine.axis_names)
     series, away = np.empty((count, TERMS)), np.empty(count)
-    for j in range(count):
-        drive, load = machine.drives.get(j, IDEAL), machine.loads.get(j)
-        load = load if j in machine.drives else None
-        if model is None:
-            series[j], away[j] = _as_it_is(drive, load)
-        else:
-            known, its_load = model.drives.get(j, IDEAL), model.loads.get(j)
-            its_load = its_load if j in model.drives else None
-            series[j], away[j] = _compensated(drive, load, known, its_load)
-    lags = -series[:, 1]
-    lag = 0.5 * (lags.min() + lags.max())
+    for j, own in enumerate(machine.driven):
+        found = _as_it_is(*own) if model is None else _compensated(*own, *model.driven[j])
+        series[j], away[j] = found
+    lag = -0.5 * (series[:, 1].min() + series[:, 1].max())
     for j in range(count):
         series[j] = _times(series[j], _delay(-lag))
     return ErrorSeries(series[:, 1].copy(), series[:, 2].copy(), away, float(lag))

@@ -45,11 +45,8 @@ SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that is fitted."""
-
     name: str  #: Field of ``AxisDrive``, or ``coulomb``.
     start: float  #: Where the search begins; for rotary axes lengths are taken as angles.
-    #: Bounds.
     low: float
     high: float
 
@@ -75,8 +72,6 @@ FRICTION = (
 
 @dataclass(frozen=True)
 class IdentifiedAxis:
-    """The model of one axis and how well it fits."""
-
     axis: int  #: The axis.
     drive: AxisDrive  #: Its model.
     load: DriveLoad | None  #: Inertia and friction.
@@ -136,7 +131,6 @@ def _moving(setpoint: FloatArray, period: float) -> FloatArray:
 
 
 def _after_reversals(setpoint: FloatArray) -> BoolArray:
-    """Tell which rows come after so many reversals that the start does not matter."""
     steps = np.diff(setpoint, prepend=setpoint[0])
     moves = np.flatnonzero(np.abs(steps) > STILL)
     turns = moves[1:][np.sign(steps[moves[1:]]) != np.sign(steps[moves[:-1]])]
@@ -193,12 +187,10 @@ class _Fit:
         words = np.zeros((1, room_of_delay(self._largest, self._period)))
         axis_words(words[0], replace(drive, resolution=0.0), load, self._period)
         place(words[0], float(self._setpoint[0]))
-        return follow_all(
-            words, self._setpoint[:, None], self._rate[:, None]
-        )[0][:, 0]  # fmt: skip
+        return follow_all(words, self._setpoint[:, None], self._rate[:, None])[0][:, 0]
 
     def solve(self) -> tuple[AxisDrive, DriveLoad | None, dict[str, float]]:
-        friction = FRICTION if self._load is not None else ()
+        friction = FRICTION if self._load else ()
         every = (*LOOPS, *friction, *MECHANICS)
         loops = (*LOOPS, *friction[:1])
         best = self._search(loops, {each.name: each.start for each in loops}, LAST)[0]
@@ -282,8 +274,8 @@ def with_drives(
         parts += ['# What the drives move and overcome.', 'loads:']
         for j, load in sorted(loads.items()):
             keys = LINEAR_KEYS if machine.is_linear[j] else ROTARY_KEYS
-            values = (load.inertia, load.torque, load.coulomb, load.viscous)
-            row = [f'{key}: {value:.6g}' for key, value in zip(keys, values, strict=True)]
+            values = zip(keys, vars(load).values(), strict=True)
+            row = [f'{key}: {value:.6g}' for key, value in values]
             parts.append(f'  {machine.axis_names[j]}: {{{", ".join(row)}}}')
             width = half_widths.get(j, {}).get('coulomb')
             if width is not None:

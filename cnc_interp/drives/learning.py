@@ -20,7 +20,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, path_and_axis_errors
-from cnc_interp.machine_model.axis_drives import IDEAL, AxisDrive
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform import Transform
 
@@ -57,15 +57,12 @@ def learnt_rates(
     held = np.repeat(errors[-1:], len(setpoints) - len(errors), axis=0)
     errors = np.concatenate([errors, held])
     rates = np.zeros_like(setpoints) if before is None else before.copy()
-    for j in range(setpoints.shape[1]):
-        drive = model.drives.get(j, IDEAL)
-        load = model.loads.get(j) if j in model.drives else None
+    for j, (drive, load) in enumerate(model.driven):
         viscous = load.viscous / load.inertia if load is not None else 0.0
         e = _smooth(errors[:, j], drive, period)
         de = np.gradient(e, period)
-        tau = drive.time_constant
-        more = drive.position_gain * e + (1.0 + tau * viscous) * de
-        more += tau * np.gradient(de, period)
+        more = drive.position_gain * e + (1.0 + drive.time_constant * viscous) * de
+        more += drive.time_constant * np.gradient(de, period)
         rates[:, j] += late((more / drive.feed_forward)[:, None], -drive.delay / period)[:, 0]
         rates[:, j] = _smooth(rates[:, j], drive, period)
     time = np.arange(len(rates)) * period
@@ -87,10 +84,7 @@ def cutoff_of(drive: AxisDrive, period: float) -> float:
 def measured_error(
     machine: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray
 ) -> FloatArray:
-    """Return the errors of measured positions, (F, 2), as ``tool_error`` has a model's [m, rad].
-
-    ``lead``: time by which all axes are late [s]; ``setpoints``, ``feedback``: from rest [m, rad].
-    """
+    """Return errors of measured positions, (F, 2) [m, rad], late by ``lead`` [s], from rest."""
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
     commanded = np.concatenate([

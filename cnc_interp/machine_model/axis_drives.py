@@ -98,8 +98,6 @@ IDEAL = AxisDrive()  #: The drive of an axis without an entry.
 
 
 class Entry(NamedTuple):
-    """One value of a drive in the file."""
-
     field: str  #: Field of ``AxisDrive``.
     #: Key for a linear and for a rotary axis; the unit ends it.
     linear: str
@@ -131,9 +129,7 @@ NEEDED = 3
 
 
 def key_and_unit(entry: Entry, linear: bool) -> tuple[str, float]:
-    if linear:
-        return entry.linear, entry.linear_unit
-    return entry.rotary, entry.rotary_unit
+    return (entry.linear, entry.linear_unit) if linear else (entry.rotary, entry.rotary_unit)
 
 
 def axis_drives(

@@ -19,7 +19,13 @@ from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad, axis_drives, drive_loads
+from cnc_interp.machine_model.axis_drives import (
+    IDEAL,
+    AxisDrive,
+    DriveLoad,
+    axis_drives,
+    drive_loads,
+)
 from cnc_interp.machine_model.machine_entries import (
     GEOMETRY,
     LOCKED_LIMITS,
@@ -39,8 +45,6 @@ from cnc_interp.machine_model.signals import Signals, signals
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a machine."""
-
     name: str  #: Its letter.
     linear: bool  #: True for a linear axis, False for a rotary one.
     #: Limits [m/s or rad/s, per s, per s2].
@@ -52,7 +56,6 @@ class Axis:
 
     @property
     def endless(self) -> bool:
-        """True where at least one end of the travel is open."""
         return not np.isfinite(self.travel).all()
 
     @property
@@ -177,6 +180,13 @@ class Machine:
             for name, linear, v, a, j, (low, high) in columns
         )
 
+    @property
+    def driven(self) -> list[tuple[AxisDrive, DriveLoad | None]]:
+        return [
+            (self.drives.get(j, IDEAL), self.loads.get(j) if j in self.drives else None)
+            for j in range(len(self.axis_names))
+        ]
+
     def axis(self, name: str) -> Axis:
         return self.axes[self.axis_names.index(name)]
 
@@ -284,7 +294,8 @@ def placed_machine(
     ``turn`` [deg]. Raises MachineError if no table of the machine turns about Z.
     """
     machine = Machine.load(name)
-    if turn and not _has_turntable(machine):
+    x, y, _ = machine.rotary_direction[1]
+    if turn and not (machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0):
         raise MachineError(
             f'no rotary axis of {machine.name} turns the workpiece about Z; leave out --turn, and '
             'turn the program instead'
@@ -311,9 +322,3 @@ def with_geometry(name: str, file: Path, geometry: Machine) -> None:
             content['rotary'][key] = [round(1e3 * float(x), DIGITS) for x in offset]
     file.parent.mkdir(parents=True, exist_ok=True)
     write_whole(file, yaml.safe_dump(content, sort_keys=False))
-
-
-def _has_turntable(machine: Machine) -> bool:
-    """Tell whether the rotary axis next to the workpiece carries it and turns about Z."""
-    x, y, _ = machine.rotary_direction[1]
-    return machine.has_rotary and not machine.rotary_on_head[1] and x == y == 0.0

@@ -131,8 +131,6 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ReferenceSwitches:
-    """The reference switches of a machine."""
-
     #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
     #: end of the travel that is nearer.
     switches: Mapping[str, float] = field(default_factory=dict)
@@ -174,7 +172,6 @@ def homing(
 def axis_limits(
     limits: dict[str, Any], name: str, linear: bool
 ) -> tuple[list[float], list[float]]:
-    """Read velocity, acceleration, jerk and travel of one axis in SI."""
     values = limits.get(name)
     if not isinstance(values, dict):
         raise MachineError('missing; give velocity, acceleration, jerk', f'limits.{name}')
@@ -207,7 +204,6 @@ def limits_by_position(
 def entries_by_axis(
     content: dict[str, Any], section: str, names: list[str], holds: str
 ) -> Iterator[tuple[int, str, Any]]:
-    """Yield what a section of a machine file gives for each axis it names."""
     given = content.get(section) or {}
     if not isinstance(given, dict):
         raise MachineError(f'must name axes, each with {holds}', section)

@@ -21,8 +21,6 @@ AxisRates = Callable[[FloatArray, FloatArray, FloatArray, FloatArray], FloatArra
 
 @dataclass(frozen=True)
 class MachineTraits:
-    """The properties of a machine that the smoothing needs."""
-
     #: Rates of the axes along a line, each over its jerk limit. They determine L2/L1 of corners
     #: (``corner_curve.py``).
     axis_rates: AxisRates | None = None
@@ -47,7 +45,6 @@ class MachineTraits:
 
 
 def traits_of(transform: Transform) -> MachineTraits:
-    """Return what smoothing must know of a machine."""
     machine = transform.machine
     pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
     return MachineTraits(
@@ -62,7 +59,6 @@ def traits_of(transform: Transform) -> MachineTraits:
 def jerk_rates(
     transform: Transform, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
 ) -> FloatArray:
-    """Return how far the axes move per metre of tool tip path, each over its jerk limit."""
     machine = transform.machine
     if not machine.has_rotary:
         return np.asarray(step / machine.max_jerk[:3])

@@ -30,8 +30,6 @@ NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
 
 @dataclass(frozen=True)
 class Signal:
-    """An output or an input."""
-
     name: str
     is_number: bool = False  #: Whether it is a number. Otherwise it is 0 or 1.
     unit: str = ''  #: For people.
@@ -69,8 +67,6 @@ class Step:
 
 @dataclass(frozen=True)
 class Signals:
-    """All outputs and inputs of a machine, and its functions."""
-
     outputs: tuple[Signal, ...] = ()
     inputs: tuple[Signal, ...] = ()
     steps: tuple[Step, ...] = ()  #: Of all functions; those of one are together.
@@ -124,15 +120,15 @@ def signals(content: Mapping[str, Any]) -> Signals:
     outputs = tuple(_signals(given, 'outputs', ()))
     inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
     steps: list[Step] = []
-    words = {}
+    words: dict[str, range] = {}
     for word, listed in _mapping(given, 'functions').items():
         where, first = f'signals.functions.{word}', len(steps)
         code = word[1:].isdigit() and word[0] == 'M' and word == f'M{int(word[1:])}'
         others = ('S', 'T', TOWARD, AWAY, *STOPS)
         if word in NO_FUNCTIONS or not (code or word in others):
             raise MachineError(f'write an M code as M8, or one of {", ".join(others)}', where)
-        for values in listed if isinstance(listed, list) else [listed]:
-            steps.append(_step(word, values, where, outputs, inputs))
+        each = listed if isinstance(listed, list) else [listed]
+        steps += [_step(word, values, where, outputs, inputs) for values in each]
         words[word] = range(first, len(steps))
     after = given.get('after', [word for word in AFTER if word in words])
     if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
@@ -198,14 +194,14 @@ def _step(
     if len(names) != 1 or names[0] not in known:
         raise MachineError(f'each step sets one output: {", ".join(known)}', where)
     output, value = known.index(names[0]), values[names[0]]
-    if isinstance(value, bool):
-        value = int(value)
-    if value in LETTERS and word not in STOPS:
-        return Step(word, output, value, *_wait(word, values, where, inputs))
-    if not _is_number(value) or (fault := outputs[output].fault_of(float(value))):
-        told = fault if _is_number(value) else f'write a number, or {", ".join(LETTERS)}'
-        raise MachineError(told, f'{where}.{names[0]}')
-    return Step(word, output, float(value), *_wait(word, values, where, inputs))
+    value = int(value) if isinstance(value, bool) else value
+    if value not in LETTERS or word in STOPS:
+        if not _is_number(value):
+            raise MachineError(f'write a number, or {", ".join(LETTERS)}', f'{where}.{names[0]}')
+        value = float(value)
+        if fault := outputs[output].fault_of(value):
+            raise MachineError(fault, f'{where}.{names[0]}')
+    return Step(word, output, value, *_wait(word, values, where, inputs))
 
 
 def _wait(

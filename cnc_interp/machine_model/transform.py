@@ -45,8 +45,6 @@ from cnc_interp.machine_model.transform_kernels import (
 
 @dataclass(frozen=True)
 class Transform:
-    """Geometry of a machine, packed for the kernels."""
-
     machine: Machine  #: The machine.
     #: (29 + 3 k,): Its geometry as one array; the last 3 k values are directions of k extra axes.
     packed: FloatArray
@@ -54,10 +52,7 @@ class Transform:
     @staticmethod
     def of(machine: Machine) -> Transform:
         first_on_head, second_on_head = machine.rotary_on_head
-        if first_on_head == second_on_head:
-            outer = 0 if first_on_head else 1
-        else:
-            outer = 1 if first_on_head else 0
+        outer = 0 if second_on_head else 1
         packed = np.zeros(SIZE)
         packed[PRIMARY : PRIMARY + 6] = machine.rotary_direction.ravel()
         packed[WORKPIECE : WORKPIECE + 9] = machine.offsets.ravel()
@@ -66,9 +61,8 @@ class Transform:
         packed[OUTER] = outer
         packed[OUTER_SIGN] = 1.0 if machine.rotary_on_head[outer] else -1.0
         packed[INNER_SIGN] = 1.0 if machine.rotary_on_head[1 - outer] else -1.0
-        packed[HEAD_ZERO : HEAD_ZERO + 3] = machine.tool_offset.sum(axis=0) * (
-            first_on_head or second_on_head
-        )
+        on_head = first_on_head or second_on_head
+        packed[HEAD_ZERO : HEAD_ZERO + 3] = machine.tool_offset.sum(axis=0) * on_head
         return Transform(machine, np.concatenate([packed, machine.extra_direction.ravel()]))
 
     @property
@@ -101,11 +95,7 @@ class Transform:
         return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
 
     def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
-        """Return how far a point on the tool axis moves in W per radian, (n, 2) [m].
-
-        ``stands`` (n, 3): X Y Z plus the extra axes along their directions; ``height``: above the
-        tip.
-        """
+        """Return how far a point so high on the tool axis moves in W per radian, (n, 2) [m]."""
         machine = self.machine
         u1, u2 = machine.rotary_direction
         first_on_head, second_on_head = machine.rotary_on_head
@@ -157,10 +147,9 @@ class Transform:
         found = []
         for branch in (1.0, -1.0):
             tilt, turn, sine_squared = rotary_jets(self.packed, o, branch, 0.0, 0.0)
-            if sine_squared < -1e-12:
-                continue
-            pair = np.array([tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]])
-            found.append(pair)
+            if sine_squared >= -1e-12:
+                pair = [tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]]
+                found.append(np.array(pair))
         return found
 
 

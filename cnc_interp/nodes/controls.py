@@ -26,7 +26,7 @@ from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.setpoints import Wait
-from cnc_interp.wire.function_messages import check_functions
+from cnc_interp.wire.path_messages import check_functions
 
 
 class Controls:

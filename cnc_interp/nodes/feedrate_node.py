@@ -45,9 +45,8 @@ from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.chunk_messages import chunk_message
-from cnc_interp.wire.function_messages import functions_from
 from cnc_interp.wire.message_checks import check_segment
-from cnc_interp.wire.path_messages import segments_from
+from cnc_interp.wire.path_messages import functions_from, segments_from
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 

@@ -25,8 +25,7 @@ from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block
 from cnc_interp.wire.path_messages import blocks_from, blocks_of, segment_messages
-from cnc_interp.wire.run_messages import run_id_of
-from cnc_interp.wire.settings_messages import settings_of_block
+from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
 BATCH = 256  #: Blocks smoothed together.

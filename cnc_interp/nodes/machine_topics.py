@@ -25,8 +25,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import JOINTS, LOADED, STATE, STREAM
-from cnc_interp.wire.function_messages import signals_message
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
+from cnc_interp.wire.path_messages import signals_message
 
 EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
 EARLY = 2e-3  #: A message may come so much before its time, rather than a period late [s].

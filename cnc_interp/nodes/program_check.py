@@ -30,7 +30,7 @@ from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.run.setpoints import NO_FUNCTIONS
 from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.settings_messages import settings_of_goal
+from cnc_interp.wire.run_messages import settings_of_goal
 
 LONGEST_TEXT = 16 << 20  #: Largest length of a text that is kept for display [bytes].
 

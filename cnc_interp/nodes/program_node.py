@@ -35,7 +35,7 @@ from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
-from cnc_interp.wire.function_messages import function_messages
+from cnc_interp.wire.path_messages import function_messages
 from cnc_interp.wire.run_messages import add_executed, run_feedback
 
 Result = RunProgram.Result

@@ -34,10 +34,8 @@ from cnc_interp.run.run_phase import (
     refused,
 )
 from cnc_interp.run.run_state import State
-from cnc_interp.wire.function_messages import function_messages
-from cnc_interp.wire.path_messages import block_messages
-from cnc_interp.wire.run_messages import run_result
-from cnc_interp.wire.settings_messages import loaded_program, pairs_of
+from cnc_interp.wire.path_messages import block_messages, function_messages
+from cnc_interp.wire.run_messages import loaded_program, pairs_of, run_result
 from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].

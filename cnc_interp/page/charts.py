@@ -11,7 +11,7 @@ from nicegui import ui
 
 from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.page.desk import SPAN, Desk, Moment
-from cnc_interp.page.shown_unit import ShownUnit
+from cnc_interp.page.readings import ShownUnit
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
@@ -24,8 +24,6 @@ HEADROOM = 1.5
 
 
 class Charts:
-    """The charts of one page."""
-
     def __init__(self, axis_names: tuple[str, ...], unit: ShownUnit):
         names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))
         self._unit = unit
@@ -87,14 +85,7 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
 
 
 def draw(one: Any, moments: list[Moment], now: float, columns: list[list[float]]) -> None:
-    """Send the points of all curves. NaN leaves a gap."""
     times = [round(m.time - now, 1) for m in moments]
-    series = [
-        {
-            'data': [
-                [t, round(y, 1) if y == y else None] for t, y in zip(times, column, strict=True)
-            ]
-        }
-        for column in columns
-    ]
+    values = ([round(y, 1) if y == y else None for y in column] for column in columns)
+    series = [{'data': list(zip(times, column, strict=True))} for column in values]
     one.run_chart_method('setOption', {'series': series})

@@ -40,7 +40,6 @@ WATCH_NODES = 0.5  #: Time between looks at the nodes beside the page [s].
 
 
 def run_panel(options: Namespace) -> None:
-    """Serve the page until Ctrl-C; raises InterpError where it cannot be served as asked."""
     need_library()
     from cnc_interp.page.server import Served
 
@@ -167,7 +166,6 @@ class PanelBeside:
         )
 
     def finish(self, result: RunResult) -> None:
-        """Keep the page and the nodes until Ctrl-C."""
         process = self._process
         if process is None:
             return

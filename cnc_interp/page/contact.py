@@ -1,4 +1,4 @@
-"""Contact with a page: no stop is lost on the way, and nothing else is done late.
+"""Contact with a page: who may command; no stop is lost on the way, nothing else is done late.
 
 What is sent into a connection that breaks is gone; what waits for the next one comes late. So a
 stop is sent by the page until it is answered (``contact.js``), and everything else is done only
@@ -13,14 +13,20 @@ reads fields sends the texts in them when pressed (``act_on_shown``).
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
+import secrets
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
+from ipaddress import ip_address
 from typing import Any
+from urllib.parse import urlsplit
 
 from nicegui import events, ui
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse
 
 from cnc_interp.client.operator_client import STOPS, Answer
 
@@ -40,8 +46,6 @@ REMEMBERED = round(2 * LATE / BEAT)  #: Answers to older beats do not count any 
 
 
 class Contact:
-    """The server's side of the connection to one page."""
-
     def __init__(self, on_stop: Callable[[str], Awaitable[None]]):
         self._on_stop = on_stop
         self._heard = time.monotonic()
@@ -54,7 +58,6 @@ class Contact:
 
     @property
     def age(self) -> float:
-        """Age of what the page shows, as far as it has told [s]."""
         return time.monotonic() - self._heard
 
     @property
@@ -84,21 +87,21 @@ class Contact:
 
 
 def asked(ask: Callable[..., Future[Answer]], *words: Any) -> Act:
-    """Return what asks the nodes for something and waits for their answer."""
-
     async def answered() -> Answer:
         return await asyncio.wrap_future(ask(*words))
 
     return answered
 
 
-def key(text: str, mark: str = '', act: Any = None, colour: str = 'blue-grey-8') -> Any:
+def key(
+    text: str, mark: str = '', act: Any = None, colour: str = 'blue-grey-8',
+    look: str = 'dense unelevated',
+) -> Any:  # fmt: skip
     button = ui.button(text, on_click=act, color=colour)
-    return button.props(f'dense unelevated no-caps data-mark="{mark or text}"')
+    return button.props(f'{look} no-caps data-mark="{mark or text}"')
 
 
 def pressing(name: str) -> dict[str, Any]:
-    """Return what makes a key send one of ``STOPS``, as keywords of its listener."""
     return {'type': 'click', 'js_handler': f'() => contact.stop({json.dumps(name)})'}
 
 
@@ -116,3 +119,84 @@ def act_on_shown(
         await act()
 
     element.on(kind, acted, js_handler='() => emit(shown())')
+
+
+FORM = 1 << 16  #: Room for what a form adds to a file [bytes].
+
+
+class Gate:
+    """Lets requests through that name this computer and whose bodies are short enough."""
+
+    def __init__(self, app: Any, host: str, longest: int):
+        self._app, self._host, self._longest = app, host, longest + FORM
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope['type'] in ('http', 'websocket'):
+            refusal = self._refusal(Headers(scope=scope))
+            if refusal is not None:
+                await refusal(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+    def _refusal(self, headers: Headers) -> PlainTextResponse | None:
+        if not names_this_host(headers.get('host', ''), self._host):
+            return PlainTextResponse('this page is not served under that name', 400)
+        if 'transfer-encoding' in headers:
+            return PlainTextResponse('a request must tell its length', 411)
+        length = headers.get('content-length', '0')
+        if not length.isdigit() or int(length) > self._longest:
+            return PlainTextResponse('the file is too long', 413)
+        return None
+
+
+def names_this_host(header: str, host: str) -> bool:
+    """Tell whether the Host header is an address, ``localhost`` or the name of the server.
+
+    Another name may have been pointed to this computer by an attacker, whose page would then be of
+    the same origin as this one. An address cannot.
+    """
+    try:
+        name = urlsplit(f'//{header}').hostname or ''
+        if name in ('localhost', host.lower()):
+            return True
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class Access:
+    """The token, and which page is in charge.
+
+    Pages are told apart by their browser tab, so a refreshed page stays in charge; when the tab is
+    closed they are free. Any page with the token may take them over, and may always stop the
+    machine.
+    """
+
+    def __init__(self, token: str = ''):
+        self.token = token or secrets.token_urlsafe(16)
+        self._holder = ''
+        self._pages: Counter[str] = Counter()
+
+    def knows(self, token: str) -> bool:
+        return hmac.compare_digest(token.encode(), self.token.encode())
+
+    def enter(self, tab: str, trusted: bool) -> None:
+        """Let a page in; one that knows the token takes charge if no other page is."""
+        self._pages[tab] += 1
+        if trusted and not self._holder:
+            self._holder = tab
+
+    def leave(self, tab: str) -> None:
+        """Let a page go; a tab that is refreshed has its new page before the old one goes."""
+        self._pages[tab] -= 1
+        if self._pages[tab] <= 0:
+            del self._pages[tab]
+            if self._holder == tab:
+                self._holder = ''
+
+    def take_over(self, tab: str) -> None:
+        self._holder = tab
+
+    def is_in_charge(self, tab: str) -> bool:
+        return tab == self._holder

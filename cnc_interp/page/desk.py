@@ -7,6 +7,7 @@ import re
 import time
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,11 @@ import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import LoadedProgram, ModalState
 
-from cnc_interp.client.mdi import LineHistory
+from cnc_interp.client.hand_move import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
-from cnc_interp.client.setup_client import SetupClient, work_coordinates, zero_here
+from cnc_interp.client.setup_client import SetupClient, of_axes, work_coordinates, zero_here
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
-from cnc_interp.description.urdf import Description, describe_machine
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview
@@ -28,7 +28,7 @@ from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings, changed, texts_of
-from cnc_interp.wire.settings_messages import goal_of, settings_from
+from cnc_interp.wire.run_messages import goal_of, settings_from
 
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
 TIP_CODE = 'TRAORI'  #: The code of tool-tip programming (TCP) in the modal state.
@@ -36,7 +36,6 @@ LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [byt
 
 
 def in_program(state: MachineState | None) -> bool:
-    """Tell whether a program is being executed, or was interrupted and can be continued."""
     if state is None:
         return False
     away = len(state.resume_positions) > 0  # by hand, from a hold
@@ -57,13 +56,10 @@ class Moment:
     programmed: float
     limit: float
     use: FloatArray
-    buffered: float
 
 
 @dataclass
 class Job:
-    """A program on the desk."""
-
     name: str  #: Its name.
     lines: list[str]  #: Its text; empty where that is too long to be shown.
     path: Path  #: File with the text.
@@ -78,7 +74,6 @@ class Job:
     setup: str = ''
 
     def is_run(self, program: LoadedProgram, settings: Settings) -> bool:
-        """Tell whether a run has the text and all the settings of this job."""
         same_text = self.name == program.name and self.lines == program.text.splitlines()
         return same_text and texts_of(self.settings) == texts_of(settings)
 
@@ -90,10 +85,8 @@ class Job:
             self.status += f' (and {len(others)} more, see the messages)'
         named = re.compile(rf'{re.escape(self.name)}:(\d+):.*?(?:\(also lines? ([\d, ]+).*)?')
         found = [match for text in (first, *others) if (match := named.fullmatch(text))]
-        numbers = (number for match in found for number in re.findall(r'\d+', ' '.join(
-            part for part in match.groups() if part
-        )))  # fmt: skip
-        self.fault_lines = tuple(sorted(set(map(int, numbers))))
+        numbers = ' '.join(part for match in found for part in match.groups() if part)
+        self.fault_lines = tuple(sorted(set(map(int, re.findall(r'\d+', numbers)))))
 
     def goal(self, start: StartChoice) -> RunProgram.Goal:
         text = self.path.read_text(encoding='utf-8')
@@ -102,12 +95,9 @@ class Job:
 
 
 class Desk:
-    """What all pages show and do."""
-
     def __init__(self, namespace: str, domain: int):
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
         self.machine: Machine | None = None
-        self.description: Description | None = None
         self.job: Job | None = None
         self.settings = Settings()
         self.start = StartChoice()
@@ -118,7 +108,7 @@ class Desk:
         # path lengths at the points of the tube [m], and lines of the blocks that lead there
         self._drawn, self._drawn_lines = np.zeros(0), np.zeros(0, dtype=np.int64)
         self._jobs = self.laid = 0  # programs planned, and laid here
-        self._planner: Planner | None = None
+        self._planner = Planner()
         self._running: Job | None = None
         self._adopted = ''
         self._tasks: set[asyncio.Task[None]] = set()
@@ -130,7 +120,6 @@ class Desk:
     # The machine --------------------------------------------------------------------------------
 
     def _see_state(self, state: MachineState) -> None:
-        """Store the state and a point of the charts. The thread of ROS calls this."""
         self.switched['single_block'] = state.single_block
         now = time.monotonic()
         use = np.array(
@@ -139,13 +128,10 @@ class Desk:
         self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
         if self.history and now - self.history[-1].time < STEP:
             return
-        programmed, limit = self.feeds(state)
-        moment = Moment(now, state.feedrate, programmed, limit, self._peak, state.buffered_time)
-        self.history.append(moment)
+        self.history.append(Moment(now, state.feedrate, *self.feeds(state), self._peak))
         self._peak = np.zeros_like(use)
 
     def plan_of(self, state: MachineState) -> Preview | None:
-        """Return the plan of the run that the machine executes, where it is known."""
         program, job = self.nodes.program, self._running
         if job is None or job.plan is None or program is None:
             return None
@@ -179,12 +165,11 @@ class Desk:
         """Once in a while: learn which machine it is, adopt a program that others have started."""
         if self.machine is None and self.nodes.machine:
             self.machine = Machine.load(self.nodes.machine)
-            self.description = describe_machine(self.machine)
             self._ways = WayAhead(Transform.of(self.machine))
-            self._planner = Planner(self.nodes.machine)
+            self._planner.machine = self.nodes.machine
         self._plan_with_new_setup()
         program = self.nodes.program
-        if self._planner is None or program is None or program.program_id == self._adopted:
+        if self.machine is None or program is None or program.program_id == self._adopted:
             return
         self._adopted = program.program_id
         if program.mdi:  # the loaded program stays
@@ -195,57 +180,43 @@ class Desk:
         if self.job is not None and self.job.is_run(program, settings):
             self._running = self.job
             return
-        setup = self._setup_text(settings)
-        self._running = self._lay(self._planner, program.name, program.text, settings, setup)
+        self._running = self._lay(program.name, program.text, settings)
 
     # The program --------------------------------------------------------------------------------
 
-    def load(self, name: str, text: str) -> Answer:
-        """Load a program and plan it, unless another one runs."""
-        if self._planner is None:
-            return Answer(False, 'the nodes do not answer yet: wait, then press again')
-        state = self.nodes.state
+    async def load(self, name: str, text: str) -> Answer:
         if not is_text(text):
             return Answer(False, f'{name} is no text: choose a file with a program')
-        if in_program(state):
-            return Answer(
-                False,
-                'a program is running: load another one when it has ended, or press queue next',
-            )
-        settings = self._for_nodes()
-        self._lay(self._planner, name, text, settings, self._setup_text(settings))
+        if in_program(self.nodes.state):
+            why = 'a program is running: load another one when it has ended, or press queue next'
+            return Answer(False, why)
+        self._lay(name, text, self._for_nodes())
         return Answer(True, f'{name} loaded')
 
     async def queue(self, name: str, text: str) -> Answer:
-        state = self.nodes.state
-        if self._planner is None or not in_program(state):
+        if not in_program(self.nodes.state):
             return Answer(False, 'no program is running: load this one and press cycle start')
         if not is_text(text):
             return Answer(False, f'{name} is no text: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
         return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
 
-    def empty_queue(self) -> Answer:
+    async def empty_queue(self) -> Answer:
         count = self.nodes.cancel_waiting()
-        return Answer(
-            count > 0,
-            f'{count} removed from the queue' if count else 'no program of this page is waiting',
-        )
+        none = 'no program of this page is waiting'
+        return Answer(count > 0, f'{count} removed from the queue' if count else none)
 
-    def choose(self, settings: Settings) -> Answer:
-        """Set the settings of the next run. A loaded program is planned again."""
+    async def choose(self, settings: Settings) -> Answer:
         if in_program(self.nodes.state):
             return Answer(False, 'a program is running: change the settings when it has ended')
         self.settings = settings
-        if self.job is not None and self._planner is not None:
+        if self.job is not None:
             settings = self._for_nodes()
             setup = self._setup_text(settings)
-            job = replace(self.job, settings=settings, plan=None, setup=setup)
-            self._set_job(self._planner, job)
+            self._set_job(replace(self.job, settings=settings, plan=None, setup=setup))
         return Answer(True, 'settings taken')
 
     def _for_nodes(self) -> Settings:
-        """Return the settings with the period of the nodes, once it is known."""
         state = self.nodes.state
         if state is None:
             return self.settings
@@ -258,41 +229,38 @@ class Desk:
 
     def _plan_with_new_setup(self) -> None:
         job = self.job
-        if job is None or self._planner is None or in_program(self.nodes.state):
+        if job is None or in_program(self.nodes.state):
             return
         setup, table = self._setup_text(job.settings), self.setup.table
         if setup != job.setup:
-            again = self._set_job(self._planner, replace(job, plan=None, setup=setup))
+            again = self._set_job(replace(job, plan=None, setup=setup))
             if self._running is job and table and table.changed_by.startswith(f'{job.name} line '):
                 self._running = again  # the run that has changed them is shown on
 
-    def _lay(self, planner: Planner, name: str, text: str, settings: Settings, setup: str) -> Job:
-        path = planner.keep(name, text)
-        job = Job(path.name, text.splitlines(), path, settings, setup=setup)
+    def _lay(self, name: str, text: str, settings: Settings) -> Job:
+        path, setup = self._planner.keep(name, text), self._setup_text(settings)
         self.start, self.laid = StartChoice(), self.laid + 1
-        return self._set_job(planner, job)
+        return self._set_job(Job(path.name, text.splitlines(), path, settings, setup=setup))
 
-    def _set_job(self, planner: Planner, job: Job) -> Job:
+    def _set_job(self, job: Job) -> Job:
         self._jobs += 1
         # What others than the machine told was about the program before.
         self.nodes.alarms.hide(lambda alarm: 'machine_node' not in alarm.source)
         job.number, job.status, job.proven = self._jobs, 'planning', None
         job.failed, job.fault_lines = False, ()
         self.job = job
-        self._begin(self._plan(planner, job))
+        self._begin(self._plan(job))
         return job
 
     def _begin(self, work: Any) -> None:
-        task = asyncio.get_running_loop().create_task(work)
+        task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _plan(self, planner: Planner, job: Job) -> None:
-        def see_progress(said: str) -> None:
-            job.status = said
-
+    async def _plan(self, job: Job) -> None:
+        see_progress = partial(setattr, job, 'status')
         try:
-            plan = await planner.plan(job.path, job.settings, see_progress, job.setup)
+            plan = await self._planner.plan(job.path, job.settings, see_progress, job.setup)
         except InterpError as problem:
             job.refuse(str(problem))
             for line in reversed(str(problem).splitlines()) if self.job is job else ():
@@ -312,19 +280,19 @@ class Desk:
         for notice in plan.notices:
             self.nodes.alarms.add('error' if notice in warnings else 'notice', job.name, notice)
 
-    def check(self) -> Answer:
-        job, planner = self.job, self._planner
-        if planner is None or job is None:
+    async def check(self) -> Answer:
+        job = self.job
+        if job is None:
             return Answer(False, 'no program is loaded: press load')
         if job.plan is None:
             return Answer(False, job.status if job.failed else 'the program is being planned')
         job.status = 'checking'
-        self._begin(self._check(planner, job))
+        self._begin(self._check(job))
         return Answer(True, 'checking')
 
-    async def _check(self, planner: Planner, job: Job) -> None:
+    async def _check(self, job: Job) -> None:
         try:
-            proof = await planner.check()
+            proof = await self._planner.check()
         except InterpError as problem:
             job.refuse(str(problem))
             return
@@ -349,8 +317,7 @@ class Desk:
         started = self.nodes.start_program(self.job.goal(self.start), self._see_end)
         return await asyncio.wrap_future(started)
 
-    def choose_start(self, line: int, which: int) -> Answer:
-        """Choose the line at which the next run starts, and its execution; 0 for the top."""
+    async def choose_start(self, line: int, which: int) -> Answer:
         job = self.job
         if job is None:
             return Answer(False, 'no program is loaded: press load')
@@ -406,7 +373,6 @@ class Desk:
         return named[0] if named else self.setup.setup.offset
 
     def program_coordinates(self, state: MachineState) -> dict[str, float]:
-        """Return what a program would read here, of the tip with tool-tip programming on."""
         table, setup = self.setup.table, self.setup.setup
         if table is None:
             return {}
@@ -414,7 +380,6 @@ class Desk:
         return work_coordinates(table, setup, state.positions, self.offset(), tip)
 
     async def zero(self, letter: str) -> Answer:
-        """Set the work offset that counts so that a coordinate reads 0 here."""
         table, setup, state = self.setup.table, self.setup.setup, self.nodes.state
         if table is None or state is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
@@ -422,8 +387,7 @@ class Desk:
             return Answer(False, f'zero {letter}: the axes still move; press again when they rest')
         reads, name = self.program_coordinates(state), self.offset()
         values = zero_here(table, setup, name, reads, letter)
-        axes, amounts = list(values), list(values.values())
-        asked = self.setup.ask('set_offset', offset=name, axes=axes, values=amounts)
+        asked = self.setup.ask('set_offset', offset=name, **of_axes(values))
         return await asyncio.wrap_future(asked)
 
     async def trigger(self, name: str) -> Answer:
@@ -440,9 +404,7 @@ class Desk:
 
     def end_planning(self) -> None:
         """End what is planned, while the loop of the page runs still."""
-        if self._planner is not None:
-            self._planner.close()
-        self._planner = None
+        self._planner.close()
 
     def close(self) -> None:
         self.end_planning()

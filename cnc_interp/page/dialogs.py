@@ -14,7 +14,7 @@ from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import SetupClient, of_axes
 from cnc_interp.core.errors import SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
-from cnc_interp.page.shown_unit import ShownUnit
+from cnc_interp.page.readings import ShownUnit
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
 from cnc_interp.settings.option_kinds import Choice
 from cnc_interp.settings.options import Settings, filled_in, offered, settings_filled_in
@@ -38,7 +38,6 @@ KEYBOARD = (
     ('p', 'P', 'pose', 'show or hide the fields of a tool pose'),
     ('?', '?', 'keyboard', 'show or hide this list'),
 )
-#: Names of keys, as the browser calls them, and the keys of the page.
 MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
 
 
@@ -61,8 +60,6 @@ def keyboard_list() -> Any:
 
 
 class SettingsDialog:
-    """One field for each choice, its unit beside it."""
-
     def __init__(self, use: Callable[[Settings], Awaitable[None]]):
         self._use = use
         self._settings = Settings()
@@ -118,8 +115,6 @@ LENGTHS = ('length', 'radius', 'corner_radius')
 
 
 class SetupDialog:
-    """Offsets and tools in one page."""
-
     def __init__(self, setup: SetupClient, unit: ShownUnit, command: Command):
         self._setup, self._unit, self._command = setup, unit, command
         self._dialog = ui.dialog()
@@ -179,22 +174,20 @@ class SetupDialog:
         position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
         ui.label(f'{name} ●' if active else name).classes('value')
-        turned = [ROTATION] if name != 'G92' else []
-        for letter in (*axes, *turned):
+        letters = axes if name == 'G92' else [*axes, ROTATION]
+        for letter in letters:
             value = position.get(letter)
             text = '' if value is None else self._unit.now.shown(letter, value)
             self._field(f'{name} {letter}', text, value)
-        if not turned:
+        if name == 'G92':
             ui.label('')
-        act = partial(self._set_offset, name, [*axes, *turned])
-        self._reading_key('set', f'set {name}', act)
-        clear = partial(self._ask, 'set_offset', offset=name, clear=True)
-        key('clear', f'clear {name}', clear)
+        self._reading_key('set', f'set {name}', partial(self._set_offset, name, letters))
+        ask = partial(self._ask, 'set_offset', offset=name)
+        key('clear', f'clear {name}', partial(ask, clear=True))
         if name == 'G92':
             ui.label('')
         else:
-            use = partial(self._ask, 'set_offset', offset=name, activate=True)
-            key('use', f'use {name}', use)
+            key('use', f'use {name}', partial(ask, activate=True))
 
     def _tool_row(self, number: int | None) -> None:
         setup = self._setup.setup
@@ -212,8 +205,7 @@ class SetupDialog:
         self._reading_key('set', f'set {mark}', partial(self._set_tool, mark, number))
         if number is None:
             return
-        remove = partial(self._ask, 'set_tool', number=number, remove=True)
-        key('remove', f'remove {mark}', remove)
+        key('remove', f'remove {mark}', partial(self._ask, 'set_tool', number=number, remove=True))
         key('in the spindle', f'load {mark}', partial(self._load, number))
 
     # Commands -----------------------------------------------------------------------------------

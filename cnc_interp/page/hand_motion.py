@@ -29,7 +29,7 @@ from cnc_interp.core.units import MINUTE
 from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import VIEW_ONLY, Command, act_on_shown, asked, key
-from cnc_interp.page.shown_unit import ShownUnit
+from cnc_interp.page.readings import ShownUnit
 
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {
@@ -62,8 +62,6 @@ def step_of(name: str, distance: float, speed: float) -> MoveAxes.Request:
 
 
 class JogPad:
-    """The pad in one page."""
-
     def __init__(
         self,
         machine: Machine,
@@ -73,9 +71,8 @@ class JogPad:
         command: Command,
     ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
-        self._unit = unit
+        self._nodes, self._may_move, self._unit, self._command = nodes, may_move, unit, command
         self._told = ''  # what was told of the key that is held
-        self._nodes, self._may_move, self._command = nodes, may_move, command
         self._step = HOLD
         self._shown: list[bool] = []  # which axes are homed
         self._alarm: Alarm | None = None  # the last one of motion by hand
@@ -111,16 +108,14 @@ class JogPad:
         text = text or ('+' if sign > 0 else '−')
         made = key(text, f'jog {name}{"+" if sign > 0 else "-"}').classes('moves')
         made.classes(f'{name.lower()}{"plus" if sign > 0 else "minus"}')
-        made.on(
-            'pointerdown',
-            js_handler=f'(event) => jog.press(event, {json.dumps(name)}, {sign})',
-        )
+        pressed = f'(event) => jog.press(event, {json.dumps(name)}, {sign})'
+        made.on('pointerdown', js_handler=pressed)
         made.on('click', lambda: self._move(name, sign))
 
     def _home_keys(self, switches: tuple[str, ...]) -> dict[str, Any]:
+        keys: dict[str, Any] = {}
         if not switches:
-            return {}
-        keys = {}
+            return keys
         with ui.element('div').classes('homes'):
             for name in ('', *switches):
                 axes = (name,) if name else ()
@@ -132,7 +127,6 @@ class JogPad:
         await self._command(asked(self._nodes.home, axes))
 
     def show(self, state: Any) -> None:
-        """Show by the colour of their keys which axes must be homed; tell why axes stopped."""
         alarms = self._nodes.alarms.newest_first
         alarm = next((one for one in alarms if one.source == ALARMS), None)
         if alarm is not None and alarm != self._alarm and self._pad.visible:
@@ -151,7 +145,6 @@ class JogPad:
         return min(map(self._share, self._names))
 
     def _size(self, name: str, text: str) -> float:
-        """Return an amount of an axis, or along the tool [m, rad]."""
         return float(text) * (self._unit.now.size if name == TOOL else self._unit.now.of(name))
 
     def _share(self, name: str) -> float:
@@ -213,8 +206,6 @@ class JogPad:
 
 
 class NumberFields:
-    """Fields with a title, which cover nothing but the view."""
-
     def __init__(
         self, title: str, mark: str, names: Iterable[str], unit: ShownUnit, command: Command
     ):
@@ -260,14 +251,8 @@ def numbers(texts: dict[str, str | None]) -> dict[str, float]:
 
 
 class PoseField(NumberFields):
-    """Tool tip and tool axis to go to."""
-
     def __init__(
-        self,
-        nodes: OperatorClient,
-        speed: Callable[[], float],
-        unit: ShownUnit,
-        command: Command,
+        self, nodes: OperatorClient, speed: Callable[[], float], unit: ShownUnit, command: Command
     ):
         title = 'go to a pose: tool tip in the workpiece, mm; tool axis'
         super().__init__(title, 'pose', POSE, unit, command)
@@ -289,8 +274,6 @@ class PoseField(NumberFields):
 
 
 class TouchOffField(NumberFields):
-    """What the axes read where they stand."""
-
     def __init__(self, setup: SetupClient, axes: Iterable[str], unit: ShownUnit, command: Command):
         title = 'touch off: here reads, in the active offset, mm or °'
         super().__init__(title, 'here', axes, unit, command)

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from cnc_interp_msgs.msg import MachineSignals
 from nicegui import events, ui
 
-from cnc_interp.client.operator_client import SWITCHES
-from cnc_interp.page.contact import Command, key, pressing
+from cnc_interp.client.operator_client import SWITCHES, OperatorClient
+from cnc_interp.page.contact import Command, asked, key, pressing
 from cnc_interp.page.desk import Desk
 from cnc_interp.settings.options import Settings
 
 MOST, STEP = 150, 5  #: Largest override, and the step of its keys [%].
 RAPIDS = (25, 50, 100)  #: Keys of the rapid override [%].
+
+large = partial(key, look='unelevated')
 
 
 class HeldSlider(ui.slider):
@@ -28,13 +30,8 @@ class HeldSlider(ui.slider):
 class OverrideSlider:
     """The feed override in one page: a slider, and keys that move it by a step or to 100 %."""
 
-    def __init__(
-        self,
-        value: Callable[[], float],
-        wish: Callable[[float], None],
-        may_set: Callable[[], bool],
-    ):
-        self._value, self._wish, self._may_set = value, wish, may_set
+    def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
+        self._nodes, self._may_set = nodes, may_set
         self._shown: float | None = None
         with ui.element('div').classes('slide'):
             ui.label('override')
@@ -54,21 +51,18 @@ class OverrideSlider:
         self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
-        """Set the override where the user has moved the slider.
-
-        The slider already shows what was asked for here. Only changes by others move it.
-        """
+        """Only changes by others move the slider: it shows already what was asked for here."""
         if self._shown is not None and event.value == round(100 * self._shown):
             return  # moved by this program, to show what others have set
         if self._may_set():
             self._shown = event.value / 100
             self._text.set_text(f'{event.value:.0f}%')
-            self._wish(event.value / 100)
+            self._nodes.set_override(event.value / 100)
         else:
             self.show_again()
 
     def show(self) -> None:
-        value = self._value()
+        value = self._nodes.override
         if self._shown != value:
             self._shown = value
             self._slider.set_value(round(100 * value))
@@ -83,28 +77,24 @@ class OverrideSlider:
 class RapidKeys:
     """The rapid override in one page: a key for each value; the one that counts is lit."""
 
-    def __init__(
-        self,
-        value: Callable[[], float],
-        wish: Callable[[float], None],
-        may_set: Callable[[], bool],
-    ):
-        self._value, self._wish, self._may_set = value, wish, may_set
+    def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
+        self._nodes, self._may_set = nodes, may_set
         self._shown: float | None = None
         with ui.element('div').classes('steps rapids'):
             self._text = ui.label('rapids').props('data-mark="rapids"')
-            self.keys = {percent: self._key(percent) for percent in RAPIDS}
+            self.keys = {
+                percent: key(
+                    f'{percent}%', f'rapid {percent}%', partial(self._set, percent), 'blue-grey-9'
+                )
+                for percent in RAPIDS
+            }
 
-    def _key(self, percent: int) -> Any:
-
-        def press() -> None:
-            if self._may_set():
-                self._wish(percent / 100)
-
-        return key(f'{percent}%', f'rapid {percent}%', press, 'blue-grey-9')
+    def _set(self, percent: int) -> None:
+        if self._may_set():
+            self._nodes.set_override(percent / 100, 'rapid_override')
 
     def show(self) -> None:
-        value = self._value()
+        value = self._nodes.rapid_override
         if self._shown == value:
             return
         self._shown = value
@@ -117,14 +107,13 @@ class RapidKeys:
 
 
 class Switch:
-    """The switch in one page."""
-
     def __init__(
         self, name: str, is_on: Callable[[], bool], turn: Callable[[bool], Awaitable[None]]
     ):
+        name = name.replace('_', ' ')
         self._is_on, self._turn, self._shown = is_on, turn, False
-        self.key = ui.button(name, on_click=self._press, color='blue-grey-9').classes('switch')
-        self.key.props(f'unelevated no-caps data-mark="{name}" aria-pressed=false')
+        self.key = large(name, '', self._press, 'blue-grey-9').classes('switch')
+        self.key.props('aria-pressed=false')
 
     async def _press(self) -> None:
         await self._turn(not self._is_on())
@@ -139,41 +128,35 @@ class Switch:
 
 
 class SignalKeys:
-    """Outputs and inputs in one page: a key for each output that is on or off, the others as text.
+    """Outputs and inputs: a key for each output that is on or off, the others as text."""
 
-    ``command``: does what is asked for, or says why not.
-    """
-
-    def __init__(self, signals: Callable[[], Any], command: Command, nodes: Any):
-        self._signals, self._command, self._nodes, self._told = signals, command, nodes, None
+    def __init__(self, nodes: OperatorClient, command: Command):
+        self._nodes, self._command = nodes, command
+        self._told: MachineSignals | None = None
         with ui.element('div').classes('signals') as self._place:
             self._text = ui.label().props('data-mark="signals"').classes('small')
         self._place.set_visibility(False)  # until the machine has told some
         self._keys: dict[str, Switch] = {}
 
     def _is_on(self, name: str) -> bool:
-        signals = self._signals()
+        signals: Any = self._nodes.signals
         return bool(signals.output_values[list(signals.outputs).index(name)])
 
     async def _turn(self, name: str, on: bool) -> None:
-        await self._command(lambda: asyncio.wrap_future(self._nodes.set_output(name, float(on))))
-
-    def _make_keys(self, signals: Any) -> None:
-        with self._place:
-            for name, number in zip(signals.outputs, signals.output_is_number, strict=True):
-                if not number:
-                    self._keys[name] = Switch(
-                        name.replace('_', ' '), partial(self._is_on, name),
-                        partial(self._turn, name),
-                    )  # fmt: skip
+        await self._command(asked(self._nodes.set_output, name, float(on)))
 
     def show(self) -> None:
-        signals = self._signals()
+        signals = self._nodes.signals
         if signals is None or signals is self._told:
             return
         self._told = signals
         if not self._keys:
-            self._make_keys(signals)
+            with self._place:
+                self._keys = {
+                    name: Switch(name, partial(self._is_on, name), partial(self._turn, name))
+                    for name, number in zip(signals.outputs, signals.output_is_number, strict=True)
+                    if not number
+                }
             self._place.set_visibility(True)
         for one in self._keys.values():
             one.show()
@@ -193,42 +176,30 @@ class Keys:
     ):  # fmt: skip
         self._desk, self._command, self._use = desk, command, use
         with ui.element('div').classes('stops'):  # above every dialog
-            self._stop = self._key('EMERGENCY STOP', 'negative').on(**pressing('emergency_stop'))
-            hold = self._key('feed hold', 'warning').on(**pressing('feed_hold'))
-        start = self._key('cycle start', 'positive', partial(in_sight, desk.cycle_start))
+            self._stop = large('EMERGENCY STOP', colour='negative')
+            self._stop.on(**pressing('emergency_stop'))
+            hold = large('feed hold', colour='warning').on(**pressing('feed_hold'))
+        start = large('cycle start', '', partial(in_sight, desk.cycle_start), 'positive')
         reset = partial(in_sight, partial(desk.trigger, 'reset'))
-        keys = start.classes('moves'), hold, self._key('reset', 'blue-grey-7', reset)
+        keys = start.classes('moves'), hold, large('reset', '', reset, 'blue-grey-7')
         self._switches = [
             *(self._switch(name) for name in SWITCHES),
             Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
         ]
-        nodes = desk.nodes
-        self._override = OverrideSlider(lambda: nodes.override, nodes.set_override, may_set)
-        self._rapids = RapidKeys(
-            lambda: nodes.rapid_override,
-            lambda share: nodes.set_override(share, 'rapid_override'),
-            may_set,
-        )
-        self._signals = SignalKeys(lambda: nodes.signals, in_sight, nodes)
+        self._override = OverrideSlider(desk.nodes, may_set)
+        self._rapids = RapidKeys(desk.nodes, may_set)
+        self._signals = SignalKeys(desk.nodes, in_sight)
         switches = (one.key for one in self._switches)
         self._elements = (*keys, *switches, *self._override.elements, *self._rapids.keys.values())
         ui.context.client.on_connect(self._override.show_again)
 
-    @staticmethod
-    def _key(text: str, colour: str, act: Callable[[], Awaitable[None]] | None = None) -> Any:
-        made = ui.button(text, on_click=act, color=colour)
-        return made.props(f'unelevated no-caps data-mark="{text}"')
-
     def _switch(self, name: str) -> Switch:
-        desk = self._desk
-
         async def turn(on: bool) -> None:
-            await self._command(lambda: desk.set_switch(name, on))
+            await self._command(partial(self._desk.set_switch, name, on))
 
-        return Switch(name.replace('_', ' '), lambda: desk.switched[name], turn)
+        return Switch(name, lambda: self._desk.switched[name], turn)
 
     async def _skip_blocks(self, on: bool) -> None:
-        """Leave lines with a slash out of the next run, or not."""
         await self._use(replace(self._desk.settings, skip_blocks=on))
 
     def allow(self, in_charge: bool, trusted: bool) -> None:

@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from nicegui import events, ui
 
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
-from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import work_zero
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
-from cnc_interp.page.access import Access
 from cnc_interp.page.charts import Charts
-from cnc_interp.page.contact import (
-    AGAIN,
-    LATE,
-    VIEW_ONLY,
-    Act,
-    Contact,
-    asked,
-    key,
-)
+from cnc_interp.page.contact import AGAIN, LATE, VIEW_ONLY, Access, Act, Contact, asked, key
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys
 from cnc_interp.page.probe_dialog import ProbeDialog
 from cnc_interp.page.program_column import Listing, MdiField, StartField
-from cnc_interp.page.readings import NOTHING, Messages, progress, readings
+from cnc_interp.page.readings import NOTHING, Messages, ShownUnit, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
-from cnc_interp.page.shown_unit import ShownUnit
 from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 
@@ -40,16 +28,18 @@ from cnc_interp.settings.options import Settings
 PACE, CHART_EVERY = 0.1, 4
 
 
+outlined = partial(key, colour='primary', look='dense outline')
+
+
 def marked(element: Any, name: str) -> Any:
-    """Name an element of the page, for scripts and tests."""
     return element.props(f'data-mark="{name}"')
 
 
 class Page:
-    """One page in one browser tab."""
-
     def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool):
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
+        assert desk.machine is not None  # a page is made once it is known
+        self._machine = desk.machine
         self._labels: dict[str, Any] = {}
         self._shown: dict[str, Any] = {}
         self._zeros: list[Any] = []
@@ -68,10 +58,11 @@ class Page:
                 self._build_program()
             with ui.element('div').classes('keys'):
                 self._keys = Keys(
-                    desk, self._command, self._command_in_sight, self._may_set, self._use
-                )
+                    desk, self._command, self._command_in_sight,
+                    may_set=lambda: self._allowed() and self._in_sight(), use=self._use,
+                )  # fmt: skip
             with ui.element('div').classes('charts'):
-                self._charts = Charts(desk.machine.axis_names if desk.machine else (), self._unit)
+                self._charts = Charts(self._machine.axis_names, self._unit)
         self._settings = SettingsDialog(self._use)
         self._setup = SetupDialog(desk.setup, self._unit, self._command_in_sight)
         self._keyboard = keyboard_list()
@@ -93,22 +84,18 @@ class Page:
             self._label('state', 'state')
             self._label('why', 'grow')
             marked(ui.element('div').classes('contact'), 'contact')
-            keyboard = ui.button('?', on_click=lambda: self._keyboard.open())
-            marked(keyboard.props('dense outline no-caps'), 'keyboard').tooltip('keyboard')
-            for mark, act in (('inch', '() => preferences.toggle("inch")'),
-                              ('light', '() => preferences.toggle("light")')):  # fmt: skip
-                made = ui.button(mark).props('dense outline no-caps')
-                marked(made.on('click', js_handler=act), mark)
+            keyboard = outlined('?', 'keyboard', lambda: self._keyboard.open())
+            keyboard.tooltip('keyboard')
+            for mark in ('inch', 'light'):
+                outlined(mark).on('click', js_handler=f'() => preferences.toggle("{mark}")')
             self._label('rights', '')
-            self._take = ui.button('take over', on_click=self._take_over)
-            marked(self._take.props('dense outline no-caps'), 'take over')
+            self._take = outlined('take over', act=self._take_over)
 
     def _build_readouts(self) -> None:
-        axes = self._desk.machine.axes if self._desk.machine else ()
         with ui.element('div').classes('two'):
             self._label('setup', 'work')
             ui.label('machine').classes('heading')
-        for axis in axes:
+        for axis in self._machine.axes:
             with ui.element('div').classes('place'):
                 ui.label(axis.name).classes('name')
                 self._label(f'work {axis.name}').tooltip('in the program, mm or °')
@@ -150,9 +137,9 @@ class Page:
             ('→0', f'go to zero {letter}', asked(desk.nodes.give_line, f'G90 G0 {letter}0'),
              'moves there at once, as a rapid'),
         ):  # fmt: skip
-            made = ui.button(text, on_click=lambda _, act=act: self._command_in_sight(act))
-            made.props('dense flat no-caps').tooltip(f'{mark}: {hint}')
-            self._zeros.append(marked(made.classes('moves' if 'go' in mark else ''), mark))
+            made = key(text, mark, partial(self._command_in_sight, act), 'primary', 'dense flat')
+            made.tooltip(f'{mark}: {hint}').classes('moves' if 'go' in mark else '')
+            self._zeros.append(made)
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
@@ -161,16 +148,14 @@ class Page:
             self._unit.label(unit).classes('unit' if unit else '')
 
     def _build_view(self) -> None:
-        description = self._desk.description
-        self._view = MachineView(description) if description else None
+        self._view = view = MachineView(describe_machine(self._machine))
         with ui.element('div').classes('over') as self._over:
-            looks = ui.toggle(['part', 'machine'], value='part', on_change=self._look)
+            looks = ui.toggle(['part', 'machine'], value='part')
+            looks.on_value_change(lambda event: view.look_at_part(event.value == 'part'))
             marked(looks.props('dense no-caps unelevated color=blue-grey-9'), 'look')
             for name in VIEWS:
-                key(name, f'from {name}', partial(self._look_from, name), 'blue-grey-9')
-        self._pad: JogPad | None = None
-        if self._desk.machine is not None:
-            self._build_hand_motion(self._desk.machine)
+                key(name, f'from {name}', partial(view.look_from, name), 'blue-grey-9')
+        self._build_hand_motion()
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
             ui.html(
@@ -179,21 +164,21 @@ class Page:
             self._label('scale', '')
         self._label('start', 'told')
 
-    def _build_hand_motion(self, machine: Machine) -> None:
-        """Make what moves axes and sets offsets, hidden, and the keys that show it."""
+    def _build_hand_motion(self) -> None:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
-        pad = JogPad(machine, nodes, lambda: self._in_charge, self._unit, command)
+        self._pad = pad = JogPad(
+            self._machine, nodes, lambda: self._in_charge, self._unit, command
+        )
         pose = PoseField(nodes, lambda: pad.speed, self._unit, command)
-        axes = [name for name in machine.axis_names if name not in EXTRA_LETTERS]
+        axes = [name for name in self._machine.axis_names if name not in EXTRA_LETTERS]
         touch = TouchOffField(setup, axes, self._unit, command)
         with self._over:
             key('jog', 'jog', pad.toggle, 'blue-grey-9')
             key('pose', 'pose', partial(pose.toggle, touch), 'blue-grey-9')
             key('touch off', 'show touch off', partial(touch.toggle, pose), 'blue-grey-9')
             key('offsets', 'offsets', lambda: self._setup.open(), 'blue-grey-9')
-            if TOWARD in machine.signals.words:
+            if TOWARD in self._machine.signals.words:
                 key('probe', 'probe', lambda: self._probe.open(), 'blue-grey-9')
-        self._pad = pad
 
     def _build_program(self) -> None:
         desk = self._desk
@@ -205,18 +190,15 @@ class Page:
             ).classes('hidden')
             upload.disable()  # until the page is in charge: then nothing is taken from others
             self._upload = upload
-            check = self._answer(self._desk.check)
             self._loader = key('load', act=lambda: self._pick(waits=False))
             self._follower = key('queue next', act=lambda: self._pick(waits=True))
-            self._checker = key('check', act=lambda: self._command(check))
+            self._checker = key('check', act=partial(self._command, desk.check))
             self._setter = key('settings', act=lambda: self._settings.open(desk.settings))
             self._follower.tooltip('choose a program that starts when the running one has ended')
         self._label('status', 'status small')
         with ui.element('div').classes('title') as self._next:
             self._label('waiting', 'grow small')
-            empty = self._answer(self._desk.empty_queue)
-            clear = ui.button('clear queue', on_click=lambda: self._command(empty))
-            marked(clear.props('dense outline no-caps'), clear.text)
+            outlined('clear queue', act=partial(self._command, desk.empty_queue))
         with ui.element('div').classes('bar'):
             self._bar = ui.element('div')
         self._listing = Listing()
@@ -224,9 +206,6 @@ class Page:
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
         self._probe = ProbeDialog(self._mdi.give)
         self._messages = Messages(self._desk.nodes.alarms)
-
-    def _may_set(self) -> bool:
-        return self._allowed() and self._in_sight()
 
     # Commands: every one is allowed or refused here, on the server ----------------------------
 
@@ -243,7 +222,6 @@ class Page:
             await self._command(act)
 
     def _in_sight(self) -> bool:
-        """Tell whether the page shows what the machine does; say so where it does not."""
         if self._contact.age > LATE:
             ui.notify(AGAIN, type='warning')
             return False
@@ -253,7 +231,7 @@ class Page:
         """Stop, however late it was heard; the token is enough in an emergency."""
         urgent = name == 'emergency_stop' and self._trusted
         if urgent or self._allowed():
-            await self._do(self._trigger(name))
+            await self._do(partial(self._desk.trigger, name))
 
     @staticmethod
     async def _do(act: Act) -> None:
@@ -266,31 +244,18 @@ class Page:
             ui.notify(VIEW_ONLY, type='warning')
         return self._in_charge
 
-    def _trigger(self, name: str) -> Act:
-        return lambda: self._desk.trigger(name)
-
-    @staticmethod
-    def _answer(act: Callable[[], Answer]) -> Act:
-        async def done() -> Answer:
-            return act()
-
-        return done
-
     def _pick(self, waits: bool) -> None:
         self._waits = waits
         self._upload.run_method('pickFiles')
 
     async def _load(self, event: events.UploadEventArguments) -> None:
         text = (await event.file.read()).decode('utf-8-sig', errors='replace')
-        name = event.file.name
-        if self._waits:
-            await self._command(lambda: self._desk.queue(name, text))
-        else:
-            await self._command(self._answer(lambda: self._desk.load(name, text)))
+        act = self._desk.queue if self._waits else self._desk.load
+        await self._command(partial(act, event.file.name, text))
         self._upload.reset()
 
     async def _use(self, settings: Settings) -> None:
-        await self._command(self._answer(lambda: self._desk.choose(settings)))
+        await self._command(partial(self._desk.choose, settings))
 
     def _take_over(self) -> None:
         if self._trusted:
@@ -302,17 +267,8 @@ class Page:
             )
 
     def _pick_point(self, event: events.GenericEventArguments) -> None:
-        """Take the line that leads to the point of the path that was pressed in the view."""
         if line := self._desk.drawn_line(int(event.args['point'])):
             ui.run_javascript(f'listing.choose({line})')
-
-    def _look(self, event: events.ValueChangeEventArguments) -> None:
-        if self._view is not None:
-            self._view.look_at_part(event.value == 'part')
-
-    def _look_from(self, name: str) -> None:
-        if self._view is not None:
-            self._view.look_from(name)
 
     # Showing ------------------------------------------------------------------------------------
 
@@ -348,8 +304,8 @@ class Page:
             self._next.set_visibility(bool(desk.nodes.waiting))
         self._show_rights()
         self._show_lists()
-        if state is not None and self._view is not None and desk.machine is not None:
-            self._view.show(dict(zip(desk.machine.axis_names, state.positions, strict=False)))
+        if state is not None:
+            self._view.show(dict(zip(self._machine.axis_names, state.positions, strict=False)))
             if desk.setup.table is not None:
                 where = work_zero(desk.setup.table, desk.setup.setup, desk.offset())
                 self._view.show_zero(*where)
@@ -372,16 +328,14 @@ class Page:
     def _start_text(self) -> str:
         """Return what the operator must know about the start; empty for the top of a program."""
         way, desk = self._desk.way_ahead(), self._desk
-        if self._view is not None:
-            self._view.show_way(way)
+        self._view.show_way(way)
         if self._changed('laid', desk.laid):
-            self._start.clear()
+            self._start.fill()
         if in_program(desk.nodes.state):
             return way.text if way is not None else ''
         return desk.start.text
 
     def _show_rights(self) -> None:
-        """Show which page has control, and what others have set."""
         rights = 'in charge' if self._in_charge else 'view only'
         if self._changed('rights', rights):
             self._labels['rights'].set_text(rights)
@@ -403,5 +357,4 @@ class Page:
             self._bar.style(f'transform: scaleX({share:.3f})')
         self._messages.show()
         self._mdi.show(*desk.modes())
-        if self._pad is not None:
-            self._pad.show(state)
+        self._pad.show(state)

@@ -37,8 +37,6 @@ NICENESS = 5  #: Niceness of the planning process: lower priority than the nodes
 
 @dataclass(frozen=True)
 class Place:
-    """What is planned at one place of the path."""
-
     #: Programmed feed and limit of the axes [m/s].
     programmed_feed: float
     feed_limit: float
@@ -48,8 +46,6 @@ class Place:
 
 @dataclass(frozen=True)
 class Preview:
-    """What the page shows of a planned program."""
-
     s: FloatArray  #: (N,): Path length on the planner's grid [m].
     #: (N, 3): Tool tip [m] and tool axis [-] in W.
     tip: FloatArray
@@ -118,7 +114,6 @@ class Preview:
 
 
 def thinned(tip: FloatArray, axis: FloatArray) -> Any:
-    """Choose rows for drawing: at most ``DRAWN``, ends included, evenly by rows."""
     count = len(tip)
     return np.unique(np.linspace(0, count - 1, min(count, DRAWN)).astype(int))
 
@@ -126,14 +121,13 @@ def thinned(tip: FloatArray, axis: FloatArray) -> Any:
 class Planner:
     """Plans and proves one program at a time. A new program ends the work on the one before."""
 
-    def __init__(self, machine: str):
-        self.machine = machine
+    def __init__(self) -> None:
+        self.machine = ''  # by file or bundled name; empty before it is known
         self._folder = TemporaryFolder()
         self._plan = Path(self._folder.name) / 'plan'
         self._process: asyncio.subprocess.Process | None = None
 
     def keep(self, name: str, text: str) -> Path:
-        """Write a program where the planning process reads it, under its own name."""
         path = Path(self._folder.name) / (Path(name).name or 'program.ngc')
         path.write_text(text.replace('\0', '\ufffd'), encoding='utf-8')  # a message ends at \0
         return path
@@ -145,10 +139,7 @@ class Planner:
         see_progress: Callable[[str], None],
         setup: str = '',
     ) -> Preview:
-        """Plan a program that ``keep`` has written, with the text of a setup file.
-
-        Raises InterpError with what `cnc-interp plan` says, one reason in a line.
-        """
+        """Plan a program of ``keep``; InterpError with what `plan` says, one reason in a line."""
         if setup:
             file = Path(self._folder.name) / 'offsets and tools.yaml'
             file.write_text(setup, encoding='utf-8')
@@ -167,7 +158,6 @@ class Planner:
     async def _run(
         self, words: list[str], see_progress: Callable[[str], None], fine: tuple[int, ...] = (0,)
     ) -> tuple[str, list[str]]:
-        """Run one command of `cnc-interp`; returns what it printed, and what it said beside."""
         self.stop()
         process = await asyncio.create_subprocess_exec(
             sys.executable, '-m', 'cnc_interp', *words,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 
-from cnc_interp.client.mdi import LineHistory, modes_text
+from cnc_interp.client.hand_move import LineHistory, modes_text
 from cnc_interp.client.operator_client import Answer
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.desk import Job
@@ -46,7 +47,7 @@ class Listing:
 class StartField:
     """Line, pass, and two keys. A line of the program's text is chosen by pressing it, too."""
 
-    def __init__(self, choose: Callable[[int, int], Answer], command: Command):
+    def __init__(self, choose: Callable[[int, int], Awaitable[Answer]], command: Command):
         self._choose, self._command = choose, command
         with ui.element('div').classes('start-field'):
             self._line = self._field('line', 'start line')
@@ -55,22 +56,16 @@ class StartField:
             here, top = self.keys = key('start here'), key('from the top')
             act_on_shown(here, 'click', (self._line, self._pass), self._take)
             top.on('click', lambda: self._give(0, 0))
-        ui.on('pick_line', self._pick)
+        ui.on('pick_line', lambda event: self.fill(str(event.args['line'])))
 
     @staticmethod
     def _field(text: str, mark: str) -> Any:
         field = ui.input(placeholder=text)
         return field.props(f'dense outlined inputmode=numeric autocomplete=off data-mark="{mark}"')
 
-    def clear(self) -> None:
-        self._fill('', '')
-
-    def _fill(self, line: str, which: str) -> None:
+    def fill(self, line: str = '') -> None:
         self._line.set_value(line)
-        self._pass.set_value(which)
-
-    def _pick(self, event: events.GenericEventArguments) -> None:
-        self._fill(str(event.args['line']), '')
+        self._pass.set_value('')
 
     async def _take(self) -> None:
         texts = [str(field.value or '').strip() for field in (self._line, self._pass)]
@@ -80,22 +75,16 @@ class StartField:
             ui.notify('press a line of the program, or write its number', type='warning')
 
     async def _give(self, line: int, which: int) -> None:
-        async def chosen() -> Answer:
-            return self._choose(line, which)
-
         if not line:
-            self.clear()
-        await self._command(chosen)
+            self.fill()
+        await self._command(partial(self._choose, line, which))
 
 
 class MdiField:
     """The field in one page. Enter gives the line, up and down show those before."""
 
     def __init__(
-        self,
-        history: LineHistory,
-        give: Callable[[str], Future[Answer]],
-        command: Command,
+        self, history: LineHistory, give: Callable[[str], Future[Answer]], command: Command
     ):
         self._history, self._give, self._command = history, give, command
         self._age, self._busy = -1, False
@@ -143,4 +132,4 @@ class MdiField:
 
     def _tell(self, text: str, failed: bool) -> None:
         self._told.set_text(text)
-        self._told.classes(add='failed' if failed else '', remove='' if failed else 'failed')
+        self._told.classes(replace='small failed' if failed else 'small')

@@ -1,9 +1,11 @@
-"""What a page tells: numbers as words of the shop floor, and messages."""
+"""What a page tells: numbers as words of the shop floor, in its unit of lengths, and messages."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from html import escape
+from typing import Any
 
 from nicegui import ui
 
@@ -23,7 +25,6 @@ NOT_SHOWN = ('G52', 'TRANS', 'ROT', 'G68', 'G68.2', 'CYCLE800')
 
 
 def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
-    """Return the text of every read-out by its name; what is unknown is a dash."""
     state, machine = desk.nodes.state, desk.machine
     silent = desk.nodes.silent
     words = {'state': 'no machine', 'why': f'waiting for {silent}' if silent else ''}
@@ -63,7 +64,6 @@ def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[
 
 
 def work_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, str]:
-    """Return the program's coordinates, and the offset and tool with which they read so."""
     reads, setup = desk.program_coordinates(state), desk.setup.setup
     words = {f'work {letter}': unit.shown(letter, value) for letter, value in reads.items()}
     codes = desk.codes()
@@ -87,10 +87,7 @@ def progress_words(
     state: MachineState, plan: Preview | None, override: float, start: float = 0.0,
     unit: LengthUnit = MILLIMETRES,
 ) -> dict[str, str]:  # fmt: skip
-    """Return line, progress and times; the time left assumes the override to stay.
-
-    Before the run is on the program, at a path length below 0, it is at the start of the run.
-    """
+    """Return line, progress and times if the override stays; before the path: at its start."""
     words = {'line': str(state.line_number) if state.line_number else NOTHING}
     words['progress'] = words['left'] = words['to go'] = NOTHING
     if plan is not None:
@@ -135,7 +132,6 @@ def alarms_html(alarms: list[Alarm]) -> str:
 
 
 def history_text(alarms: list[Alarm]) -> str:
-    """Return alarms as lines of a file, the oldest first."""
     return ''.join(
         f'{alarm.time}  {alarm.level:<8}{alarm.source}: {alarm.message}  ({alarm.count})\n'
         for alarm in reversed(alarms)
@@ -147,8 +143,6 @@ SHOWN = 30  #: Messages shown beside the program.
 
 
 class Messages:
-    """The messages in one page."""
-
     def __init__(self, alarms: AlarmList):
         self._alarms = alarms
         self._shown: list[Alarm] | None = None
@@ -178,3 +172,23 @@ class Messages:
         if alarms != self._shown:
             self._shown = alarms
             self._list.set_content(alarms_html(alarms))
+
+
+class ShownUnit:
+    def __init__(self) -> None:
+        self.now = MILLIMETRES
+        self._followers: list[Callable[[LengthUnit], None]] = []
+
+    def follow(self, act: Callable[[LengthUnit], None]) -> None:
+        self._followers.append(act)
+
+    def label(self, text: str) -> Any:
+        label = ui.label(self.now.named(text))
+        self.follow(lambda unit: label.set_text(unit.named(text)))
+        return label
+
+    def use(self, unit: LengthUnit) -> None:
+        if unit is not self.now:
+            self.now = unit
+            for act in self._followers:
+                act(unit)

@@ -41,7 +41,6 @@ ARRAY_BUFFER, ELEMENT_BUFFER = 34962, 34963
 def tube(
     points: FloatArray, values: FloatArray, top: float, radius: float
 ) -> tuple[bytes, IntArray]:
-    """Make a glTF file of a tube along points, coloured from 0 to ``top``."""
     colours = colours_of(values, top)
     kept = thinned(np.column_stack([points / (UNSEEN * radius), colours / (255.0 * INDISTINCT)]))
     points, colours = points[kept], colours[kept]
@@ -57,10 +56,7 @@ def tube(
 
 
 def thinned(points: FloatArray) -> Any:
-    """Choose rows of a polyline so that no other row is farther than 1 from the chord over it.
-
-    Douglas and Peucker's way, in any number of dimensions; both ends are chosen.
-    """
+    """Choose rows of a polyline: no other is farther than 1 from its chord (Douglas, Peucker)."""
     kept = np.zeros(len(points), dtype=bool)
     kept[[0, -1]] = True
     waiting = [(0, len(points) - 1)]
@@ -127,8 +123,14 @@ def faces(count: int) -> Any:
 
 
 def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
-    """Pack a mesh into one binary glTF file."""
-    parts = [array.tobytes() for array in (vertices, normals, colours, index)]
+    ends = {'min': vertices.min(axis=0).tolist(), 'max': vertices.max(axis=0).tolist()}
+    mesh: tuple[tuple[Any, int, str, dict[str, Any]], ...] = (
+        (vertices, FLOAT, 'VEC3', ends),
+        (normals, FLOAT, 'VEC3', {}),
+        (colours, UNSIGNED_BYTE, 'VEC4', {'normalized': True}),
+        (index, UNSIGNED_INT, 'SCALAR', {}),
+    )
+    parts = [array.tobytes() for array, *_ in mesh]
     starts = np.cumsum([0] + [len(part) for part in parts])
     views = [
         {
@@ -140,31 +142,18 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
         for start, part in zip(starts, parts, strict=False)
     ]
     accessors = [
-        {
-            'bufferView': 0, 'componentType': FLOAT, 'count': len(vertices), 'type': 'VEC3',
-            'min': vertices.min(axis=0).tolist(), 'max': vertices.max(axis=0).tolist(),
-        },
-        {'bufferView': 1, 'componentType': FLOAT, 'count': len(normals), 'type': 'VEC3'},
-        {
-            'bufferView': 2, 'componentType': UNSIGNED_BYTE, 'normalized': True,
-            'count': len(colours), 'type': 'VEC4',
-        },
-        {'bufferView': 3, 'componentType': UNSIGNED_INT, 'count': len(index), 'type': 'SCALAR'},
-    ]  # fmt: skip
-    primitive = {
-        'attributes': {'POSITION': 0, 'NORMAL': 1, 'COLOR_0': 2}, 'indices': 3, 'material': 0,
-    }  # fmt: skip
+        {'bufferView': k, 'componentType': kind, 'count': len(array), 'type': shape, **more}
+        for k, (array, kind, shape, more) in enumerate(mesh)
+    ]
+    attributes = {'POSITION': 0, 'NORMAL': 1, 'COLOR_0': 2}
+    primitive = {'attributes': attributes, 'indices': 3, 'material': 0}
     document = {
         'asset': {'version': '2.0', 'generator': 'cnc_interp'},
         'scene': 0,
         'scenes': [{'nodes': [0]}],
         'nodes': [{'mesh': 0}],
         'meshes': [{'primitives': [primitive]}],
-        'materials': [
-            {
-                'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9},
-            }
-        ],
+        'materials': [{'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9}}],
         'buffers': [{'byteLength': int(starts[-1])}],
         'bufferViews': views,
         'accessors': accessors,
@@ -174,13 +163,8 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
     binary = b''.join(parts)
     binary += b'\0' * (-len(binary) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
-    return b''.join(
-        [
-            struct.pack('<III', MAGIC, 2, total),
-            struct.pack('<II', len(text), JSON_CHUNK), text,
-            struct.pack('<II', len(binary), BINARY_CHUNK), binary,
-        ]
-    )  # fmt: skip
+    head = struct.pack('<IIIII', MAGIC, 2, total, len(text), JSON_CHUNK)
+    return head + text + struct.pack('<II', len(binary), BINARY_CHUNK) + binary
 
 
 GROUND = '#26323c'
@@ -205,8 +189,6 @@ MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
 
 
 class MachineView:
-    """The 3-D view of one page."""
-
     def __init__(self, description: Description):
         self._description = description
         self._of_part = True
@@ -275,8 +257,8 @@ class MachineView:
         self._root.rotate_R(turn.round(6).tolist())
         self._root.move(*(round(float(x), 6) for x in place))
 
-    def show_path(self, number: int, plan: Preview | None) -> None:
-        if number == self._shown or plan is None:
+    def show_path(self, number: int, plan: Preview) -> None:
+        if number == self._shown:
             return
         self._shown = number
         if self._path is not None:
@@ -305,7 +287,6 @@ class MachineView:
                 self._show_triad()
 
     def show_done(self, point: int) -> None:
-        """Show the path up to one of its drawn points as executed."""
         if self._path is None or point == self._done:
             return
         self._done = point
@@ -331,7 +312,6 @@ class MachineView:
         self.look_at_part(self._of_part)
 
     def _draw_leg(self, name: str, tips: FloatArray) -> list[Any]:
-        """Draw one part of the way, its name at the middle; return its bars."""
         radius = WAY_RADIUS * 2.0 * self._size()[1]
         kept = tips[thinned(tips / (0.5 * radius))]
         bars = []
@@ -362,7 +342,6 @@ class MachineView:
         return (low + high) / 2, max(0.03, float(np.linalg.norm(high - low)) * 0.62)
 
     def _show_triad(self) -> None:
-        """Show the axes at the zero of the work offset, as large as the path asks for."""
         if self._triad is not None:
             self._triad.delete()
         low, high = self._extent
@@ -391,7 +370,6 @@ class MachineView:
             self._look(*self._size())
 
     def _look(self, centre: FloatArray, radius: float) -> None:
-        """Place the camera so that a sphere fills the view."""
         distance = radius / np.sin(np.radians(FOV / 2))
         place = centre + distance * self._direction / np.linalg.norm(self._direction)
         self._scene.move_camera(

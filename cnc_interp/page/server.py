@@ -19,9 +19,8 @@ from fastapi import Response
 from nicegui import app, ui
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.page.access import Access, Gate
 from cnc_interp.page.command import PARENT
-from cnc_interp.page.contact import AGAIN
+from cnc_interp.page.contact import AGAIN, Access, Gate
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
 from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
@@ -41,14 +40,13 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
 
 
 def scripts() -> str:
-    return ''.join(f'<script>{_text(name, values)}</script>' for name, values in SCRIPTS.items())
-
-
-def _text(name: str, values: Mapping[str, Any]) -> str:
-    text = Path(__file__).with_name(f'{name}.js').read_text(encoding='utf-8')
-    for word, value in values.items():
-        text = text.replace(word, json.dumps(value), 1)
-    return text
+    found = []
+    for name, values in SCRIPTS.items():
+        text = Path(__file__).with_name(f'{name}.js').read_text(encoding='utf-8')
+        for word, value in values.items():
+            text = text.replace(word, json.dumps(value), 1)
+        found.append(f'<script>{text}</script>')
+    return ''.join(found)
 
 
 STYLE = Path(__file__).with_name('style.css')
@@ -60,9 +58,6 @@ PORTS = range(65536)
 
 @dataclass(frozen=True)
 class Served:
-    """Where the page is served, and to whom."""
-
-    #: Address; see ``prepare``.
     host: str = '127.0.0.1'
     port: int = 8650
     token: str = ''  #: Needed for commands; a random one when empty.
@@ -72,7 +67,6 @@ class Served:
 
     @staticmethod
     def prepare(host: str, port: int, token: str, program: Path | None) -> Served:
-        """Take an address and read the program, or refuse them, before any node is started."""
         text = read(program) if program is not None else None
         return Served(host, free_port(host, port), token, program.name if program else '', text)
 
@@ -95,7 +89,7 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
             app.shutdown()  # the run that started the page is gone
         await desk.watch()
         if text is not None and desk.machine is not None:
-            desk.load(served.name, text)
+            await desk.load(served.name, text)
             text = None
 
     @ui.page('/')
@@ -142,7 +136,6 @@ class FaultsOnce:
         self._told: set[str] = set()
 
     def __call__(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """Take a fault that nobody else handles."""
         fault = context.get('exception')
         steps = traceback.extract_tb(fault.__traceback__) if fault is not None else []
         place = f'{steps[-1].filename}:{steps[-1].lineno}' if steps else str(context['message'])
@@ -156,7 +149,6 @@ class FaultsOnce:
 
 
 async def shown_when_known(desk: Desk) -> None:
-    """Show a word of patience until the nodes have said which machine they are."""
     if desk.machine is None:
         waiting = ui.label('waiting for the nodes; the first start compiles for some minutes')
         waiting.classes('q-pa-lg')
@@ -166,10 +158,10 @@ async def shown_when_known(desk: Desk) -> None:
 
 
 async def announce(host: str, port: int, token: str) -> None:
-    while True:
+    connection = None
+    while connection is None:
         try:
             _, connection = await asyncio.open_connection(host, port)
-            break
         except OSError:
             await asyncio.sleep(WATCH)
     connection.close()

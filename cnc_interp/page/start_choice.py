@@ -12,7 +12,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.start_place import way_inside
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.settings_messages import settings_from
+from cnc_interp.wire.run_messages import settings_from
 
 POINTS = 25  #: Points drawn on a leg on which rotary axes turn: the tip then moves on a curve.
 #: Parts of the way, and the corner of ``way_inside`` at which each ends.
@@ -26,15 +26,12 @@ MOVES = 'cycle start moves the tool: retract, position, plunge; reset gives up'
 
 @dataclass(frozen=True)
 class StartChoice:
-    """Where the next run starts."""
-
     line: int = 0  #: Line of the program; 0 for its top.
     which: int = 0  #: Execution of that line, from 1; 0 for the only one.
     refused: str = ''  #: Why there was no start there; empty before it was tried.
 
     @property
     def text(self) -> str:
-        """What the operator must know before the first cycle start; empty for the top."""
         if not self.line or self.refused:
             return self.refused
         which = f', pass {self.which}' if self.which else ''
@@ -46,16 +43,12 @@ class StartChoice:
 
 @dataclass(frozen=True)
 class WayThere:
-    """The way on which the tool comes to a place inside the program."""
-
     #: Name of each part, and the tool tip on it in W, shape (k, 3) [m].
     legs: tuple[tuple[str, FloatArray], ...]
     text: str  #: What the operator must know before it moves; empty once it moves.
 
 
 class WayAhead:
-    """Finds the way that the machine waits to take, or takes."""
-
     def __init__(self, transform: Transform):
         self._transform = transform
         self._known: tuple[str, list[float], list[float]] | None = None
@@ -100,5 +93,4 @@ class WayAhead:
 
 
 def told(program: LoadedProgram, before: bool) -> str:
-    """Return what the operator must know before the tool moves to the path, or back to it."""
     return '\n'.join((*program.start_notes, MOVES) if before else (AWAY, BACK))

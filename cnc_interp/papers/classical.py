@@ -16,10 +16,9 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
-from cnc_interp.cam.next_posture import conditions
 from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.scallop import Scallops, scallop_points
+from cnc_interp.cam.scallop import Scallops, conditions, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM, UM

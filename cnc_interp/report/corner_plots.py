@@ -11,22 +11,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.report import html
 from cnc_interp.report.corners import CornerView
-from cnc_interp.report.html import (
-    BLUE,
-    CONTROLS,
-    INK,
-    ORANGE,
-    RED,
-    add_curve,
-    base_layout,
-    feed_ceiling,
-    packed,
-    scene,
-    section,
-    with_axes,
-    xyz,
-)
 
 HEIGHT = 640
 TOP_COLOUR = '#2e7d4f'
@@ -64,16 +50,18 @@ def space_figure(view: CornerView) -> Any:
     for points, name, style in (
         (corner, 'programmed', {'mode': 'lines', 'line': {'color': '#8d99a5', 'width': 3}}),
         (tools, 'tool axis', {'mode': 'lines', 'line': {'color': '#b9c2cb', 'width': 2}}),
-        (view.bottom_polygon, 'control points, bottom', _dots(BLUE)),
-        (view.bottom, 'bottom curve', {'mode': 'lines', 'line': {'color': BLUE, 'width': 6}}),
+        (view.bottom_polygon, 'control points, bottom', _dots(html.BLUE)),
+        (view.bottom, 'bottom curve', {'mode': 'lines', 'line': {'color': html.BLUE, 'width': 6}}),
         (view.top_polygon - lowering, 'control points, top', _dots(TOP_COLOUR)),
         (view.top - lowering, f'top curve{moved}',
          {'mode': 'lines', 'line': {'color': TOP_COLOUR, 'width': 6}}),
         (view.vertex[None], 'programmed corner',
-         {'mode': 'markers', 'marker': {'color': RED, 'size': 5, 'symbol': 'x'}}),
+         {'mode': 'markers', 'marker': {'color': html.RED, 'size': 5, 'symbol': 'x'}}),
     ):  # fmt: skip
         hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
-        figure.add_trace(go.Scatter3d(**xyz(points - view.vertex), name=name, **style, **hover))
+        figure.add_trace(
+            go.Scatter3d(**html.xyz(points - view.vertex), name=name, **style, **hover)
+        )
     # Equal ranges on all axes give one scale, and everything stays in view.
     shown = np.concatenate([corner, ends, view.bottom_polygon, view.top_polygon - lowering])
     shown = shown - view.vertex
@@ -81,11 +69,11 @@ def space_figure(view: CornerView) -> Any:
     half = 0.52 * float(np.ptp(shown, axis=0).max())
     ranges = np.stack([middle - half, middle + half], axis=1).tolist()
     figure.update_layout(
-        base_layout(HEIGHT),
+        html.base_layout(HEIGHT),
         hovermode='closest',
         scene={
             'aspectmode': 'cube',
-            **scene(
+            **html.scene(
                 ({'nticks': 5, 'range': span} for span in ranges),
                 {'x': 1.45, 'y': -1.97, 'z': 0.87},
                 0.1,
@@ -106,7 +94,6 @@ def shift(view: CornerView) -> FloatArray:
 
 
 def profile_figure(view: CornerView) -> Any:
-    """Draw parametrization, third derivative of the tool axis and feed along the corner."""
     asked = f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
     figure = make_subplots(
         rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
@@ -123,19 +110,14 @@ def profile_figure(view: CornerView) -> Any:
         else (view.top_u - view.u, 'f(u) &#8722; u')
     )
     _draw(figure, 1, view.u, shape, 'parametrization', {'color': TOP_COLOUR, 'width': 1.8})
-    _draw(figure, 2, view.way, view.turn, 'third derivative', {'color': BLUE, 'width': 1.8})
-    ceiling = feed_ceiling(view.feed, view.programmed_feed, 2.0)
+    _draw(figure, 2, view.way, view.turn, 'third derivative', {'color': html.BLUE, 'width': 1.8})
+    ceiling = html.feed_ceiling(view.feed, view.programmed_feed, 2.0)
     for name, values, line in (
-        ('limit of the axes (Eq. 10)', view.feed_limit, {'color': ORANGE, 'width': 1.4}),
-        ('programmed', view.programmed_feed, {'color': INK, 'width': 1.2, 'dash': 'dot'}),
-        ('planned', view.feed, {'color': BLUE, 'width': 1.8}),
+        ('limit of the axes (Eq. 10)', view.feed_limit, {'color': html.ORANGE, 'width': 1.4}),
+        ('programmed', view.programmed_feed, {'color': html.INK, 'width': 1.2, 'dash': 'dot'}),
+        ('planned', view.feed, {'color': html.BLUE, 'width': 1.8}),
     ):
         _draw(figure, 3, view.feed_way, np.minimum(values, 20.0 * ceiling), name, line, shown=True)
-    figure.update_layout(
-        base_layout(HEIGHT),
-        legend={'orientation': 'h', 'x': 0.0, 'y': -0.1, 'yanchor': 'top'},
-        margin={'l': 74, 'r': 14, 't': 56, 'b': 70},
-    )
     figure.update_annotations(font={'size': 12.5}, x=0.0, xanchor='left')
     window = [float(view.feed_way[0]), float(view.feed_way[-1])]
     # A long straight cell of the grid may exceed the window.
@@ -153,14 +135,17 @@ def profile_figure(view: CornerView) -> Any:
     figure.update_yaxes(title_text=unit, row=1, col=1)
     figure.update_yaxes(title_text='1/mm<sup>3</sup>', rangemode='tozero', row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02], row=3, col=1)
-    return with_axes(figure)
+    return html.laid_out(
+        figure, HEIGHT, legend={'orientation': 'h', 'x': 0.0, 'y': -0.1, 'yanchor': 'top'},
+        margin={'l': 74, 'r': 14, 't': 56, 'b': 70},
+    )  # fmt: skip
 
 
 def _draw(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = False
 ) -> None:
     mode = 'lines+markers' if len(x) < FEW and shown else 'lines'
-    add_curve(
+    html.add_curve(
         figure, row, x, y, name, line, shown, mode=mode, marker={'size': 4},
         hovertemplate='%{y:.4g}',
     )  # fmt: skip
@@ -185,10 +170,9 @@ def _height(view: CornerView) -> float:
 
 
 def corner_section(views: list[CornerView]) -> str:
-    """Write the section of the corners; the page draws a corner when it is chosen."""
     shown = [{'space': space_figure(v), 'profile': profile_figure(v)} for v in views]
     figures = [{part: json.loads(f.to_json()) for part, f in both.items()} for both in shown]
-    data = packed(json.dumps(figures), 'corner-data')
+    data = html.packed(json.dumps(figures), 'corner-data')
     slowest = min(range(len(views)), key=lambda i: views[i].slowest)
     options = ''.join(
         f'<option value="{i}"{" selected" if i == slowest else ""}>{escape(view.title)}</option>'
@@ -200,9 +184,9 @@ def corner_section(views: list[CornerView]) -> str:
         'drawn closer. Deviations are those of the curve; setpoints may miss its peak. The '
         'corner is shaded.'
     )
-    return section(
+    return html.section(
         'A corner, close up', text,
         f'<label>Corner <select id="corner-choice">{options}</select></label>'
         '<div class="pair"><div id="corner-space"></div><div id="corner-profile"></div></div>'
-        f'{data}<script>{CHOOSER.replace("CONTROLS", CONTROLS)}</script>',
+        f'{data}<script>{CHOOSER.replace("CONTROLS", html.CONTROLS)}</script>',
     )  # fmt: skip

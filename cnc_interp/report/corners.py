@@ -29,8 +29,6 @@ MARGIN = 1.5  #: Range of the feed figure on either side, as a multiple of the c
 
 @dataclass(frozen=True)
 class CornerView:
-    """One corner with all values to draw."""
-
     line: int  #: Line of the block that leaves the corner.
     #: (2,): Contour and orientation deviation, and their tolerances [um].
     deviation: FloatArray
@@ -104,7 +102,6 @@ def worst_corners(
 
 
 def _tolerances(plan: PlanFiles, segments: PathSegments, rows: IntArray) -> FloatArray:
-    """Return contour and orientation tolerance of corners, shape (n, 2) [m]."""
     both = np.stack(vertex_tolerances(plan), axis=1)
     found: FloatArray = np.maximum(both[segments.block[rows, 0]], 1e-12)
     return found

@@ -14,16 +14,10 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM, UM
-from cnc_interp.kinematics.segment_axes import (
-    FOLLOWING,
-    LINEAR,
-    arc_length,
-    beside_of,
-    shapes_of,
-)
+from cnc_interp.kinematics.segment_axes import FOLLOWING, LINEAR, arc_length, beside_of, shapes_of
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
-from cnc_interp.report.html import BLUE, ORANGE, base_layout, drawing, section, with_axes
+from cnc_interp.report.html import BLUE, ORANGE, drawing, laid_out, section
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 #: Points of a span in the close-up, and its spans on either side of the largest bound.
@@ -33,8 +27,6 @@ MOST = 4000  #: Largest number of bounds drawn along the path.
 
 @dataclass(frozen=True)
 class CurvesView:
-    """Curves through dense blocks with all values to draw."""
-
     #: Number of blocks that became curves, of spans, and of curves.
     blocks: int
     spans: int
@@ -108,12 +100,9 @@ def bounds_figure(view: CurvesView) -> Any:
             x=view.way, y=view.bound[:, k], name=name, mode='lines',
             line={'color': colour, 'width': 1.0},
         )  # fmt: skip
-    figure.update_layout(
-        base_layout(360),
-        xaxis={'title': {'text': 'path (mm)'}},
-        yaxis={'title': {'text': 'bound (µm)'}, 'rangemode': 'tozero'},
-    )
-    return with_axes(figure)
+    figure.update_xaxes(title_text='path (mm)')
+    figure.update_yaxes(title_text='bound (µm)', rangemode='tozero')
+    return laid_out(figure, 360)
 
 
 def close_figure(view: CurvesView) -> Any:
@@ -126,12 +115,9 @@ def close_figure(view: CurvesView) -> Any:
         x=view.curve[:, 0], y=view.curve[:, 1], name='curve', mode='lines',
         line={'color': BLUE, 'width': 2.0},
     )  # fmt: skip
-    figure.update_layout(
-        base_layout(360),
-        xaxis={'title': {'text': 'mm'}},
-        yaxis={'title': {'text': 'mm'}, 'scaleanchor': 'x'},
-    )
-    return with_axes(figure)
+    figure.update_xaxes(title_text='mm')
+    figure.update_yaxes(title_text='mm', scaleanchor='x')
+    return laid_out(figure, 360)
 
 
 def curves_section(plan: PlanFiles, segments: PathSegments) -> str:

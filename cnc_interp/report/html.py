@@ -83,7 +83,6 @@ def drawing(figure: Any) -> str:
 
 
 def packed(text: str, name: str = '') -> str:
-    """Write a JSON text as an element that ``document`` packs."""
     return f'<script type="application/json" id="{name}">{text}</script>'
 
 
@@ -158,7 +157,6 @@ AT_PLACE = (
 
 
 def base_layout(height: int) -> dict[str, Any]:
-    """Return the layout that all figures share, of a height [px]."""
     return {
         'height': height,
         'template': 'none',
@@ -172,8 +170,9 @@ def base_layout(height: int) -> dict[str, Any]:
     }
 
 
-def with_axes(figure: Any) -> Any:
-    """Give a flat figure the axes that all figures share."""
+def laid_out(figure: Any, height: int, **own: Any) -> Any:
+    """Give a flat figure the layout and the axes that all figures share, and what is its own."""
+    figure.update_layout(base_layout(height), **own)
     quiet = {'gridcolor': GRID, 'zerolinecolor': '#c3cad1', 'linecolor': '#c3cad1'}
     figure.update_xaxes(**quiet, ticks='outside', tickcolor='#c3cad1', title_standoff=6)
     figure.update_yaxes(**quiet, title_standoff=8)
@@ -184,7 +183,6 @@ def add_curve(
     figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = True,
     **more: Any,
 ) -> None:  # fmt: skip
-    """Add a curve to a row of a figure; ``shown``: in the legend."""
     figure.add_scatter(
         x=rounded(x), y=rounded(y), name=name, line=line, showlegend=shown, row=row, col=1, **more
     )
@@ -210,7 +208,6 @@ def feed_ceiling(feed: FloatArray, programmed: FloatArray, most: float = 3.0) ->
 
 
 def xyz(points: FloatArray) -> dict[str, Any]:
-    """Return points as the coordinates of a trace in space."""
     return {name: rounded(column) for name, column in zip('xyz', points.T, strict=True)}
 
 

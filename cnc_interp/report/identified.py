@@ -20,18 +20,7 @@ from cnc_interp.machine_model.axis_drives import (
     key_and_unit,
 )
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.report.html import (
-    BLUE,
-    BUCKETS,
-    ORANGE,
-    RED,
-    add_curve,
-    base_layout,
-    document,
-    drawing,
-    section,
-    with_axes,
-)
+from cnc_interp.report import html
 from cnc_interp.report.series import extremes
 
 #: Length of a window of the measured transfer function [s], and where it is believed.
@@ -80,7 +69,6 @@ def _residual(machine: Machine, found: IdentifiedAxis) -> str:
 
 
 def _unit(machine: Machine, axis: int) -> tuple[float, str]:
-    """Return the unit of small ways of an axis in SI, and its name."""
     return (UM, 'um') if machine.is_linear[axis] else (ARCSEC, 'arcsec')
 
 
@@ -95,14 +83,18 @@ def write_identified(
             for key, value, width in values_of(machine, each)
         )
         table = f'<table><tbody>{rows}</tbody></table>'
-        figures = drawing(_time_figure(machine, each, period)) + drawing(_bode(each, period))
+        figures = html.drawing(_time_figure(machine, each, period)) + html.drawing(
+            _bode(each, period)
+        )
         sections.append(
-            section(machine.axis_names[axis], escape(_residual(machine, each)), table + figures)
+            html.section(
+                machine.axis_names[axis], escape(_residual(machine, each)), table + figures
+            )
         )
     title = f'Drives of {machine.name}'
     out.parent.mkdir(parents=True, exist_ok=True)
     body = f'<h1>{escape(title)}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
-    out.write_text(document(title, body + ''.join(sections)), encoding='utf-8')
+    out.write_text(html.document(title, body + ''.join(sections)), encoding='utf-8')
 
 
 def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
@@ -112,19 +104,18 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     time = found.rows * period
     curves = (
-        (1, 'following error measured', found.setpoint - found.measured, BLUE),
-        (1, 'following error modelled', found.setpoint - found.modelled, ORANGE),
-        (2, 'measured minus modelled', found.measured - found.modelled, RED),
+        (1, 'following error measured', found.setpoint - found.measured, html.BLUE),
+        (1, 'following error modelled', found.setpoint - found.modelled, html.ORANGE),
+        (2, 'measured minus modelled', found.measured - found.modelled, html.RED),
     )
     for row, title, curve, colour in curves:
-        kept = extremes(curve, BUCKETS)
-        dash = 'dot' if colour == ORANGE else 'solid'
+        kept = extremes(curve, html.BUCKETS)
+        dash = 'dot' if colour == html.ORANGE else 'solid'
         line = {'color': colour, 'width': 1.2, 'dash': dash}
-        add_curve(figure, row, time[kept], curve[kept] / unit, title, line, mode='lines')
-    figure.update_layout(**base_layout(420))
+        html.add_curve(figure, row, time[kept], curve[kept] / unit, title, line, mode='lines')
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text=f'[{name}]')
-    return with_axes(figure)
+    return html.laid_out(figure, 420)
 
 
 def transfer(drive: AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
@@ -173,15 +164,14 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
     for row, both in ((1, (np.abs(measured), np.abs(model))), (2, phases)):
         figure.add_scatter(
             x=frequency, y=both[0], mode='markers', name='measured',
-            marker={'color': BLUE, 'size': 5}, showlegend=row == 1, row=row, col=1,
+            marker={'color': html.BLUE, 'size': 5}, showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
         figure.add_scatter(
-            x=grid, y=both[1], mode='lines', name='modelled, linear part', line={'color': ORANGE},
-            showlegend=row == 1, row=row, col=1,
+            x=grid, y=both[1], mode='lines', name='modelled, linear part',
+            line={'color': html.ORANGE}, showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
-    figure.update_layout(**base_layout(420))
     figure.update_xaxes(type='log')
     figure.update_xaxes(title_text='frequency [Hz]', row=2, col=1)
     figure.update_yaxes(type='log', title_text='|X/R|', row=1, col=1)
     figure.update_yaxes(title_text='phase [deg]', row=2, col=1)
-    return with_axes(figure)
+    return html.laid_out(figure, 420)

@@ -18,65 +18,57 @@ from cnc_interp.report.dense_blocks import read_segments
 from cnc_interp.report.html import document, drawing, section, tiles
 from cnc_interp.report.series import Series, series_of, tool_error_use, tool_errors
 from cnc_interp.report.time_lost import time_section
-from cnc_interp.smoothing.segments import PathSegments
+
+
+@dataclass(frozen=True)
+class ExaminedPlan:
+    name: str  #: Its name where it is compared with another one.
+    plan: PlanFiles
+    machine: Machine
+    proof: Proof
+    series: Series  #: Values to draw.
+
+    @staticmethod
+    def of(directory: Path, machine: Machine | None, name: str) -> ExaminedPlan:
+        plan = read_plan(directory).in_memory()
+        machine = machine or Machine.load(str(plan.summary.get('machine', '')))
+        if plan.position.shape[1] != len(machine.axis_names):
+            why = f'the plan was not made for machine {machine.name}: give the right one'
+            raise InterpError(why)
+        return ExaminedPlan(name, plan, machine, verify(plan, machine), series_of(plan, machine))
 
 
 def write_report(
     directory: Path, out: Path, machine: Machine | None = None, compare: Path | None = None
 ) -> None:
-    plan = read_plan(directory).in_memory()
-    segments = read_segments(directory)
-    other = None
-    if compare is not None:
-        other = Other(read_plan(compare).in_memory(), machine, _names(directory, compare))
-    page = render(plan, machine or _machine_of(plan), segments, other)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(page, encoding='utf-8')
-
-
-@dataclass(frozen=True)
-class Other:
-    """The second plan of a comparison."""
-
-    plan: PlanFiles  #: The second plan.
-    machine: Machine | None  #: Its machine, if given.
-    names: tuple[str, str]  #: Names of both plans.
-
-
-def render(
-    plan: PlanFiles,
-    machine: Machine,
-    segments: PathSegments | None = None,
-    other: Other | None = None,
-) -> str:
     try:
-        from cnc_interp.report.comparison import ExaminedPlan, comparison_section
+        from cnc_interp.report.comparison import comparison_section
         from cnc_interp.report.corner_plots import corner_section
         from cnc_interp.report.dense_blocks import curves_section
         from cnc_interp.report.plots import PLOTS, tool_error_section
     except ImportError as fault:
         raise InterpError('the report needs plotly: pip install plotly') from fault
-    proof, series = _examined(plan, machine)
+    names = _names(directory, compare or directory)
+    run = ExaminedPlan.of(directory, machine, names[0])
+    given, machine = machine, run.machine
+    plan, proof, series = run.plan, run.proof, run.series
+    segments = read_segments(directory)
     name = Path(str(plan.summary.get('program', 'plan'))).name
     body = [
-        f'<h1>{escape(name)}{_badge(proof)}</h1>',
+        f'<h1>{escape(name)}<span class="badge{"" if proof.ok else " no"}">'
+        f'{"" if proof.ok else "not "}proven</span></h1>',
         f'<p>machine {escape(machine.name)}, {"".join(machine.axis_names)}, '
         f'{proof.samples:,} setpoints every {proof.period * 1e3:g} ms</p>',
         tiles(_figures(plan, proof, series)),
         _faults(proof),
     ]
-    if other is not None:
-        second = other.machine or _machine_of(other.plan)
-        body.append(
-            comparison_section(
-                ExaminedPlan(other.names[0], plan, proof, series),
-                ExaminedPlan(other.names[1], other.plan, *_examined(other.plan, second)),
-            )
-        )
+    if compare is not None:
+        body.append(comparison_section(run, ExaminedPlan.of(compare, given, names[1])))
     errors = tool_errors(plan, machine) if machine.drives else None
     body.append(time_section(series, tool_error_use(plan, errors) if errors else None))
     for plot in PLOTS:
-        body.append(section(plot.heading, plot.text(series), drawing(plot.draw(series))))
+        text = plot.text.format(**vars(series))
+        body.append(section(plot.heading, text, drawing(plot.draw(series))))
     if errors:
         body.append(tool_error_section(errors, plan.period))
     if segments is not None:
@@ -84,28 +76,13 @@ def render(
             body.append(corner_section(views))
         body.append(curves_section(plan, segments))
     body.append(f'<footer>{escape(_versions(plan))}</footer>')
-    return document(name, '\n'.join(body))
-
-
-def _machine_of(plan: PlanFiles) -> Machine:
-    return Machine.load(str(plan.summary.get('machine', '')))
-
-
-def _examined(plan: PlanFiles, machine: Machine) -> tuple[Proof, Series]:
-    if plan.position.shape[1] != len(machine.axis_names):
-        raise InterpError(f'the plan was not made for machine {machine.name}: give the right one')
-    return verify(plan, machine), series_of(plan, machine)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(document(name, '\n'.join(body)), encoding='utf-8')
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:
     short = (first.resolve().name, second.resolve().name)
     return short if short[0] != short[1] else (str(first), str(second))
-
-
-def _badge(proof: Proof) -> str:
-    if proof.ok:
-        return '<span class="badge">proven</span>'
-    return '<span class="badge no">not proven</span>'
 
 
 def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, str]]:

@@ -13,23 +13,7 @@ from plotly.subplots import make_subplots
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import ARCSEC, UM
 from cnc_interp.drives.tool_error import ToolError
-from cnc_interp.report.html import (
-    AT_PLACE,
-    BLUE,
-    BUCKETS,
-    INK,
-    ORANGE,
-    RED,
-    add_curve,
-    base_layout,
-    drawing,
-    feed_ceiling,
-    rounded,
-    scene,
-    section,
-    with_axes,
-    xyz,
-)
+from cnc_interp.report import html
 from cnc_interp.report.series import KINDS, Series, extremes
 
 #: Buckets of the small figures of the axes, and of the tool path in space.
@@ -38,26 +22,25 @@ TOOL_LINES = 160  #: Number of tool axes in the figure of the tool path.
 
 
 def path_figure(series: Series) -> Any:
-    """Draw the tool path in space, coloured by feedrate, with some tool axes."""
     kept = extremes(series.feed, SPACE_BUCKETS)
     tip, feed = series.tip[kept], series.feed[kept]
     figure = go.Figure()
+    programmed = series.vertices[_every(len(series.vertices), 8000)]
+    for points, name, line in (
+        (programmed, 'program', {'color': '#c3cad1', 'width': 1}),
+        (_tool_lines(series), 'tool axis', {'color': '#9aa5b1', 'width': 2}),
+    ):
+        figure.add_scatter3d(
+            **html.xyz(points), mode='lines', line=line, name=name, hoverinfo='skip'
+        )
     figure.add_trace(go.Scatter3d(
-        **xyz(series.vertices[_every(len(series.vertices), 8000)]), mode='lines',
-        line={'color': '#c3cad1', 'width': 1}, name='program', hoverinfo='skip',
-    ))  # fmt: skip
-    figure.add_trace(go.Scatter3d(
-        **xyz(_tool_lines(series)), mode='lines', line={'color': '#9aa5b1', 'width': 2},
-        name='tool axis', hoverinfo='skip',
-    ))  # fmt: skip
-    figure.add_trace(go.Scatter3d(
-        **xyz(tip), mode='lines', name='tool path', showlegend=False,
+        **html.xyz(tip), mode='lines', name='tool path', showlegend=False,
         line={
             'color': feed, 'width': 5, 'colorscale': 'Viridis', 'cmin': 0.0,
             'cmax': feed_span(series)[0],
             'colorbar': {'title': {'text': feed_span(series)[1]}, 'thickness': 12, 'len': 0.7},
         },
-        customdata=rounded(np.column_stack([feed, series.time[kept], series.line[kept]])),
+        customdata=html.rounded(np.column_stack([feed, series.time[kept], series.line[kept]])),
         hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min at '
         '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
     ))  # fmt: skip
@@ -66,11 +49,11 @@ def path_figure(series: Series) -> Any:
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
     shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
     figure.update_layout(
-        base_layout(600),
+        html.base_layout(600),
         scene={
             'aspectmode': 'manual',
             'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
-            **scene(
+            **html.scene(
                 ({'nticks': 3 + int(5 * part)} for part in shape),
                 {'x': 0.85, 'y': -1.05, 'z': 0.75},
                 0.06,
@@ -92,35 +75,32 @@ def feed_span(series: Series) -> tuple[float, str]:
 
 
 def feed_figure(series: Series) -> Any:
-    """Draw feed, programmed feed and Eq. 10, over path length and over time."""
     figure = make_subplots(rows=2, cols=1, vertical_spacing=0.16)
-    ceiling = feed_ceiling(series.feed, series.programmed_feed)
+    ceiling = html.feed_ceiling(series.feed, series.programmed_feed)
     limit = np.minimum(series.feed_limit, ceiling)
     asked = np.minimum(series.programmed_feed, ceiling)
-    rows = extremes(np.column_stack([series.feed, limit, asked]), BUCKETS)
+    rows = extremes(np.column_stack([series.feed, limit, asked]), html.BUCKETS)
     place = {
-        'customdata': rounded(np.column_stack([series.time, series.way, series.line])[rows]),
-        'hovertemplate': AT_PLACE,
+        'customdata': html.rounded(np.column_stack([series.time, series.way, series.line])[rows]),
+        'hovertemplate': html.AT_PLACE,
     }
     plain = {'hovertemplate': '%{y:.0f} mm/min'}
     for row, x in ((1, series.way), (2, series.time)):
         for name, y, line, hover in (
-            ('limit of the axes (Eq. 10)', limit, {'color': ORANGE, 'width': 1.2}, plain),
-            ('programmed', asked, {'color': INK, 'width': 1.2, 'dash': 'dot'}, plain),
-            ('planned', series.feed, {'color': BLUE, 'width': 1.8}, place),
+            ('limit of the axes (Eq. 10)', limit, {'color': html.ORANGE, 'width': 1.2}, plain),
+            ('programmed', asked, {'color': html.INK, 'width': 1.2, 'dash': 'dot'}, plain),
+            ('planned', series.feed, {'color': html.BLUE, 'width': 1.8}, place),
         ):
-            add_curve(
+            html.add_curve(
                 figure, row, x[rows], y[rows], name, line, row == 1, legendgroup=name, **hover
             )
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
-    figure.update_layout(base_layout(560))
-    return with_axes(figure)
+    return html.laid_out(figure, 560)
 
 
 def axes_figure(series: Series) -> Any:
-    """Draw velocity, acceleration, jerk and, where limited, torque of every axis in percent."""
     names, kinds = series.axis_names, list(KINDS) + ['torque'] * bool(series.torque_use)
     figure = make_subplots(
         rows=len(names), cols=len(kinds), shared_xaxes=True, shared_yaxes=True,
@@ -143,11 +123,9 @@ def axes_figure(series: Series) -> Any:
         figure.update_yaxes(title_text=f'<b>{name}</b>  %', row=j + 1, col=1)
     span = 112.0 * min(3.0, most)
     figure.update_yaxes(range=[-span, span], tickvals=[-100, 0, 100])
-    figure.update_layout(base_layout(150 * len(names) + 90), hovermode='closest')
-    figure.update_layout(margin={'t': 64})
     for k in range(len(kinds)):
         figure.update_xaxes(title_text='time (s)', row=len(names), col=k + 1)
-    return with_axes(figure)
+    return html.laid_out(figure, 150 * len(names) + 90, hovermode='closest', margin={'t': 64})
 
 
 def _draw_use(
@@ -156,52 +134,49 @@ def _draw_use(
 ) -> None:  # fmt: skip
     row, col = place[0] + 1, place[1] + 1
     rows = extremes(use, SMALL_BUCKETS)
-    figure.add_trace(
-        go.Scatter(
-            x=rounded(series.time[rows]), y=rounded(100.0 * use[rows]),
-            name=name, line={'color': BLUE, 'width': 1.0}, showlegend=False,
-            customdata=rounded(np.column_stack([limit[rows], series.line[rows]])),
-            hovertemplate=f'{name.split()[0]}: %{{y:.1f}} % of %{{customdata[0]:.4g}} {unit}'
-            '<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
-        ),
-        row=row, col=col,
+    figure.add_scatter(
+        x=html.rounded(series.time[rows]), y=html.rounded(100.0 * use[rows]), name=name,
+        line={'color': html.BLUE, 'width': 1.0}, showlegend=False, row=row, col=col,
+        customdata=html.rounded(np.column_stack([limit[rows], series.line[rows]])),
+        hovertemplate=f'{name.split()[0]}: %{{y:.1f}} % of %{{customdata[0]:.4g}} {unit}'
+        '<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
     )  # fmt: skip
     for level in (-100.0, 100.0):
-        figure.add_hline(level, line={'color': RED, 'width': 0.8, 'dash': 'dot'}, row=row, col=col)
+        figure.add_hline(
+            level, line={'color': html.RED, 'width': 0.8, 'dash': 'dot'}, row=row, col=col
+        )
     largest = float(np.abs(use).max(initial=0.0))
     figure.add_annotation(
         text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
-        showarrow=False, font={'size': 11, 'color': RED if largest > 1.001 else INK},
+        showarrow=False, font={'size': 11, 'color': html.RED if largest > 1.001 else html.INK},
         bgcolor='rgba(255,255,255,0.75)', row=row, col=col,
     )  # fmt: skip
 
 
 def error_figure(series: Series) -> Any:
-    """Draw contour and orientation error along the path against their tolerances."""
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
     for row, name, error, tolerance in (
         (1, 'contour', series.contour_error, series.contour_tolerance),
         (2, 'orientation', series.orientation_error, series.orientation_tolerance),
     ):
-        rows = extremes(np.column_stack([error, tolerance]), BUCKETS)
+        rows = extremes(np.column_stack([error, tolerance]), html.BUCKETS)
         place = {
-            'customdata': rounded(np.column_stack([series.time, series.line])[rows]),
+            'customdata': html.rounded(np.column_stack([series.time, series.line])[rows]),
             'hovertemplate': '%{y:.3f} um at %{customdata[0]:.3f} s, line %{customdata[1]:.0f}',
         }
         for label, y, line, hover in (
-            ('error', error, {'color': BLUE, 'width': 1.2}, place),
-            ('tolerance', tolerance, {'color': RED, 'width': 1.2, 'dash': 'dash'},
+            ('error', error, {'color': html.BLUE, 'width': 1.2}, place),
+            ('tolerance', tolerance, {'color': html.RED, 'width': 1.2, 'dash': 'dash'},
              {'hovertemplate': '%{y:.3f}'}),
         ):  # fmt: skip
-            add_curve(
+            html.add_curve(
                 figure, row, series.way[rows], y[rows], label, line, row == 1, legendgroup=label,
                 **hover,
             )  # fmt: skip
         top = 1.15 * float(max(error.max(initial=0.0), tolerance.max(initial=0.0)))
         figure.update_yaxes(title_text=f'{name} (&#181;m)', range=[0.0, top], row=row, col=1)
     figure.update_xaxes(title_text='path length (mm)', row=2, col=1)
-    figure.update_layout(base_layout(420))
-    return with_axes(figure)
+    return html.laid_out(figure, 420)
 
 
 def _every(count: int, most: int) -> Any:
@@ -220,10 +195,8 @@ def _tool_lines(series: Series) -> FloatArray:
 
 @dataclass(frozen=True)
 class Plot:
-    """A section of the report with one figure."""
-
     heading: str  #: Heading of the section.
-    text: Callable[[Series], str]  #: Returns the text above the figure.
+    text: str  #: Text above the figure, with fields of ``Series`` in braces.
     draw: Callable[[Series], Any]  #: Returns the figure.
 
 
@@ -231,47 +204,38 @@ class Plot:
 PLOTS = (
     Plot(
         'Tool path',
-        lambda series: (
-            'The colour is the feedrate; short lines are tool axes. Drag to turn, scroll to zoom.'
-        ),
+        'The colour is the feedrate; short lines are tool axes. Drag to turn, scroll to zoom.',
         path_figure,
     ),
     Plot(
         'Feedrate',
-        lambda series: (
-            'The feed is the programmed one where the axes allow it. Eq. 10 of the paper neglects '
-            'tangential acceleration and jerk, so the planned feed may exceed it on a slope.'
-        ),
+        'The feed is the programmed one where the axes allow it. Eq. 10 of the paper neglects '
+        'tangential acceleration and jerk, so the planned feed may exceed it on a slope.',
         feed_figure,
     ),
     Plot(
         'Use of the axis limits',
-        lambda series: (
-            'By differences of the emitted positions at the interpolation period, in percent of '
-            'each limit. The number in the corner is the largest value.'
-        ),
+        'By differences of the emitted positions at the interpolation period, in percent of '
+        'each limit. The number in the corner is the largest value.',
         axes_figure,
     ),
     Plot(
         'Deviation from the program',
-        lambda series: (
-            'Of the tool tip, and of the point on the tool axis at the flank height of '
-            f'{series.flank_height:g} mm.'
-        ),
+        'Of the tool tip, and of the point on the tool axis at the flank height of '
+        '{flank_height:g} mm.',
         error_figure,
     ),
 )
 
 
 def tool_error_section(errors: tuple[ToolError, ToolError], period: float) -> str:
-    """Draw the errors of the simulated drives at the tool, as they are and compensated."""
     plain, compensated = errors
-    return section(
+    return html.section(
         'Error at the tool',
         'By the drives of the machine file: the tip from the commanded path, and the tool axis '
         f'from the commanded one. As they are: {_largest(plain)}. '
         f'Compensated: {_largest(compensated)}.',
-        drawing(_figure(plain, compensated, period)),
+        html.drawing(_figure(plain, compensated, period)),
     )
 
 
@@ -286,15 +250,16 @@ def _largest(error: ToolError) -> str:
 def _figure(plain: ToolError, compensated: ToolError, period: float) -> Any:
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     for name, error, colour in (
-        ('as they are', plain, ORANGE),
-        ('compensated', compensated, BLUE),
+        ('as they are', plain, html.ORANGE),
+        ('compensated', compensated, html.BLUE),
     ):
         line = {'color': colour, 'width': 1.2}
         for row, curve in ((1, error.tip / UM), (2, error.axis / ARCSEC)):
-            kept = extremes(curve, BUCKETS)
-            add_curve(figure, row, kept * period, curve[kept], name, line, row == 1, mode='lines')
-    figure.update_layout(**base_layout(400))
+            kept = extremes(curve, html.BUCKETS)
+            html.add_curve(
+                figure, row, kept * period, curve[kept], name, line, row == 1, mode='lines'
+            )
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text='tip [µm]', row=1, col=1)
     figure.update_yaxes(title_text='axis [arcsec]', row=2, col=1)
-    return with_axes(figure)
+    return html.laid_out(figure, 400)

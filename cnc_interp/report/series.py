@@ -96,14 +96,12 @@ def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
 
 
 def torque_use(plan: PlanFiles, machine: Machine) -> dict[int, FloatArray]:
-    """Return the torques that the emitted positions need over the largest ones, shape (K,) [-]."""
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
     shares = torque_shares(held, machine.limit_table, plan.period)[1:]
     return {axis: shares[:, axis] for axis in machine.loads}
 
 
 def tool_errors(plan: PlanFiles, machine: Machine) -> tuple[ToolError, ToolError]:
-    """Simulate the drives of the machine file on a plan, as they are and compensated."""
     position, velocity = np.asarray(plan.position), np.asarray(plan.setpoints['velocity'])
     plain, compensated = (
         tool_error(machine, plan.period, position, velocity, model) for model in (None, machine)

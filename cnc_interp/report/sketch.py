@@ -16,11 +16,7 @@ MARGIN = 15
 
 
 def feed_sketch(directory: Path, width: int, unicode: bool) -> str:
-    """Draw the speed of the tool tip over time.
-
-    ``unicode``: whether block elements may be used. Returns ``ROWS`` lines of the profile and one
-    line with the ends of the time axis. Every column shows the mean speed of its interval.
-    """
+    """Draw the mean speed of the tip in each column: ``ROWS`` lines, and one of times."""
     with np.load(directory / 'setpoints.npz') as run:
         time, s = run['time'], run['s']
     count = max(10, width - MARGIN)

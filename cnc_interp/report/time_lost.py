@@ -12,7 +12,6 @@ from cnc_interp.report.series import KINDS, Series
 
 AT_LIMIT = 0.98  #: A limit is reached from this share on [-].
 NEAR_LIMIT = 0.9  #: An error of the drives, which is planned by a model, from this share on [-].
-#: Lines that are listed.
 LISTED = 12
 NO_LIMIT = 'between limits'
 

@@ -11,8 +11,7 @@ from cnc_interp_msgs.msg import SetpointChunk
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.wire.function_messages import function_messages, functions_from
-from cnc_interp.wire.path_messages import packed
+from cnc_interp.wire.path_messages import function_messages, functions_from, packed
 from cnc_interp.wire.run_messages import run_id_of
 
 #: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
@@ -53,7 +52,6 @@ def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:
 
 
 def setpoints_from(message: SetpointChunk) -> Setpoints:
-    """Return the setpoints of a checked message; time 0 is the first setpoint of the plan."""
     return _setpoints(message, '', message.first_sample)
 
 
@@ -91,10 +89,7 @@ class JoinGate:
         self._count = self._next = 0
 
     def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
-        """Take a chunk; return the chunks that may pass, in order: those of ``current`` at once.
-
-        ``limit``: number of the first setpoint that must not be sent yet.
-        """
+        """Return the chunks that may pass; ``limit``: first setpoint that must not be sent."""
         run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
         if run_id == current or not (chunk.joins or run_id == self._run_id):
             return [chunk]

@@ -14,13 +14,11 @@ from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.chunk_messages import setpoint_fields
-from cnc_interp.wire.function_messages import act_message
-from cnc_interp.wire.path_messages import packed
+from cnc_interp.wire.path_messages import act_message, packed
 from cnc_interp.wire.run_messages import NUMBERS
 
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
-    """Return the actual axes of the last period; a joint is named like its axis."""
     message = JointState(
         name=list(machine.axis_names),
         position=feedback.position[-1].tolist(),
@@ -74,26 +72,27 @@ def _executed_of_plan(
     return setpoints, AxisFeedback(**common, positions=packed(actual))
 
 
+#: Fields of ``MachineState`` with the names that ``RunState`` and ``Playback`` have for them.
+OF_RUN = (
+    'waits_for', 'reason', 'resting', 'may_resume', 'plan_over', 'start_wanted', 'completed',
+)  # fmt: skip
+OF_PLAYBACK = (
+    'single_block', 'functions', 'approach_samples', 'largest_contour_error', 'starvations',
+)  # fmt: skip
+
+
 def machine_state(playback: Playback, period: float) -> MachineState:
     axes, run, feedback = playback.axes, playback.state, playback.feedback
     last = playback.last
     least = playback.least_buffered
     recent = axes.take_recent_use()
     message = MachineState(
-        state=NUMBERS[run.state],
-        waits_for=run.waits_for,
-        reason=run.reason,
-        resting=run.resting,
-        may_resume=run.may_resume,
+        **{name: getattr(run, name) for name in OF_RUN},
+        **{name: getattr(playback, name) for name in OF_PLAYBACK},
         **vars(playback.run_id),
-        plan_over=run.plan_over,
-        start_wanted=run.start_wanted,
-        completed=run.completed,
+        state=NUMBERS[run.state],
         interpolation_period=period,
-        single_block=playback.single_block,
         samples=playback.played,
-        functions=playback.functions,
-        approach_samples=playback.approach_samples,
         sequence=last.block if last else 0,
         line_number=last.line if last else 0,
         path_position=last.s if last else 0.0,
@@ -105,7 +104,6 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         following_error=feedback.following_error[-1].tolist(),
         largest_following_error=playback.largest_following_error.tolist(),
         contour_error=float(feedback.contour_error[-1]),
-        largest_contour_error=playback.largest_contour_error,
         velocity_use=axes.largest_use[0].tolist(),
         acceleration_use=axes.largest_use[1].tolist(),
         jerk_use=axes.largest_use[2].tolist(),
@@ -115,7 +113,6 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         recent_jerk_use=recent[2].tolist(),
         buffered_time=playback.buffer.count * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
-        starvations=playback.starvations,
         message=run.text,
     )
     message.header.frame_id = 'workpiece'

@@ -16,9 +16,14 @@ from cnc_interp.machine_model.signals import Signals
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
 from cnc_interp.wire.chunk_messages import OF_AXES
-from cnc_interp.wire.function_messages import check_functions
-from cnc_interp.wire.path_messages import CONNECTION_POINTS, CURVES, LINE_CURVE, SPAN_DEGREE
-from cnc_interp.wire.settings_messages import settings_from
+from cnc_interp.wire.path_messages import (
+    CONNECTION_POINTS,
+    CURVES,
+    LINE_CURVE,
+    SPAN_DEGREE,
+    check_functions,
+)
+from cnc_interp.wire.run_messages import settings_from
 
 UNIT = 1e-9  #: Largest difference of the length of a tool axis from 1.
 
@@ -42,24 +47,19 @@ def check_block(message: G1Block, extra_count: int = 0, signals: Signals = NO_SI
     if message.corner > G1Block.CORNER_STOP:
         raise StreamError(f'{name}: corner is {message.corner}; it must be 0, 1 or 2')
     check_functions(name, message.functions, signals)
-    if message.settings:
-        _check_settings(name, message)
+    if message.settings and message.sequence > 0:
+        raise StreamError(f'{name}: settings belong to block 0')
     if message.sequence == 0:
+        try:
+            settings_from(message.settings, Settings())
+        except SettingsError as problem:
+            raise StreamError(f'{name}: {problem}') from None
         return
     timed = not np.isnan(message.duration)
     value = message.duration if timed else message.feedrate
     if not value > 0.0 or (timed and value == np.inf):
         word = 'duration' if timed else 'feedrate'
         raise StreamError(f'{name}: {word} is {value:g}; it must be greater than 0')
-
-
-def _check_settings(name: str, message: G1Block) -> None:
-    if message.sequence > 0:
-        raise StreamError(f'{name}: settings belong to block 0')
-    try:
-        settings_from(message.settings, Settings())
-    except SettingsError as problem:
-        raise StreamError(f'{name}: {problem}') from None
 
 
 def _check_pose(name: str, tip: FloatArray, axis: FloatArray, rotary: FloatArray) -> None:

@@ -1,15 +1,28 @@
-"""Blocks and path segments <-> ROS messages, bit for bit; ``message_checks`` checks them first."""
+"""Blocks, functions and path segments <-> ROS messages, bit for bit; see ``message_checks``."""
 
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import BSpline, G1Block, G1BlockBatch, PathSegment
+from cnc_interp_msgs.msg import (
+    BSpline,
+    Function,
+    G1Block,
+    G1BlockBatch,
+    MachineSignals,
+    PathSegment,
+)
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.switching import Act
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.functions import Functions
 from cnc_interp.run.run_id import RunId
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
@@ -24,6 +37,16 @@ CONNECTION_POINTS = (6, 8)
 SPAN_DEGREE = 6
 
 FIELDS = {'extra': 'extra_axes'}  #: Columns of ``Blocks`` by another name.
+#: Columns of ``PathSegments`` that messages have alike, and those of two values: their fields.
+ALIKE = {
+    'kind': 'kind', 'axis': 'axis', 'rotation': 'rotation', 'interpolation': 'interpolation',
+    'length': 'length', 'feed': 'feedrate', 'room': 'orientation_room', 'stop': 'stop',
+    'line_number': 'line_number',
+}  # fmt: skip
+PAIRS = {
+    'block': ('first_block', 'last_block'),
+    'deviation': ('contour_deviation', 'orientation_deviation'),
+}
 
 
 def block_messages(
@@ -81,25 +104,16 @@ def _segment_message(
         program_id=run_id.program_id,
         attempt=run_id.attempt,
         sequence=sequence,
-        kind=kind,
         bottom=_spline(segments.bottom[i], kind),
         flank_height=height,
-        axis=segments.axis[i],
-        rotation=segments.rotation[i],
-        interpolation=int(segments.interpolation[i]),
         rotary=segments.rotary[i].ravel(),
         extra_axes=packed(segments.extra[i]),
-        length=float(segments.length[i]),
-        feedrate=segments.feed[i],
-        contour_deviation=float(segments.deviation[i, 0]),
-        orientation_deviation=float(segments.deviation[i, 1]),
-        orientation_room=float(segments.room[i]),
-        first_block=int(segments.block[i, 0]),
-        last_block=int(segments.block[i, 1]),
-        line_number=int(segments.line_number[i]),
-        stop=bool(segments.stop[i]),
         end_of_program=end,
+        **{field: getattr(segments, name)[i].tolist() for name, field in ALIKE.items()},
     )
+    for name, pair in PAIRS.items():
+        for field, value in zip(pair, getattr(segments, name)[i].tolist(), strict=True):
+            setattr(message, field, value)
     if kind in CURVES:
         message.top = _spline(segments.top[i], kind)
         message.connection = packed(segments.connection[i])
@@ -126,7 +140,6 @@ def _parametrization(spans: FloatArray) -> BSpline:
 
 
 def _spans_of(spline: BSpline) -> FloatArray:
-    """Divide a parametrization into its spans, shape (k, 8)."""
     points = np.frombuffer(spline.control_points)
     first = np.arange(0, len(points) - 1, SPAN_DEGREE)
     starts = np.frombuffer(spline.knots)[first + SPAN_DEGREE]
@@ -155,24 +168,74 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
                 connection[i] = np.frombuffer(message.connection).reshape(-1, 3)
             if len(message.parametrization.knots):
                 parametrization[i] = _spans_of(message.parametrization)
-    count = len(messages[0].extra_axes) // POINTS if n else 0
-    extra = np.array([m.extra_axes for m in messages], dtype=float).reshape(n, POINTS, count)
+    declared = PathSegments.declared
+    columns = {
+        name: np.array([getattr(m, field) for m in messages], declared[name].kind)
+        for name, field in ALIKE.items()
+    }
+    columns |= {
+        name: np.array([[getattr(m, field) for field in pair] for m in messages],
+                       declared[name].kind)
+        for name, pair in PAIRS.items()
+    }  # fmt: skip
     return PathSegments(
-        kind=np.array([m.kind for m in messages], dtype=np.int64),
         bottom=bottom,
         top=top,
         connection=connection,
         parametrization=parametrization,
-        axis=np.array([m.axis for m in messages]),
-        rotation=np.array([m.rotation for m in messages]),
         rotary=np.array([m.rotary for m in messages]).reshape(n, POINTS, 2),
-        interpolation=np.array([m.interpolation for m in messages], dtype=np.int64),
-        length=np.array([m.length for m in messages]),
-        feed=np.array([m.feedrate for m in messages]),
-        block=np.array([(m.first_block, m.last_block) for m in messages], dtype=np.int64),
-        line_number=np.array([m.line_number for m in messages], dtype=np.int64),
-        stop=np.array([m.stop for m in messages], dtype=np.bool_),
-        deviation=np.array([(m.contour_deviation, m.orientation_deviation) for m in messages]),
-        room=np.array([m.orientation_room for m in messages], dtype=float),
-        extra=extra,
+        extra=np.array([m.extra_axes for m in messages], dtype=float).reshape(n, POINTS, -1),
+        **columns,
     )
+
+
+def function_messages(functions: Functions, first: int, signals: Signals) -> list[Function]:
+    columns = (column.tolist() for column in functions.columns().values())
+    rows = zip(*columns, strict=True)
+    return [_message(number, row, signals) for number, row in enumerate(rows, first)]
+
+
+def act_message(act: Act, sample: int, signals: Signals) -> Function:
+    row = act.block, act.line, act.place, act.value, act.before_stop
+    message = _message(act.number, row, signals)
+    message.sample = sample
+    return message
+
+
+def _message(number: int, row: tuple[Any, ...], signals: Signals) -> Function:
+    block, line, step, value, before_stop = row
+    output = signals.outputs[signals.steps[step].output].name
+    return Function(
+        number=number, sequence=block, line_number=line, step=step, output=output, value=value,
+        before_stop=before_stop,
+    )  # fmt: skip
+
+
+def functions_from(messages: Sequence[Function]) -> Functions:
+    rows = [(m.sequence, m.line_number, m.step, m.value, m.before_stop) for m in messages]
+    return Functions.of_rows(np.array(rows, dtype=float).ravel())
+
+
+def check_functions(name: str, messages: Sequence[Function], signals: Signals) -> None:
+    """Refuse functions with gaps, out of order, or that the machine file does not have."""
+    for before, message in pairwise(messages):
+        if message.number != before.number + 1 or message.sequence < before.sequence:
+            raise StreamError(f'{name}: function {message.number} does not follow')
+    for message in messages:
+        known = message.step < len(signals.steps)
+        output = signals.outputs[signals.steps[message.step].output] if known else None
+        if output is None or output.name != message.output:
+            text = f'function {message.number} sets {message.output!r}, which the machine file'
+            raise StreamError(f'{name}: {text} does not; give all nodes the same machine')
+        if fault := output.fault_of(message.value):
+            raise StreamError(f'{name}: function {message.number}: {fault}')
+
+
+def signals_message(
+    signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
+) -> MachineSignals:
+    return MachineSignals(
+        outputs=[signal.name for signal in signals.outputs], output_values=list(outputs),
+        output_is_number=[signal.is_number for signal in signals.outputs],
+        inputs=[signal.name for signal in signals.inputs], input_values=list(inputs),
+    )  # fmt: skip

@@ -1,21 +1,34 @@
-"""Messages about a whole run: the machine's report, how far it is, and its result."""
+"""Messages about a whole run: its settings, the machine's report, how far it is, its result."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState, ModalState, Offset, SetupTable, Tool
+from cnc_interp_msgs.msg import (
+    G1Block,
+    LoadedProgram,
+    MachineState,
+    ModalState,
+    Offset,
+    SetupTable,
+    Tool,
+)
+from diagnostic_msgs.msg import KeyValue
 
+from cnc_interp.core.errors import SettingsError
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import MachineReport, Outcome
 from cnc_interp.run.run_state import State
+from cnc_interp.settings.option_kinds import Stage, choices
+from cnc_interp.settings.options import Settings, texts_of, with_texts
 
 
 def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> RunProgram.Result:
@@ -70,11 +83,7 @@ def setup_table(
     setup: JobSetup, file: str, zero: Mapping[str, float], program_id: str, in_use: Iterable[str],
     by: str, what: str,
 ) -> SetupTable:  # fmt: skip
-    """Return the message about the setup of the machine.
-
-    ``zero``: workpiece zero of the machine file; ``program_id``: the run that began with the
-    setup; ``by``, ``what``: the last change.
-    """
+    """``zero``: that of the machine file; ``program_id``: the run that began with the setup."""
     return SetupTable(
         file=file,
         work_offsets=_offsets(setup.work_offsets),
@@ -105,22 +114,13 @@ def _offset(name: str, position: Position) -> Offset:
     return Offset(name=name, axes=list(position), values=list(position.values()))
 
 
+#: States of which the message has no number of their own; those of all others have their names.
+TOLD_AS = {
+    State.PAUSED: State.RUNNING, State.FILLING: State.RUNNING, State.STARVING: State.STARVED,
+    State.AWAY: State.JOGGING,
+}  # fmt: skip
 #: The number of each state in ``MachineState``.
-NUMBERS = {
-    State.INACTIVE: MachineState.INACTIVE,
-    State.IDLE: MachineState.IDLE,
-    State.RUNNING: MachineState.RUNNING,
-    State.PAUSED: MachineState.RUNNING,
-    State.FILLING: MachineState.RUNNING,
-    State.HOLDING: MachineState.HOLDING,
-    State.HELD: MachineState.HELD,
-    State.STARVING: MachineState.STARVED,
-    State.STARVED: MachineState.STARVED,
-    State.STOPPING: MachineState.STOPPING,
-    State.FAULT: MachineState.FAULT,
-    State.JOGGING: MachineState.JOGGING,
-    State.AWAY: MachineState.JOGGING,
-}
+NUMBERS = {state: getattr(MachineState, TOLD_AS.get(state, state).name) for state in State}
 
 
 def state_of(message: MachineState) -> State:
@@ -138,18 +138,72 @@ def state_of(message: MachineState) -> State:
 
 def machine_report(message: MachineState) -> MachineReport:
     stamp = message.header.stamp
+    same = ('plan_over', 'start_wanted', 'completed', 'path_position', 'message', 'functions')
     return MachineReport(
         run_id=run_id_of(message),
         state=state_of(message),
-        plan_over=message.plan_over,
-        start_wanted=message.start_wanted,
-        completed=message.completed,
-        path_position=message.path_position,
         stands=np.array(message.commanded_positions),
         time=stamp.sec + 1e-9 * stamp.nanosec,
-        message=message.message,
         must_home=tuple(message.must_home),
         away=len(message.resume_positions) > 0,
-        functions=message.functions,
         probed=message.reason == MachineState.REASON_PROBE,
+        **{name: getattr(message, name) for name in same},
     )
+
+
+def pairs_of(settings: Settings) -> list[KeyValue]:
+    return [KeyValue(key=name, value=text) for name, text in texts_of(settings).items()]
+
+
+def settings_from(pairs: Iterable[KeyValue], settings: Settings) -> Settings:
+    return with_texts(settings, ((pair.key, pair.value) for pair in pairs))
+
+
+def goal_of(
+    program: Path, settings: Settings, names: Collection[str] | None = None, text: str = ''
+) -> RunProgram.Goal:
+    """Return the goal that runs a program with settings: those of some names, or all."""
+    wanted = [c for c in choices(settings) if names is None or c.name in names]
+    pairs = [
+        KeyValue(key=c.name, value=c.text_with_unit(getattr(settings, c.name))) for c in wanted
+    ]
+    return RunProgram.Goal(program=str(program), text=text, settings=pairs)
+
+
+def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
+    """Return the settings that a goal asks for: its fields unless 0 or empty, then its list.
+
+    Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and differs
+    from theirs, or is only for `plan`.
+    """
+    fields = goal.get_fields_and_field_types()
+    given = {
+        choice.name: choice.from_plain(getattr(goal, choice.name))
+        for choice in choices(defaults)
+        if choice.name in fields and getattr(goal, choice.name)
+    }
+    pairs = ((pair.key, pair.value) for pair in goal.settings)
+    settings = with_texts(replace(defaults, **given), pairs, need_units=True)
+    for choice in choices(defaults, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
+        ours = getattr(defaults, choice.name)
+        if getattr(settings, choice.name) != ours:
+            told = f'the nodes were started with {choice.shown(ours)}; start them with another'
+            raise SettingsError(choice.name, told)
+    for choice in choices(defaults, Stage.OFFLINE):
+        if getattr(settings, choice.name) != choice.default:
+            raise SettingsError(choice.name, f'the nodes have only {choice.default}; use `plan`')
+    return settings
+
+
+def settings_of_block(block: G1Block, settings: Settings) -> Settings:
+    return replace(settings_from(block.settings, settings), flank_height=block.flank_height)
+
+
+def loaded_program(program_id: str, name: str, text: str, settings: Settings) -> LoadedProgram:
+    message = LoadedProgram(
+        program_id=program_id, name=name, text=text, settings=pairs_of(settings)
+    )
+    for choice in choices(settings):
+        if choice.name in message.get_fields_and_field_types():
+            setattr(message, choice.name, choice.plain(getattr(settings, choice.name)))
+    return message

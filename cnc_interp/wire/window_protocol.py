@@ -65,7 +65,6 @@ class WindowedSender(Generic[Item]):
 
     @property
     def unsent(self) -> int:
-        """Numbers queued beyond what was ever sent."""
         return self.next_number - self.sent
 
     @property
@@ -135,48 +134,42 @@ class WindowedReceiver:
 
     def expect(self, run_id: RunId, first: int, begins: bool) -> None:
         """Check that an item is next or ``begins`` a program; StreamError, nothing changes."""
-        if not run_id:
-            raise StreamError(
-                f'{self.stream}: {first} has no program id; name the program', Refusal.FOREIGN_RUN
-            )
-        if run_id != self.run_id:
-            self._expect_new(run_id, first, begins)
-        elif self.refused:
-            text = f'{self.stream}: {first} after the refusal: {self.refusal_text}'
-            raise StreamError(text, self.refused)
-        elif first < self.next_number:
-            raise StreamError(
-                f'{self.stream}: repeat of {first}; {self.next_number} is next; nothing changed',
-                Refusal.REPEAT,
-            )
-        elif self.complete:
-            if self._closed:
-                raise StreamError(self._closed, Refusal.PLAN_OVER)
-            text = f'{self.stream}: {first} after the end of the program'
-            raise StreamError(text, Refusal.LATE)
-        elif first > self.next_number:
-            raise StreamError(
-                f'{self.stream}: gap: {first} came, but {self.next_number} is next; send again '
-                f'from {self.next_number}',
-                Refusal.GAP,
-            )
+        why, kind = self._fault(run_id, first, begins)
+        if kind is Refusal.PLAN_OVER:
+            raise StreamError(why, kind)
+        if kind:
+            raise StreamError(f'{self.stream}: {why}', kind)
 
-    def _expect_new(self, run_id: RunId, first: int, begins: bool) -> None:
+    def _fault(self, run_id: RunId, first: int, begins: bool) -> tuple[str, Refusal]:
+        due = self.next_number
+        if not run_id:
+            return f'{first} has no program id; name the program', Refusal.FOREIGN_RUN
+        if run_id != self.run_id:
+            return self._fault_of_new(run_id, first, begins)
+        if self.refused:
+            return f'{first} after the refusal: {self.refusal_text}', self.refused
+        if first < due:
+            return f'repeat of {first}; {due} is next; nothing changed', Refusal.REPEAT
+        if self._closed:
+            return self._closed, Refusal.PLAN_OVER
+        if self.complete:
+            return f'{first} after the end of the program', Refusal.LATE
+        if first > due:
+            return f'gap: {first} came, but {due} is next; send again from {due}', Refusal.GAP
+        return '', Refusal.NONE
+
+    def _fault_of_new(self, run_id: RunId, first: int, begins: bool) -> tuple[str, Refusal]:
         # A plan from rest begins after the one before is closed; one that joins does not wait.
         goes_on = run_id.attempt > self.run_id.attempt or first > 0
         if self.active and not (goes_on and run_id.continues(self.run_id)):
-            raise StreamError(
-                f'{self.stream}: foreign program {run_id} while {self.run_id} runs; '
-                'wait for its end',
-                Refusal.FOREIGN_RUN,
-            )
+            why = f'foreign program {run_id} while {self.run_id} runs; wait for its end'
+            return why, Refusal.FOREIGN_RUN
         if run_id in self._past:
-            raise StreamError(f'{self.stream}: {first} of old program {run_id}', Refusal.LATE)
+            return f'{first} of old program {run_id}', Refusal.LATE
         if not begins:
-            raise StreamError(
-                f'{self.stream}: gap: {first} of unknown program {run_id}; a program begins at 0',
-                Refusal.FOREIGN_RUN,
-            )
+            why = f'gap: {first} of unknown program {run_id}; a program begins at 0'
+            return why, Refusal.FOREIGN_RUN
+        return '', Refusal.NONE
 
     def take(self, run_id: RunId, first: int, count: int = 1, end: bool = False) -> None:
         """Count an item that ``expect`` accepted and that is valid."""
@@ -203,7 +196,6 @@ class WindowedReceiver:
         self.complete, self._closed = True, reason
 
     def consume(self, count: int) -> None:
-        """Open the window by the number of processed items."""
         self.consumed += count
 
 

@@ -10,23 +10,40 @@ import urllib.request
 from contextlib import ExitStack
 from pathlib import Path
 
+import pytest
+
+pytest.importorskip('websockets', reason='needs requirements/panel.txt')
+
 from websockets.sync.client import connect
 
 NAMES = ('chromium', 'chromium-browser', 'google-chrome')
 PATIENCE = 120.0  # [s]; a bound for slow and busy computers, not a timing
 #: What a page shows is fresh: its user would press a key now.
 IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
+#: Codes of keys of the keyboard that have no character, or are told by their code, too.
+CODES = {
+    'Enter': 13, 'Escape': 27, ' ': 32, 'ArrowLeft': 37, 'ArrowUp': 38, 'ArrowRight': 39,
+    'ArrowDown': 40, 'R': 82, 'F1': 112,
+}  # fmt: skip
 #: Drawing in software takes half a core at the 20 frames a second of the view.
 FEW_FRAMES = 'window.requestAnimationFrame = (draw) => setTimeout(draw, 300, performance.now())'
 
 
-def found():
-    """Path of a browser, or None."""
-    return next((path for path in map(shutil.which, NAMES) if path), None)
+PATH = next(filter(None, map(shutil.which, NAMES)), None)
+if PATH is None:
+    pytest.skip('needs a browser: apt-get install chromium', allow_module_level=True)
 
 
 class DevToolsError(Exception):
-    """What the browser refused, and why."""
+    pass
+
+
+def key_names(key):
+    return {'key': key, 'windowsVirtualKeyCode': CODES.get(key, 0)}
+
+
+def field(name):
+    return f'document.querySelector(`input[data-mark="{name}"], [data-mark="{name}"] input`)'
 
 
 class Browser:
@@ -37,7 +54,7 @@ class Browser:
         profile = Path(self._folder.name)
         self.process = subprocess.Popen(
             [
-                found(), '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
+                PATH, '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
                 '--remote-debugging-port=0', f'--user-data-dir={profile}', '--no-first-run',
                 '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--hide-scrollbars',
                 '--disable-dev-shm-usage', '--disable-background-networking',
@@ -56,7 +73,6 @@ class Browser:
         self._address = f'127.0.0.1:{marker.read_text().splitlines()[0]}'
 
     def open(self, url, width=1366, height=768, mobile=False):
-        """Open a page in a tab of its own."""
         request = urllib.request.Request(f'http://{self._address}/json/new', method='PUT')
         target = json.load(urllib.request.urlopen(request))
         tab = Tab(target['webSocketDebuggerUrl'])
@@ -71,8 +87,6 @@ class Browser:
 
 
 class Tab:
-    """One page."""
-
     def __init__(self, url):
         self._open = ExitStack()
         # nothing is read while a test waits for the machine: no full queue, no questions for life
@@ -108,18 +122,15 @@ class Tab:
         self.send('Page.navigate', url=url)
 
     def run(self, script):
-        """Value of a JavaScript expression."""
         answer = self.send('Runtime.evaluate', expression=script, returnByValue=True,
                            awaitPromise=True)  # fmt: skip
         assert 'exceptionDetails' not in answer, answer
         return answer['result'].get('value')
 
     def text(self, name):
-        """Text of the element that carries a mark."""
         return self.run(f'document.querySelector(`[data-mark="{name}"]`)?.textContent')
 
     def texts(self):
-        """Texts of all elements that carry a mark, by their marks."""
         return self.run(
             'Object.fromEntries([...document.querySelectorAll("[data-mark]")]'
             '.map(e => [e.dataset.mark, e.textContent]))'
@@ -164,7 +175,6 @@ class Tab:
         self._button = {'press': 'left', 'release': 'none'}.get(kind, self._button)
 
     def click_with_mouse(self, name):
-        """Press and release the mouse on a key, as its user does."""
         at = self.centre(name)
         for kind in ('move', 'press', 'release'):
             self.pointer(kind, *at)
@@ -176,7 +186,6 @@ class Tab:
             time.sleep(0.05)
 
     def choose_file(self, selector, path):
-        """Give a file to an input element."""
 
         def give():
             root = self.send('DOM.getDocument')['root']['nodeId']
@@ -195,13 +204,14 @@ class Tab:
         """
         self.wait(
             lambda: self.run(
-                f'(() => {{ const mark = document.querySelector(`[data-mark="{name}"]`);'
-                'const field = mark?.matches("input") ? mark : mark?.querySelector("input");'
-                'field?.focus(); field?.select();'
+                f'(() => {{ const field = {field(name)}; field?.focus(); field?.select();'
                 'return field && document.activeElement === field &&'
                 f'document.execCommand("insertText", false, `{text}`); }})()'
             )
         )
+
+    def value(self, name):
+        return self.run(f'{field(name)}?.value')
 
     def press_key(self, name, key, times=1):
         """Press a key on an element of a page in contact with its server."""
@@ -209,19 +219,16 @@ class Tab:
         self.press_key_at_once(name, key, times)
 
     def press_key_at_once(self, name, key, times=1):
-        """Press a key on an element."""
-        code = {'ArrowLeft': 37, 'ArrowRight': 39}[key]
         self.run(f'document.querySelector(`[data-mark="{name}"] [tabindex]`).focus()')
         for kind in ('rawKeyDown', 'keyUp') * times:
-            self.send('Input.dispatchKeyEvent', type=kind, key=key, windowsVirtualKeyCode=code)
+            self.send('Input.dispatchKeyEvent', type=kind, **key_names(key))
 
-    def type_key(self, key, code=0):
+    def type_key(self, key):
         """Press a key of the keyboard, wherever the focus is; its character is typed."""
         self.wait(lambda: self.run(IN_CONTACT))
         text = {'text': key} if len(key) == 1 else {}
-        self.send('Input.dispatchKeyEvent', type='keyDown', key=key,
-                  windowsVirtualKeyCode=code, **text)  # fmt: skip
-        self.send('Input.dispatchKeyEvent', type='keyUp', key=key, windowsVirtualKeyCode=code)
+        self.send('Input.dispatchKeyEvent', type='keyDown', **key_names(key), **text)
+        self.send('Input.dispatchKeyEvent', type='keyUp', **key_names(key))
 
     def show(self):
         """Bring it to the front, as its user does; the tabs behind are not shown anything."""
@@ -245,6 +252,5 @@ class Tab:
         Path(path).write_bytes(base64.b64decode(image['data']))
 
     def close(self):
-        """Close it as its user does."""
         self.send('Page.close')
         self._open.close()

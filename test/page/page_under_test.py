@@ -6,13 +6,21 @@ import sys
 import tempfile
 from pathlib import Path
 
-from browser import Browser
-from cnc_interp_msgs.msg import MachineState
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+pytest.importorskip(
+    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
+)
+
+from browser import Browser, Tab
+from cnc_interp_msgs.msg import MachineState, SetupTable
 from nodes_under_test import NodesUnderTest, clean_environment
 from std_msgs.msg import Float64
 
 from cnc_interp.nodes import qos
 from cnc_interp.page.contact import INTERRUPTED
+from cnc_interp.program import JobSetup
 
 TOKEN = 'every test knows it'
 #: True while the page says that a key did nothing because the connection was interrupted.
@@ -23,8 +31,6 @@ VIEW = 'document.querySelector(".scene canvas")'
 
 
 class PageUnderTest:
-    """The page beside nodes that run, and a browser."""
-
     def __init__(self, namespace, domain):
         self._folder = tempfile.TemporaryDirectory()
         token_file = Path(self._folder.name) / 'token'
@@ -36,7 +42,7 @@ class PageUnderTest:
         )
         self.address = re.search(r'http://\S+/', self.process.stdout.readline())[0]
         self.browser = Browser()
-        self.tabs = []
+        self.tabs, self.faults = [], []
 
     def open(self, token=TOKEN, **size):
         """
@@ -61,6 +67,7 @@ class PageUnderTest:
 
     def close_tab(self, tab):
         self.tabs.remove(tab)
+        self.faults += tab.faults
         tab.close()
 
     def close(self):
@@ -71,46 +78,51 @@ class PageUnderTest:
 
 
 class PanelUnderTest(NodesUnderTest):
-    """The nodes, and the page beside them."""
-
     def __init__(self, parameters=None):
         super().__init__(parameters)
         self.set_override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
+        self.told = self.listen('setup_table', SetupTable, qos.LOADED)
+        self.spin_until(lambda: self.told)
         self.page = PageUnderTest(self.namespace, self.domain)
         self.open, self.open_in_charge = self.page.open, self.page.open_in_charge
 
     @property
     def override(self):
-        """The feed override that counts."""
         return self.peers.state.feed_override
 
+    @property
+    def setup(self):
+        return JobSetup.of_text(self.told[-1].text)
+
     def last_words(self):
-        """What each page shows, and what the nodes said."""
         return [tab.texts() for tab in self.page.tabs], super().last_words()
 
     def until(self, state):
         self.spin_until(lambda: self.peers.state and self.peers.state.state == state)
 
     def load(self, tab, path):
-        """Load a program and wait until it is planned."""
         tab.wait(lambda: tab.text('state') == 'idle')
         tab.choose_file('input[type=file]', path)
         tab.wait(lambda: tab.text('program') == path.name and tab.text('status') == 'planned')
 
-    def press_key(self, tab, key, done):
+    def press_key(self, tab, key, done, press=Tab.click):
         """
-        Press a key and see it done.
+        Press a key of the page, or one of the keyboard, and see it done.
 
         A busy computer may interrupt the connection for some seconds. Then the page must say so,
         the key must do nothing, and the first press after the contact is back must work.
         """
-        tab.click(key)
+        press(tab, key)
         self.spin_until(lambda: done() or tab.run(REFUSED))
         if not done():
             tab.wait(lambda: not tab.run(REFUSED))
             assert not done(), f'{key}: {INTERRUPTED}, and the key did something'
-            tab.click(key)
+            press(tab, key)
             self.spin_until(done)
+
+    def give(self, tab, line, told=': done'):
+        tab.fill('mdi', line)
+        self.press_key(tab, 'Enter', lambda: told in tab.text('mdi answer'), Tab.type_key)
 
     def begin(self, tab):
         """Start the loaded program, and see the machine on its way along the path."""
@@ -119,7 +131,6 @@ class PanelUnderTest(NodesUnderTest):
         self.spin_until(self.is_on_its_way)
 
     def is_on_its_way(self):
-        """Tell whether the machine has executed some of the program loaded last."""
         state, program = self.peers.state, self.loaded[-1]
         return state.program_id == program.program_id and state.path_position > 0.01
 
@@ -130,12 +141,10 @@ class PanelUnderTest(NodesUnderTest):
         self.press_key(tab, 'cycle start', lambda: self.peers.state.path_position > held)
 
     def reset(self, tab):
-        """Clear a fault, or give up what is left of the program."""
         self.press_key(tab, 'reset', lambda: self.peers.state.state == MachineState.IDLE)
         tab.wait(lambda: tab.text('state') == 'idle')
 
     def tidy(self):
-        """Close all tabs and bring the machine to rest at full override, for the next test."""
         for tab in tuple(self.page.tabs):
             self.page.close_tab(tab)
         if self.override != 1.0:
@@ -146,6 +155,8 @@ class PanelUnderTest(NodesUnderTest):
             self.until(MachineState.FAULT)
             self.press('reset')
             self.until(MachineState.IDLE)
+        faults, self.page.faults = self.page.faults, []
+        assert faults == []
 
     def close(self):
         self.page.close()

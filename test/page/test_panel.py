@@ -28,7 +28,7 @@ from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page import server
-from cnc_interp.page.access import Access
+from cnc_interp.page.contact import Access
 from cnc_interp.page.desk import Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of

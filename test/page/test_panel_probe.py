@@ -3,19 +3,10 @@
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
-pytest.importorskip(
-    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
-)
-pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 
-from browser import found
 from page_under_test import PanelUnderTest
 
 from cnc_interp.processes.node_processes import NODES
-
-pytestmark = pytest.mark.skipif(
-    found() is None, reason='needs a browser: apt-get install chromium'
-)
 
 
 @pytest.mark.thorough
@@ -26,9 +17,7 @@ def test_a_bore_is_found_from_the_dialog(tmp_path):
     panel = PanelUnderTest({node: {'machine': 'vmc', **own.get(node, {})} for node in NODES})
     try:
         tab = panel.open_in_charge()
-        tab.fill('mdi', 'G0 X12 Y-5 Z-5')
-        tab.type_key('Enter', 13)
-        tab.wait(lambda: 'done' in (tab.text('mdi answer') or ''))
+        panel.give(tab, 'G0 X12 Y-5 Z-5')
         tab.click('probe')
         tab.wait(lambda: tab.text('probe bore'))
         tab.click('probe bore')

@@ -4,51 +4,28 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
-pytest.importorskip(
-    'nicegui', reason='needs requirements/panel.txt; run the tests with ./cnc test'
-)
-pytest.importorskip('websockets', reason='needs requirements/panel.txt')
 
-from browser import found
-from cnc_interp_msgs.msg import MachineState, SetupTable
+from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import MoveAxes
 from page_under_test import PanelUnderTest
 
-from cnc_interp.nodes import qos
-from cnc_interp.program import JobSetup
-
-pytestmark = [
-    pytest.mark.thorough,
-    pytest.mark.skipif(found() is None, reason='needs a browser: apt-get install chromium'),
-]
+pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope='module')
-def panel(tmp_path_factory):
+def running(tmp_path_factory):
     file = tmp_path_factory.mktemp('setup') / 'setup.yaml'
-    running = PanelUnderTest({'program_node': {'setup': f"'{file}'"}})
-    running.told = []
-    running.node.create_subscription(SetupTable, 'setup_table', running.told.append, qos.LOADED)
-    running.mover = running.node.create_client(MoveAxes, 'move_axes')
-    running.spin_until(lambda: running.told and running.mover.service_is_ready())
-    yield running
-    running.close()
-
-
-@pytest.fixture(autouse=True)
-def tidied(panel):
-    yield
-    panel.tidy()
-
-
-def setup_of(panel):
-    return JobSetup.of_text(panel.told[-1].text)
+    panel = PanelUnderTest({'program_node': {'setup': f"'{file}'"}})
+    panel.mover = panel.node.create_client(MoveAxes, 'move_axes')
+    panel.spin_until(panel.mover.service_is_ready)
+    yield panel
+    panel.close()
 
 
 def see(panel, tab, mark, done):
     """Press a key of the dialog, and see what it does to the table."""
     tab.click(mark)
-    panel.spin_until(lambda: done(setup_of(panel)))
+    panel.spin_until(lambda: done(panel.setup))
     tab.wait(lambda: panel.told[-1].change in (tab.text('setup change') or ''))
 
 
@@ -72,8 +49,8 @@ def test_edit_touch_off_and_run(panel, tmp_path):
     tab.fill('new tool length', '75.5')
     tab.fill('new tool remark', 'ball')
     see(panel, tab, 'set new tool', lambda s: 3 in s.tools)
-    assert setup_of(panel).tools[3].remark == 'ball'
-    assert setup_of(panel).tools[3].length == pytest.approx(0.0755)
+    assert panel.setup.tools[3].remark == 'ball'
+    assert panel.setup.tools[3].length == pytest.approx(0.0755)
     see(panel, tab, 'load tool 3', lambda s: s.tool == 3)
     see(panel, tab, 'use G55', lambda s: s.active == 'G55')
     tab.wait(lambda: tab.text('setup') == 'G55, tool 3')
@@ -87,9 +64,9 @@ def test_edit_touch_off_and_run(panel, tmp_path):
     tab.fill('here Y', '0')
     tab.fill('here Z', '10')
     tab.click('touch off')
-    panel.spin_until(lambda: 'G55' in setup_of(panel).work_offsets)
+    panel.spin_until(lambda: 'G55' in panel.setup.work_offsets)
     wanted = {'X': 0.098, 'Y': -0.05, 'Z': 0.3 - 0.0755 - 0.01}
-    assert setup_of(panel).work_offsets == {'G55': pytest.approx(wanted)}
+    assert panel.setup.work_offsets == {'G55': pytest.approx(wanted)}
     assert panel.told[-1].changed_by.startswith('page of ')
     tab.wait(lambda: (tab.text('work X'), tab.text('work Z')) == ('2.000', '10.000'))
     tab.wait(lambda: tab.text('axis X') == '100.000')
@@ -116,7 +93,7 @@ def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
     tab.click('set G54')
     told = 'G54 is in use by waits.ngc, which runs'
     tab.wait(lambda: tab.run(f'document.body.textContent.includes("{told}")'))
-    assert 'G54' not in setup_of(panel).work_offsets
+    assert 'G54' not in panel.setup.work_offsets
     tab.click('close setup')
     panel.reset(tab)
     panel.until(MachineState.IDLE)

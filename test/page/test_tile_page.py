@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from browser import Browser, found
+from browser import Browser
 
 from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.needles import NeedleGrid, patches
@@ -11,7 +11,6 @@ from cnc_interp.cam.tile_work import TilePage
 from cnc_interp.core.units import MM, UM
 
 pytest.importorskip('zarr', reason='needs the optional part tiles')
-pytestmark = pytest.mark.skipif(found() is None, reason='needs chromium')
 
 GOUGE = (700, 900)
 #: Colour of a pixel of the map, and how many of its pixels are red: the gouge.

@@ -10,7 +10,7 @@ import pytest
 from plan_directories import line_x, write
 from tiers import examples
 
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.program.job import JobSetup
@@ -64,7 +64,7 @@ def refused(read, *arguments):
 SMALL = {
     'machine': ((machines_directory() / 'xyzac.yaml').read_bytes(), '.yaml', Machine.load),
     'setup': (SETUP.encode(), '.yaml', JobSetup.load),
-    'surface': ((ROOT / 'examples' / 'bumps.json').read_bytes(), '.json', read_surface),
+    'surface': ((ROOT / 'examples' / 'bumps.json').read_bytes(), '.json', read_part),
 }
 
 

@@ -7,8 +7,7 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import finely, gouge_depth, smooth_cover
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import HeelError, IsoScallopOptions, PassRecursion
-from cnc_interp.cam.milled import kept_places, kept_ranges, places_around
-from cnc_interp.cam.passes import constant_tilt
+from cnc_interp.cam.passes import constant_tilt, kept_places, kept_ranges, places_around
 from cnc_interp.cam.shapes import BSplineSurface, Bumps, Plane
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.core.units import DEG, MM, UM

@@ -8,9 +8,8 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
-from cnc_interp.cam.next_posture import fit_postures
 from cnc_interp.cam.passes import constant_tilt
-from cnc_interp.cam.scallop import scallop_points
+from cnc_interp.cam.scallop import fit_postures, scallop_points
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.core.errors import InterpError

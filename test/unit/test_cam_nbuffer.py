@@ -14,7 +14,7 @@ from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.simulation import Motion, cross_sections, thinned
 from cnc_interp.cam.spline_pass import CLOSE, SplinePass, chord_error, sampled
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, UM
@@ -124,7 +124,7 @@ def test_iso_scallop_ridges_have_the_height_asked_for(surface, normal, stepover)
 @pytest.mark.thorough
 def test_application_of_the_paper():
     """R 5, r_c 1.5, S_h 10 um, d 5 mm, first tilt 5 deg, 25 points [TL2008, section 4]."""
-    surface = read_surface(EXAMPLES / 'hollow.json')
+    surface = read_part(EXAMPLES / 'hollow.json').surfaces[1]
     options = IsoScallopOptions(stepover=5 * MM, tilt=5 * DEG, start='tilt', stray=None, points=25)
     normal = across(surface, 0.0)
     paths = iso_scallop_paths(surface, MILL, normal, options)

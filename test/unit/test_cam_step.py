@@ -10,7 +10,7 @@ from tiers import few_of
 
 from cnc_interp.cam.shapes import BSplineSurface, RationalSurface
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, INCH, MM
@@ -145,6 +145,15 @@ class Part:
         return path
 
 
+def read_surface(path, number=None):
+    """Read a face, about which there is nothing to note."""
+    notes = []
+    part = read_part(path, [] if number is None else [number], notes.append)
+    assert notes == []
+    (surface,) = part.surfaces.values()
+    return surface
+
+
 def wavy():
     """Knots with multiplicities, degrees 3 and 2, control points [mm]."""
     knots = np.array([0, 0, 0, 0, 0.3, 0.5, 0.5, 1, 1, 1, 1]), np.array([2, 2, 2, 3, 5, 5, 5.0])
@@ -174,10 +183,8 @@ def test_spline_face_is_the_spline(sense, weights, tmp_path):
     given = None if weights is None else np.full(points.shape[:2], weights)
     surface = part.spline(knots, points, degree, given)
     part.face(surface, part.border(knots, points, degree), sense=sense)
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.STEP'), note=notes.append)
+    found = read_surface(part.write(tmp_path / 'a.STEP'))
     assert_same(found, BSplineSurface(knots, points * MM, degree, sense == 'F'))
-    assert notes == []
 
 
 @pytest.mark.thorough
@@ -191,9 +198,7 @@ def test_trimmed_spline_face_is_the_part_within_its_boundary(tmp_path):
     ends = part.vertex((1, -2, 0))
     hole = part.bound(part.circle(ends, ends, part.frame((0, -2, 0), (0, 0, -1)), 1.0))
     part.face(part.spline(knots, points, (3, 3)), triangle, hole.replace('OUTER_', ''))
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.stp'), note=notes.append)
-    assert notes == []
+    found = read_surface(part.write(tmp_path / 'a.stp'))
     np.testing.assert_allclose(found.domain, [[-8, 8], [-5, 5]], atol=1e-9)
     u, v = found.grid(81, 101)
     np.testing.assert_allclose(found.at(u, v).position / MM, np.stack([u, v, 0 * u], axis=-1),
@@ -324,9 +329,7 @@ def rounded_face(kind, u, v, sense):
 )
 def test_round_faces_are_those_of_the_standard(kind, u, v, sense, tmp_path):
     part = rounded_face(kind, u, v, sense)
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
-    assert notes == []
+    found = read_surface(part.write(tmp_path / 'a.step'))
     first, second = found.grid(11, 9)
     turns = np.round((first[0, 0] - u[0]) / (2 * np.pi)) * 2 * np.pi
     around = np.round((second[0, 0] - v[0]) / (2 * np.pi)) * 2 * np.pi
@@ -353,15 +356,13 @@ def test_disc_is_round(tmp_path):
     end = part.vertex((5 - 7 * 0.28, 7 * 0.96, 1))
     loop = part.bound(part.circle(end, end, part.frame((5, 0, 1)), 7.0))
     part.face(part.add(f"PLANE('',{frame})"), loop)
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
+    found = read_surface(part.write(tmp_path / 'a.step'))
     np.testing.assert_allclose(found.domain, [[-7 * MM, 7 * MM]] * 2, atol=2e-6)
     u, v = found.grid(101, 101, 1 * MM)
     away = 7 * MM - np.hypot(u, v)
     sure = np.abs(away) > 3e-6
     assert (found.contains(u, v) == (away > 0.0))[sure].all()
     np.testing.assert_allclose(found.at(*found.grid(2, 2)).normal[..., 2], -1.0)
-    assert notes == []
 
 
 SQUARE = [(0, 0, 0), (8, 0, 0), (8, 6, 0), (0, 6, 0), (0, 0, 0)]
@@ -428,9 +429,7 @@ def turned_line(part):
 def test_other_surfaces_become_exact_rational_patches(make, tmp_path):
     part = Part()
     make(part)
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
-    assert notes == []
+    found = read_surface(part.write(tmp_path / 'a.step'))
     point = found.at(*found.grid(11, 9))
     x, y, z = np.moveaxis(point.position / MM, -1, 0)
     slope = 0.0 if make is extruded_circle else 0.5
@@ -513,11 +512,8 @@ def test_wrong_files_get_one_line(change, says, tmp_path, capsys):
     assert str(path) in error or says == 'not finite'
 
 
-def face_of(surface, points):
-    def make(part):
-        part.face(part.add(surface.format(part.frame())), part.polygon(points))
-
-    return make
+def line_as_a_face(part):
+    part.face(part.add(f"PLANE('',{part.frame()})"), part.polygon(SQUARE[:2]))
 
 
 def offset_plane(part):
@@ -539,14 +535,11 @@ def whole_cylinder(part):
     ('make', 'says'),
     [
         (offset_plane, 'offset surface is not supported'),
-        pytest.param(
-            face_of("PLANE('',{})", SQUARE[:2]), 'spans no rectangle', marks=pytest.mark.thorough
-        ),
-        pytest.param(whole_cylinder, 'goes all the way round', marks=pytest.mark.thorough),
-        pytest.param(
+        (line_as_a_face, 'spans no rectangle'),
+        (whole_cylinder, 'goes all the way round'),
+        (
             lambda part: part.face(part.add(f"SPHERICAL_SURFACE('',{part.frame()},5.)")),
             'way round',
-            marks=pytest.mark.thorough,
         ),
     ],
 )
@@ -573,10 +566,8 @@ def test_oblique_cut_of_a_cylinder_spans_its_highest_and_lowest_point(tmp_path):
         part.line(ends[3], ends[0]),
     ]
     part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), part.bound(*edges))
-    notes = []
-    found = read_surface(part.write(tmp_path / 'a.step'), note=notes.append)
+    found = read_surface(part.write(tmp_path / 'a.step'))
     np.testing.assert_allclose(found.domain, [[0, 0.5 * np.pi], [0, 8 * MM]], atol=1e-7)
-    assert notes == []
     inside = found.contains(*found.grid(201, 201))
     assert 0.2 < inside.mean() < 0.9
 
@@ -699,16 +690,8 @@ def test_several_faces_in_one_program_spare_each_other(tmp_path, capsys):
     ('words', 'says'),
     [
         (['--face', '1', '1'], 'face 1 is named twice'),
-        pytest.param(
-            ['--face', '1', '4'],
-            'there is no face 4; the faces are numbered from 1 to 3',
-            marks=pytest.mark.thorough,
-        ),
-        pytest.param(
-            ['--face', '1', '3', '--corner-radius', '6.5'],
-            'face 1: the strip of a ball mill',
-            marks=pytest.mark.thorough,
-        ),
+        (['--face', '1', '4'], 'there is no face 4; the faces are numbered from 1 to 3'),
+        (['--face', '1', '3', '--corner-radius', '6.5'], 'face 1: the strip of a ball mill'),
     ],
 )
 def test_choices_of_faces_that_do_not_fit_get_one_line(words, says, tmp_path, capsys):

@@ -16,7 +16,7 @@ from cnc_interp.cam.shapes import (
     Torus,
 )
 from cnc_interp.cam.surface import Placed, SurfaceError
-from cnc_interp.cam.surface_file import read_surface
+from cnc_interp.cam.surface_file import read_part
 from cnc_interp.core.units import MM
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
@@ -145,7 +145,7 @@ def test_folded_surface_is_refused():
 
 
 def test_bundled_example_is_readable():
-    surface = read_surface(EXAMPLES / 'bumps.json')
+    surface = read_part(EXAMPLES / 'bumps.json').surfaces[1]
     surface.check(1.5 * MM)
     assert surface.at(np.zeros(1), np.zeros(1)).normal[0, 2] > 0.5
 
@@ -159,11 +159,12 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
     points = wavy()
     made = BSplineSurface.through(points)
     t = made.spline.t
-    first = read_surface(write(tmp_path / 'g.json', kind='grid', points_mm=(points / MM).tolist()))
-    second = read_surface(write(
+    rows = (points / MM).tolist()
+    first = read_part(write(tmp_path / 'g.json', kind='grid', points_mm=rows)).surfaces[1]
+    second = read_part(write(
         tmp_path / 's.json', kind='bspline', knots_u=t[0].tolist(), knots_v=t[1].tolist(),
         points_mm=(made.spline.c / MM).tolist(),
-    ))  # fmt: skip
+    )).surfaces[1]  # fmt: skip
     u, v = random_parameters(made)
     for other in (first, second):
         np.testing.assert_allclose(other.at(u, v).position, made.at(u, v).position, atol=1e-15)
@@ -191,5 +192,5 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
 def test_wrong_files_are_answered_with_file_and_key(contents, says, tmp_path):
     file = write(tmp_path / 'wrong.json', **contents)
     with pytest.raises(SurfaceError) as caught:
-        read_surface(file)
+        read_part(file)
     assert str(caught.value).startswith(f'{file}: ') and says in str(caught.value)

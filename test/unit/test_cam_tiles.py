@@ -17,7 +17,7 @@ from cnc_interp.cam import needle_cuts, warp_cuts
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import KINDS, TILE, Figures, HeightStore, deviations
 from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part
-from cnc_interp.cam.needle_tiles import TileCutter
+from cnc_interp.cam.needle_tiles import cut_tiles
 from cnc_interp.cam.needles import PATCH, MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.surface import Placed
@@ -137,8 +137,8 @@ def grid():
 def cut(folder, grid, pool, motion=None, mill=MILL):
     store = HeightStore(folder, grid, {})
     told = []
-    cutter = TileCutter(grid, MotionPieces.of(mill, *(motion or gouging())))
-    return store, cutter.run(pool, store, told.append), told
+    sweep = MotionPieces.of(mill, *(motion or gouging()))
+    return store, cut_tiles(grid, sweep, pool, store, told.append), told
 
 
 def heights(folder):

@@ -25,7 +25,7 @@ from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.function_messages import (
+from cnc_interp.wire.path_messages import (
     check_functions,
     function_messages,
     functions_from,

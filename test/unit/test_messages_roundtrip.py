@@ -374,6 +374,6 @@ def test_linear_rotary_axes_without_positions_are_refused():
 def test_a_result_tells_the_times_of_what_was_executed():
     state = MachineState(samples=1201, approach_samples=200, interpolation_period=0.002)
     result = RunProgram.Result()
-    add_executed(result, state)
+    add_executed(result, [state])
     assert (result.samples, result.path_length) == (1001, 0.0)
     assert (result.cycle_time, result.approach_time) == pytest.approx((2.0, 0.4))

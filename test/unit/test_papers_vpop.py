@@ -19,7 +19,7 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.papers import vpop
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.settings_messages import settings_of_goal
+from cnc_interp.wire.run_messages import settings_of_goal
 
 PYRAMID = str(Path(__file__).parents[2] / 'examples' / 'pyramid.apt')
 VPOP = PlanOptions(law='vpop')

@@ -28,7 +28,7 @@ from cnc_interp.settings.options import (
     with_texts,
 )
 from cnc_interp.wire.message_checks import check_block
-from cnc_interp.wire.settings_messages import (
+from cnc_interp.wire.run_messages import (
     goal_of,
     loaded_program,
     pairs_of,
@@ -56,7 +56,7 @@ from cnc_interp.commands.cli import parser
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import command_words, settings_from
 from cnc_interp.settings.options import filled_in, offered, settings_filled_in, values_of
-from cnc_interp.wire.settings_messages import (
+from cnc_interp.wire.run_messages import (
     goal_of, loaded_program, pairs_of, settings_from as settings_told, settings_of_goal
 )
 

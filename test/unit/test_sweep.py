@@ -163,13 +163,12 @@ def test_bad_input_gets_a_line(tmp_path, capsys):
 
 @pytest.mark.thorough
 def test_a_surface_is_swept_with_its_ridges(tmp_path):
-    from cnc_interp.batch.sweep import Call
 
     surface = tmp_path / 'plane.json'
     surface.write_text('{"kind": "plane", "size_mm": [12, 8]}')
     words = ('cam', 'iso-scallop', str(surface), '--run', '--stepover=2', '--turn-y=15',
              '--spacing=0.4', '--margin=1')  # fmt: skip
-    found = run_point(Call(main, words, str(tmp_path), str(tmp_path / 'out')))
+    found = run_point((main, words, tmp_path, tmp_path / 'out'))
     assert found.fault == '' and found.cycle_time > 1.0
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert found.scallop == summary['executed']['ridge_highest'] == pytest.approx(1e-5, rel=0.3)

@@ -16,6 +16,7 @@ import signal
 import time
 import traceback
 from collections.abc import Callable, Iterator
+from functools import cache
 from itertools import combinations, permutations
 from typing import Any, NamedTuple
 
@@ -35,6 +36,7 @@ PARAMETERS: dict[str, dict[str, object]] = {
     'feedrate_node': {'segment_window': 16, 'plan_ahead': 2.0},
 }
 PROGRAM = waves(8)
+path = cache(lambda: path_of(PROGRAM))
 LONG = PROGRAM.replace('TRAORI\n', 'TRAORI\n' + 'G90\n' * 60000)  #: The same path, longer checked.
 FROZEN = 4.0  #: How long a node is frozen [s]; longer than ``peer_timeout``.
 APART = 0.3  #: Time between the losses of two nodes [s].
@@ -45,7 +47,7 @@ INTRODUCTION = (
     '"ended", did so with a reason: machine or program were lost. The times are the longest.'
 )
 WHY = ('cycle_start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
-STANDS = 1.5  #: The operator presses a button when nothing has moved for so long [s].
+STANDS = 1.5  #: The operator presses a button after so long at rest [s].
 
 
 #: Phase, what leads to it, and when it has come; each is reached through those before it.
@@ -56,7 +58,7 @@ LIFE: tuple[tuple[str, str, Callable[[Bench], bool]], ...] = (
     ('motion', '', lambda b: is_ours(b) and b.state.path_position > 0.02),
     ('hold', 'feed_hold', lambda b: b.state.state == MachineState.HELD),
     ('resume', 'cycle_start', lambda b: b.state.state == MachineState.RUNNING),
-    ('end', '', lambda b: b.state.path_position > path_of(PROGRAM).s[-1] - 0.08),
+    ('end', '', lambda b: b.state.path_position > path().s[-1] - 0.08),
 )
 PHASES = ('at rest', 'jog', *(phase for phase, _, _ in LIFE))
 ALONE = [(node,) for node in NODES]
@@ -86,7 +88,6 @@ def is_ours(bench: Bench) -> bool:
 
 
 def live_until(bench: Bench, wanted: str) -> None:
-    """Lead a run to a phase; at rest and by hand there is none."""
     if wanted == 'jog':
         move = MoveAxes.Request(axes=['X'], values=[0.1], relative=True, speed=0.2)
         bench.mover.call_async(move)
@@ -157,7 +158,7 @@ def try_row(bench: Bench, row: Row) -> dict[str, Any]:
     told = [text for _, text in bench.diagnostics if text]
     following = next_program(bench)
     if bench.told(run := run or result.program_id):
-        bench.proven(run, path_of(PROGRAM), cut=row.loses('machine_node'))
+        bench.proven(run, path(), cut=row.loses('machine_node'))
     return {
         'code': result.code, 'message': result.message, 'took': took, 'pressed': operator.pressed,
         'told': list(dict.fromkeys(told)), 'next': following,
@@ -189,7 +190,6 @@ def next_program(bench: Bench) -> tuple[int, str]:
 
 
 def fault_of(row: Row, figures: dict[str, Any]) -> str:
-    """Say what a row should not do; empty if it is sound."""
     code, endings = figures['code'], {Result.SUCCEEDED}
     if row.loses('program_node'):
         endings = {Result.STREAM_LOST} | (endings if row.phase == 'end' else set())

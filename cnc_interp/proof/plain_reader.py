@@ -61,7 +61,9 @@ class ReadMove:
     tolerance: float = float('nan')  #: Programmed contour tolerance [m]; NaN: of the settings.
     orientation: float = float('nan')  #: Programmed orientation tolerance [m]; NaN likewise.
     stop: bool = False  #: Whether the text demands a rest at its end.
-    worded: bool = False  #: Whether the text has named a rotary axis so far.
+    #: Whether the text has named a rotary axis so far, and its words are where the axes end: on
+    #: great circles they only tell the direction of the tool.
+    worded: bool = False
     #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
     normal: FloatArray | None = None
     cutter: tuple[float, float] = (0.0, 0.0)  #: Radius beyond its corner, and of the corner [m].
@@ -91,7 +93,7 @@ class _State:
         tools: Mapping[int, tuple[float, float]], height: float,
     ):  # fmt: skip
         self.height, self.turns = height, 1
-        self.rests = self.rests_once = self.worded = False
+        self.rests = self.rests_once = self.worded = self.on_circle = False
         self.tools, self.cutter = tools, (0.0, 0.0)
         self.by_normals, self.normal = False, np.zeros(3)
         self.name, self.names, self.line = name, axis_names, 0
@@ -165,6 +167,8 @@ class _State:
         if not TAKE_P & set(codes):
             self.turns = int(idle.get('P', 1.0))
         self.worded = self.worded or not {'A', 'B', 'C'}.isdisjoint(words)
+        if turns := {'ORIVECT', 'ORICURVE', 'ORIAXES'} & set(codes):
+            self.on_circle = 'ORIAXES' not in turns
         if words:
             self.move(words)
         self.rests_once = False
@@ -285,6 +289,7 @@ class _State:
             self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
             60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
             self.plane, centre, sweep, self.turns if sweep else 1, tolerance=self.tolerance,
-            orientation=self.orientation, stop=self.rests or self.rests_once, worded=self.worded,
+            orientation=self.orientation, stop=self.rests or self.rests_once,
+            worded=self.worded and not (self.on_circle and self.tcp),
             normal=self.normal if self.by_normals else None, cutter=self.cutter,
         ))  # fmt: skip

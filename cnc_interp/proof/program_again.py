@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,6 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     names = machine.axis_names
     given = (settings.get(f'{name}_tolerance') for name in ('contour', 'orientation'))
     tolerances = [float(t) if isinstance(t, int | float) else float('nan') for t in given]
-    forced = bool(settings.get('force_tolerances'))
     found, readers = [], []
     linuxcnc = settings.get('dialect') == 'linuxcnc' or program.suffix.lower() == '.ngc'
     try:
@@ -93,7 +93,8 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         moves: Iterable[ReadMove] = read_by_linuxcnc(
             text, names, skip, len(plan.blocks['tip']), setup
         )
-        found.append(compare_places(plan.blocks, machine, _tolerated(moves, forced), tolerances))
+        moves = _as_planned(moves, settings)
+        found.append(compare_places(plan.blocks, machine, moves, tolerances))
         readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
@@ -103,9 +104,8 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             raise ProgramError('the reader of plain words knows no offsets and tool lengths')
         default = float(feed) if isinstance(feed, int | float) else None
         moves = read_plainly(text, str(program), names, default, skip, tools, plan.flank_height)
-        found.append(
-            _Comparison(plan.blocks, machine, tolerances).follow(_tolerated(moves, forced))
-        )
+        moves = _as_planned(moves, settings)
+        found.append(_Comparison(plan.blocks, machine, tolerances).follow(moves))
         found.append(replace(found[-1], faults=tuple(compare_words(plan, machine, text))))
         readers.append('read by the second reader of plain words')
     except ProgramError as reason:
@@ -118,9 +118,14 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     )  # fmt: skip
 
 
-def _tolerated(moves: Iterable[ReadMove], forced: bool) -> Iterable[ReadMove]:
+def _as_planned(moves: Iterable[ReadMove], settings: Mapping[str, Any]) -> Iterable[ReadMove]:
+    """Let the choices of the user count in place of what the text says."""
     nan = float('nan')
-    return (replace(m, tolerance=nan, orientation=nan) for m in moves) if forced else moves
+    if settings.get('force_tolerances'):
+        moves = (replace(m, tolerance=nan, orientation=nan) for m in moves)
+    if settings.get('interpolation') == 'vector':
+        moves = (replace(m, worded=m.worded and not m.tcp) for m in moves)
+    return moves
 
 
 def compare_places(

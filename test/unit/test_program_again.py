@@ -23,6 +23,7 @@ PROGRAMS = {
     'kept.ngc': 'G64 P0.02\nG0 X0\nG1 X5 F900\nG64 P0.05\nG2 X5.2 Y-0.1 R0.5\nG1 X9\n',
     'timed.ngc': 'G0 X0\nG93 G1 X10 F30\nY10 F60\nG94 X0 F500\n',
     'tcp.ngc': 'TRAORI\nG0 X0 A10 C0\nG64 P0.02\nG1 X20 A15 C30 F3000\nC60\nY5\n',
+    'circle.ngc': 'TRAORI\nORIVECT\nG0 X0 A10 C0\nG1 X20 A15 C30 F3000\nORIAXES\nX25 C60\nY5\n',
     'turns.ngc': 'G0 X0 Y0\nG3 X10 Y0 I5 J0 P2 F1000\nG1 X20\n',
     'stops.ngc': 'G0 X0\nG61\nG1 X5 Y5 F900\nX9\nG64\nX12\nY9\nY12\nM0\nX0\nG4 P1\nY0\n',
     'axes.ngc': 'G0 X0 A0 C0\nG1 X10 A10 F2000\nC90\nY10 C0\n',
@@ -34,8 +35,8 @@ PROGRAMS = {
 #: Motions and arcs of each.
 MOTIONS = {
     'lines.ngc': (4, 0), 'inch.ngc': (5, 0), 'arcs.ngc': (6, 5), 'timed.ngc': (4, 0),
-    'turns.ngc': (3, 1), 'stops.ngc': (8, 0), 'tcp.ngc': (4, 0), 'axes.ngc': (4, 0),
-    'path.apt': (3, 0), 'kept.ngc': (4, 1),
+    'turns.ngc': (3, 1), 'stops.ngc': (8, 0), 'tcp.ngc': (4, 0), 'circle.ngc': (4, 0),
+    'axes.ngc': (4, 0), 'path.apt': (3, 0), 'kept.ngc': (4, 1),
 }  # fmt: skip
 #: One word of a program changed: what the comparison must say.
 CHANGED = [
@@ -61,6 +62,7 @@ CHANGED = [
     ('tcp.ngc', 'A15', 'A15.001', 'line 4 of the program: its tool axis'),
     ('tcp.ngc', 'C60', 'C420', 'line 5 of the program: its rotary words'),
     ('tcp.ngc', 'TRAORI', 'TRAFOOF', 'line 2 of the program: ends'),
+    ('circle.ngc', 'ORIVECT', 'ORIAXES', 'line 4 of the program: has rotary words, its row'),
     ('axes.ngc', 'X10 A10', 'X10 A11', 'line 2 of the program: ends'),
     ('path.apt', '0.28,0.96', '0.29,0.957', 'line 6 of the program: its tool axis'),
     ('path.apt', 'RAPID\n', '\n', 'line 8 of the program: is no rapid'),
@@ -96,7 +98,7 @@ def test_both_readers_agree(name, tmp_path, capsys):
     assert readers[-1] == 'read by the second reader of plain words'
     if not interpreter():
         assert readers[0] == "LinuxCNC's rs274 is not installed"
-    elif name in ('tcp.ngc', 'path.apt'):
+    elif name in ('tcp.ngc', 'circle.ngc', 'path.apt'):
         assert readers[0].startswith("LinuxCNC's rs274 cannot read it: ")
     else:
         assert readers[0] == "read by LinuxCNC's rs274 to 0.0001 of its unit"
@@ -134,6 +136,14 @@ def test_extra_axes_with_tool_tip_programming_off(tmp_path, capsys):
     capsys.readouterr()
     assert main(['check', str(tmp_path / 'plan'), '--program', str(program)]) == 1
     assert 'line 2 of the program: its extra axes' in capsys.readouterr().out
+
+
+def test_great_circles_by_choice_have_no_rotary_words(tmp_path, capsys):
+    program, plan = tmp_path / 'tcp.ngc', tmp_path / 'plan'
+    program.write_text(PROGRAMS['tcp.ngc'])
+    choice = ['--interpolation', 'vector']
+    assert main(['plan', str(program), '--out', str(plan), *choice]) == 0
+    assert main(['check', str(plan), '--program', str(program)]) == 0
 
 
 def test_rows_without_the_rotary_words_of_the_text_are_found(tmp_path, capsys):

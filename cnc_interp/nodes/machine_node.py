@@ -105,6 +105,9 @@ class MachineNode(LifecycleNode):
         """Keep the first chunks of a plan that joins until there are enough."""
         self._pace.wake()
         receiver = self._inlet.receiver
+        new = chunk.first_sample == 0 and chunk.program_id != receiver.run_id.program_id
+        if new and self._playback.state.state is State.IDLE and not self._playback.played:
+            receiver.make_way(run_id_of(chunk))
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
     def _check(self, chunk: SetpointChunk) -> None:

@@ -195,6 +195,11 @@ class WindowedReceiver:
         """Accept nothing more of this plan; messages on their way are ignored."""
         self.complete, self._closed = True, reason
 
+    def make_way(self, run_id: RunId) -> None:
+        """Give up a run that has not moved, for one that was never heard of."""
+        if run_id not in self._past:
+            self.close('its sender has begun another run before it moved')
+
     def consume(self, count: int) -> None:
         self.consumed += count
 

@@ -147,7 +147,7 @@ def try_row(bench: Bench, row: Row) -> dict[str, Any]:
     bench.tidy()
     live_until(bench, row.phase)
     has_goal = row.phase not in ('at rest', 'jog')
-    run = bench.state.program_id if is_ours(bench) else ''
+    run = bench.state.program_id if has_goal and is_ours(bench) else ''
     bench.diagnostics[:] = [(part, '') for part, _ in bench.diagnostics]
     lost_at = time.monotonic()
     lose(bench, row)
@@ -157,7 +157,7 @@ def try_row(bench: Bench, row: Row) -> dict[str, Any]:
     took = time.monotonic() - lost_at
     told = [text for _, text in bench.diagnostics if text]
     following = next_program(bench)
-    if bench.told(run := run or result.program_id):
+    if (run := run or result.program_id) and bench.told(run):
         bench.proven(run, path(), cut=row.loses('machine_node'))
     return {
         'code': result.code, 'message': result.message, 'took': took, 'pressed': operator.pressed,

@@ -305,6 +305,7 @@ class ProgramRun:
         return (
             self.phase is Phase.WAITING
             and program is not None
+            and not self.parts  # what has run is not read again
             and not program.is_own_setup
             and program.setup != setup
         )

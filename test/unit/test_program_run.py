@@ -281,6 +281,9 @@ def test_a_run_waits_for_the_place_of_the_probe_and_reads_on(code):
     run.preparation.prepared.blocks = SimpleNamespace(close=lambda: None)
     run.read_on(Future(), MachineState(program_id=first.program_id), 5, 0.2)
     assert run.phase is Phase.CHECKING and run.run_id != first and run.sent_in_parts == 4
+    run.preparation.prepared = SimpleNamespace(path_length=1.0, is_own_setup=False, setup=1)
+    run.phase = Phase.WAITING
+    assert not run.is_stale(2), 'what has run is not read again'
 
 
 @pytest.mark.parametrize('code', ['G38.2', 'G38.3'])

@@ -9,6 +9,7 @@ passes may turn back or cross themselves [TL2008, Fig. 1 and 5a]; the result say
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,12 +60,12 @@ class ClassicalPaths:
 
 def classical_paths(
     surface: Surface, cutter: Cutter, plane_normal: FloatArray, scallop_height: float, tilt: float,
-    start: float | None = None,
+    start: float | None = None, progress: Callable[[float], None] | None = None,
 ) -> ClassicalPaths:  # fmt: skip
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     run = _Run(surface, cutter, normal, scallop_height, 0.5 * np.pi if cutter.is_ball else tilt)
-    return run.all_passes(start)
+    return run.all_passes(start, progress)
 
 
 class _Run:
@@ -75,7 +76,9 @@ class _Run:
         self.height, self.tilt = height, tilt
         self.beyond = cutter.tool_radius + cutter.corner_radius
 
-    def all_passes(self, start: float | None) -> ClassicalPaths:
+    def all_passes(
+        self, start: float | None, progress: Callable[[float], None] | None
+    ) -> ClassicalPaths:
         passes = [self.first_pass(start)]
         while self.covers_more(passes[-1]):
             if len(passes) >= MOST_PASSES:
@@ -85,6 +88,8 @@ class _Run:
             if loop:
                 return ClassicalPaths(passes, f'pass {len(passes) + 1} {loop}')
             passes.append(self.made(u[found], v[found], len(passes) + 1))
+            if progress:
+                progress(self.share(passes[-1]))
         return ClassicalPaths(passes, '')
 
     def first_pass(self, start: float | None) -> ClassicalPass:
@@ -147,6 +152,12 @@ class _Run:
         frames = before.postures.frames
         u, v, _ = self.surface.project(before.right.position, frames.u, frames.v)
         return bool(self.surface.contains(u, v, 0.0).any())
+
+    def share(self, made: ClassicalPass) -> float:
+        u, v = self.surface.grid(9, 9)
+        level = self.surface.at(u, v).position @ self.normal
+        here = float(np.median(made.postures.contact @ self.normal))
+        return float(np.clip((here - level.min()) / np.ptp(level), 0.0, 1.0))
 
     def followed(self, before: ClassicalPass) -> tuple[FloatArray, FloatArray, BoolArray]:
         frames, right = before.postures.frames, before.right

@@ -57,7 +57,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
     'machine_signals': (MachineSignals, qos.LOADED),
-    'probe_contact': (ProbeContact, qos.LOADED),
+    'probe_contact': (ProbeContact, qos.CONTACTS),
     'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }

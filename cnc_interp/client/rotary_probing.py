@@ -20,7 +20,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.rotary_centres import RotaryCentres, ball_of, fit_rotary_centres
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.nodes.qos import LOADED
+from cnc_interp.nodes.qos import CONTACTS
 
 SLOW, ANSWERS = 2, 4  #: The slow touch among the answers of the probe in ``probe_touch``.
 PATIENCE = 2.0  #: An answer of the probe comes so long after its line, at the latest [s].
@@ -114,7 +114,11 @@ def probe_rotary_centres(
 
     with connected('probe', namespace, domain, ready) as (client, machine):
         toucher = _Toucher(client, found[0], machine)
-        client.node.create_subscription(ProbeContact, 'probe_contact', toucher.hear, LOADED)
+        node = client.node
+        heard = node.create_subscription(ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
+        until = time.monotonic() + PATIENCE
+        while not heard.get_publisher_count() and time.monotonic() < until:
+            client.serve()
         _touch_all(toucher, wanted, machine, client.state, told)
         fit = fit_rotary_centres(machine, np.array(toucher.touched), wanted.reach, wanted.beyond)
         return fit, client.machine

@@ -24,7 +24,7 @@ from cnc_interp.machine.simulated_drives import Uncompensated
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
-from cnc_interp.nodes.qos import JOINTS, LOADED, STATE, STREAM
+from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM
 from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
 from cnc_interp.wire.path_messages import signals_message
 
@@ -63,7 +63,7 @@ class MachineTopics:
         self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
         self._told_signals: MachineSignals | None = None
         self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
-        self._contacts = node.create_publisher(ProbeContact, 'probe_contact', LOADED)
+        self._contacts = node.create_publisher(ProbeContact, 'probe_contact', CONTACTS)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         self._rates = (
             Rate(EXECUTED_RATE, self.publish_executed),

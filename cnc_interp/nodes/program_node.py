@@ -30,7 +30,7 @@ from cnc_interp.nodes.peers import Peers, second_publisher
 from cnc_interp.nodes.program_check import Prepared, prepare, prepare_on
 from cnc_interp.nodes.program_queue import ProgramQueue, answer
 from cnc_interp.nodes.program_run import BlockFeed, ProgramRun
-from cnc_interp.nodes.qos import LOADED
+from cnc_interp.nodes.qos import CONTACTS, LOADED
 from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
 from cnc_interp.program.setup_table import SetupTable
@@ -74,7 +74,7 @@ class ProgramNode(Node):
         self._waits_since = math.inf
         self._queue = ProgramQueue()
         self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
-        self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, LOADED)
+        self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, CONTACTS)
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._modes = ActiveModesTopic(self)
         self._buttons = {

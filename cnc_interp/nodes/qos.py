@@ -39,5 +39,6 @@ FEEDBACK = _last(64, BEST_EFFORT)  #: Their feedback: fits every publisher of jo
 DIAGNOSTICS = _last(64)  #: ``/diagnostics``: what aggregators ask for.
 #: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: for who joins later.
 LOADED = _last(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CONTACTS = _last(64)  #: ``probe_contact``: every one must arrive.
 OVERRIDE = _last(10)  #: ``feed_override``, ``rapid_override``: what ``ros2 topic pub`` offers.
 BEATS = _last(1, BEST_EFFORT)  #: ``jog``: a beat that is lost must not come late.

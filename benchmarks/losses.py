@@ -194,8 +194,7 @@ def fault_of(row: Row, figures: dict[str, Any]) -> str:
     if row.loses('program_node'):
         endings = {Result.STREAM_LOST} | (endings if row.phase == 'end' else set())
     elif 'machine_node' in row.nodes:
-        # Axes that a restarted machine has elsewhere refuse a plan that has not begun.
-        endings |= {Result.STREAM_LOST, Result.STOPPED, Result.REFUSED}
+        endings |= {Result.STREAM_LOST, Result.STOPPED}
     if row.phase not in ('at rest', 'jog') and code not in endings:
         return f'the goal ended with {code}: {figures["message"]}'
     if figures['next'][0] != Result.SUCCEEDED:

@@ -281,6 +281,14 @@ class Playback:
                 self.run_id = run_id
         return run_id == self.run_id and (self.left or away)
 
+    def begins_elsewhere(self, begins: FloatArray) -> bool:
+        """Tell whether no motion from rest has this setpoint as its first one."""
+        axes = self.axes
+        if begins.shape != axes.setpoints[-1].shape:
+            return False  # of another machine, which the checks of its message tell
+        farthest = axes.machine.max_jerk * axes.period**3 + ELSEWHERE
+        return bool((np.abs(begins - axes.setpoints[-1]) > farthest).any())
+
     def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
         self.look()

@@ -129,6 +129,11 @@ class MachineNode(LifecycleNode):
         number, before = chunk.first_sample, playback.buffer.newest
         if chunk.joins:
             before = playback.before_join(run_id, number)
+        if begins and playback.begins_elsewhere(first):
+            text = (
+                'the plan begins where the axes do not stand: they were moved, or machine_node was'
+            )
+            raise StreamError(f'{text} started again; run the program again', Refusal.GIVEN_UP)
         check_chunk(chunk, playback.axes.machine, self._period, before)
         if chunk.joins:
             playback.join(run_id, number, *_parts(chunk))

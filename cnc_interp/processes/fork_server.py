@@ -6,7 +6,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import threading
 from collections.abc import Sequence
 from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.context import ForkServerContext
@@ -32,20 +31,26 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
         _sockets = TemporaryFolder()
         multiprocessing.current_process()._config['tempdir'] = _sockets.name  # type: ignore[attr-defined]
         util.Finalize(None, _end, exitpriority=AFTER_CHILDREN)
-    # They inherit it. A thread cannot ignore signals, nor can it be interrupted by one.
-    in_main = threading.current_thread() is threading.main_thread()
-    ignored = STOPS if in_main else ()
-    before = [signal.signal(number, signal.SIG_IGN) for number in ignored]
-    forkserver.ensure_running()
-    for number, handler in zip(ignored, before, strict=True):
-        signal.signal(number, handler)
+    resource_tracker.ensure_running()  # which changes the mask itself
+    # The server and its children inherit the mask. What is blocked waits; what is ignored is lost.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return multiprocessing.get_context('forkserver')
 
 
 def begin_child(name: str) -> None:
-    """Name a child of the fork server in ps, top and pgrep; who started it receives Ctrl-C."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    """Name a child of the fork server in ps, top and pgrep; who started it receives Ctrl-C.
+
+    A SIGTERM that came before counts now.
+    """
     os.setsid()
+    for number in set(STOPS) - {signal.SIGTERM}:
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     with contextlib.suppress(OSError):
         Path('/proc/self/comm').write_text(name, encoding='ascii')
 

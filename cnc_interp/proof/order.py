@@ -153,8 +153,8 @@ class _Shapes:
         coordinates = np.zeros((2, rows, plan.position.shape[1]))  # at the start, and the way
         if self.worded.any():
             ruled = program.by_axes & ~linear
-            coordinates[0, ruled, 3:5] = blocks['rotary'][before[ruled]]
-            coordinates[1, ruled, 3:5] = (blocks['rotary'] - blocks['rotary'][before])[ruled]
+            coordinates[0, ruled, 3:5] = program.rotary_from[ruled]
+            coordinates[1, ruled, 3:5] = (blocks['rotary'] - program.rotary_from)[ruled]
         if lines is not None:
             coordinates[0, linear], coordinates[1, linear] = (
                 lines.start[linear], lines.step[linear]

@@ -221,7 +221,7 @@ class ProgramShapes:
         blocks = plan.blocks
         path = ProgrammedPath.of(
             blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,
-            blocks['interpolation'] != POSES,
+            blocks['interpolation'] != POSES, blocks['rotary_from'],
         )  # fmt: skip
         return ProgramShapes(
             plan, machine, Transform.of(machine), path, ProgrammedAxes.of(plan, machine),
@@ -251,8 +251,8 @@ def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> De
     if ruled.any():
         # Here the rotary axes move linearly: compare with their position at the same part of it.
         row, position = block[ruled], position[ruled].copy()
-        rotary = blocks['rotary']
-        first, way = rotary[row - 1], rotary[row] - rotary[row - 1]
+        first = program.path.rotary_from[row]
+        way = blocks['rotary'][row] - first
         share = np.sum((position[:, 3:5] - first) * way, axis=1)
         share = np.clip(share / np.maximum(np.sum(way**2, axis=1), 1e-300), 0.0, 1.0)
         position[:, 3:5] = first + share[:, None] * way

@@ -47,12 +47,13 @@ class ProgrammedPath:
     #: (M,): Pure rotations given by rotary words, and rows without a line of the tip. The rotary
     #: axes move linearly, not on a great circle.
     by_axes: BoolArray
+    rotary_from: FloatArray  #: (M, 2): Rotary positions at the start of the row, NaN if not known.
     flank_height: float  #: Height of the second point above the tip [m].
 
     @staticmethod
     def of(
         tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float,
-        linear: BoolArray | None = None,
+        linear: BoolArray | None = None, rotary_from: FloatArray | None = None,
     ) -> ProgrammedPath:  # fmt: skip
         """Build the path of M rows; no pose is near those whose rotary axes run linearly."""
         before = np.r_[0, np.arange(len(tip) - 1)]
@@ -61,8 +62,10 @@ class ProgrammedPath:
         cosine = np.sum(first * axis, axis=1)
         across = axis - cosine[:, None] * first
         sine = np.linalg.norm(across, axis=1)
-        worded = np.isfinite(rotary).all(axis=1)
-        by_axes = worded & worded[before] & (np.linalg.norm(chord, axis=1) < TIE)
+        begin = rotary[before]
+        if rotary_from is not None:  # told where the row before names no rotary words
+            begin = np.where(np.isfinite(rotary_from), rotary_from, begin)
+        by_axes = np.isfinite(begin + rotary).all(axis=1) & (np.linalg.norm(chord, axis=1) < TIE)
         if linear is not None:
             start = np.where(linear[:, None], np.nan, start)
             by_axes = by_axes | linear
@@ -70,7 +73,7 @@ class ProgrammedPath:
             start=np.ascontiguousarray(start, dtype=float), chord=chord,
             axis=np.ascontiguousarray(first, dtype=float),
             sideways=across / np.where(sine > 0.0, sine, 1.0)[:, None],
-            turn=np.arctan2(sine, cosine), by_axes=by_axes, flank_height=height,
+            turn=np.arctan2(sine, cosine), by_axes=by_axes, rotary_from=begin, flank_height=height,
         )  # fmt: skip
 
     @cached_property

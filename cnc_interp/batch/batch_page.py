@@ -1,7 +1,5 @@
 """The table of a batch: CSV for everybody, Parquet for programs, a page that sorts it."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections import Counter

@@ -1,7 +1,5 @@
 """A batch from its jobs to all results: what is known is not computed again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

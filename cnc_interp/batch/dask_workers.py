@@ -1,7 +1,5 @@
 """A batch on several computers: Dask gives out the tasks, processes carry them out as here."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal

@@ -1,7 +1,5 @@
 """Calls in processes of their own, forked from a warm fork server; each crashes alone."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -3,8 +3,6 @@
 Points are command lines.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import itertools

@@ -1,7 +1,5 @@
 """The work of one task: the program is read, planned and proven."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import resource

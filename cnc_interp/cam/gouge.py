@@ -1,7 +1,5 @@
 """The bottom of the mill stays outside the surface: the check, and tilts that lift its heel."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter

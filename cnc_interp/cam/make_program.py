@@ -1,7 +1,5 @@
 """The work of the `cam` commands: surface, passes, program, plan, motion, N-buffer, page."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

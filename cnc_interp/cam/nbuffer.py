@@ -5,8 +5,6 @@ Newton's method from below therefore converges monotonically to the height at wh
 enters. The result is the signed height of the material: scallop, excess or gouge.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

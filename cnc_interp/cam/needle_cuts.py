@@ -6,8 +6,6 @@ written in the part of Python that ``warp_cuts.py`` can translate: scalars, rows
 literal that is overwritten in a loop.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 from numba import njit

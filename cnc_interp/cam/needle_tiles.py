@@ -1,7 +1,5 @@
 """The N-buffer in tiles: a worker gets needles and the motion near them, and returns heights."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Passes along guiding curves: their angles, their width, and the parts that are milled."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

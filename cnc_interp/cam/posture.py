@@ -10,8 +10,6 @@ With tilt theta and yaw y about n, ``f_y = f cos y - t sin y`` (n x f = -t) and
 The mill therefore touches the surface at K - r_c n, and its heel is lifted.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One self-contained HTML page about iso-scallop passes and the simulated surface."""
 
-from __future__ import annotations
-
 from html import escape
 from typing import Any
 

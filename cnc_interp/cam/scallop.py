@@ -16,8 +16,6 @@ For a flat mill (r_c = 0) P lies on its edge instead. Up to six roots exist. The
 on the front of the tool, on the side of the previous pass, and a tilt between 0 and 90 deg.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """What is simulated: motions of programs, of plans and of the machine; sections with scallops."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ control points. Others are converted exactly to rational B-splines. The package
 ``cadquery-ocp-novtk`` (module ``OCP``) is optional.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

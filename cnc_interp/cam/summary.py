@@ -1,7 +1,5 @@
 """Figures of passes and of simulated surfaces: for summary.json and as text."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

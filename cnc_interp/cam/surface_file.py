@@ -8,8 +8,6 @@ crash, or compute without end, for a file that is wrong on purpose. Then only th
 and the file is refused. It writes the surface, or a reason, to its standard output.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import resource

@@ -5,8 +5,6 @@ but may load scripts. So each tile is a script with its heights: whole nanometre
 of bytes, deflated, in base 64.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """By hand from the command line: a move, homing, lines (MDI); each is waited for and told."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """Units in which people read positions and feeds: millimetres, or inches on a page."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM

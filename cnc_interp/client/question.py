@@ -9,8 +9,6 @@ have gone to a node that was killed since; the one that is there now does not kn
 says so.
 """
 
-from __future__ import annotations
-
 import math
 import time
 import uuid

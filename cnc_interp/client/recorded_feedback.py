@@ -1,7 +1,5 @@
 """Setpoints and feedback of the last run in a bag, and what a compensated one teaches."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run as it was on the wire: blocks, segments and executed setpoints -> plan files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -9,8 +9,6 @@ Beginning and end of a recording are handshakes with every node, so the bag is w
   counted, and a state of the machine is waited for that was told after the end.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterable

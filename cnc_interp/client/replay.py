@@ -1,7 +1,5 @@
 """Replay of a bag: setpoints computed again from its blocks, or its messages published again."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

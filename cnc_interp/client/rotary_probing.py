@@ -1,7 +1,5 @@
 """Touch one ball at several rotary positions of a running machine, and find its rotary axes."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

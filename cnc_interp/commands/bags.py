@@ -1,7 +1,5 @@
 """`cnc-interp record`, `replay` and `repair`: runs written into bags, and read again."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`cnc-interp batch`: many programs on many machines, planned and proven; one table, one page."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

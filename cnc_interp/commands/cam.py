@@ -1,7 +1,5 @@
 """The commands `cnc-interp cam iso-scallop` and `cnc-interp cam simulate`."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

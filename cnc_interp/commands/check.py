@@ -1,7 +1,5 @@
 """`cnc-interp check` and `report`: what a plan or a recorded run is proven to be."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from argparse import Namespace

@@ -1,7 +1,5 @@
 """The `cnc-interp` command: words of the shop floor in, one clear line per mistake out."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import errno

@@ -1,7 +1,5 @@
 """`cnc-interp convert`, `urdf` and `hal`: a program, a machine, a HAL file in another form."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`cnc-interp excite` and `identify`: the drives of a machine measured."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`cnc-interp jog`, `home`, `mdi`, `probe`, `offsets` and others: a running machine operated."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`cnc-interp run` and `panel`: programs through the ROS 2 nodes, and the page to operate them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`cnc-interp sweep`: a command with many values of its options; the fastest, and why."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import shlex

@@ -4,8 +4,6 @@
 ``siemens-bspline`` writes the smooth path of the look-ahead as lines and pairs of cubic B-splines.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ compiled ones on one piece, and return jets (``jet.py``). A curve lies in the hu
 and each derivative in the hull of their differences, so the bounds miss no place.
 """
 
-from __future__ import annotations
-
 from math import comb
 
 import numpy as np

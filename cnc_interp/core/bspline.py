@@ -3,8 +3,6 @@
 The corner spline is a cubic B-spline with knots (0 0 0 0 .5 1 1 1 1) [B2013, section 2.2].
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The time in which kernels are compiled: it is told, and it is no time of the work at hand."""
 
-from __future__ import annotations
-
 import mmap
 import multiprocessing
 import sys

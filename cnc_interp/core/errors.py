@@ -1,7 +1,5 @@
 """The errors of the interpolator: one base class, and kinds that carry line, axis and value."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 

@@ -4,8 +4,6 @@ A jet (c0, c1, c2, c3) is f(t) = c0 + c1 t + c2 t^2 + c3 t^3 + O(t^4), so a form
 evaluated with jets gives exact derivatives. A vector jet is a tuple of three jets.
 """
 
-from __future__ import annotations
-
 from math import atan2, cos, sin, sqrt
 
 from numba import njit

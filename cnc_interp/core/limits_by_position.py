@@ -15,8 +15,6 @@ Divided by J, rows ``DRIVE``, ``COULOMB`` and ``VISCOUS`` hold T/J, C/J and B/J 
 the same, 1/s]. ``DRIVE`` is infinite where the axis has no such limit.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

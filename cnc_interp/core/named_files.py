@@ -5,8 +5,6 @@ whether or not there is such a file, and nothing of it is read. Devices and pipe
 opening one may wait for ever, or do something.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Compiled code and its machine: distinct arrays, addresses, memory order, the clock."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Progress of long work: one line that is redrawn on a terminal, plain lines in a log."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

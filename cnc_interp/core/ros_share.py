@@ -1,7 +1,5 @@
 """Where ROS packages keep their files, and where this one has its machines and parameters."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

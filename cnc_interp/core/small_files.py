@@ -1,7 +1,5 @@
 """Small files of a user: read within bounds, written whole; other readers' memory is bounded."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

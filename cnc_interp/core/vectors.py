@@ -1,7 +1,5 @@
 """Products of arrays of vectors, (..., 3): faster than ``np.cross`` and ``norm`` on short ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -29,8 +29,6 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
     dm            (n + 2,)           step of m, likewise; both ends are zero
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -6,8 +6,6 @@ Consecutive path cells become one if they are short in time and their axis deriv
 line; cells too short for double precision always do.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba

@@ -6,8 +6,6 @@ with its share of the time. Without the weight, short cells would stay away from
 ``barrier_rows.py`` describes the rows, the arrays and their shapes.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -25,8 +25,6 @@ has a constant. Only the terms depend on the unknowns, and each one on m_{i-1}, 
 Thus the Newton matrix is pentadiagonal, and one axis costs three multiplications per row.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -1,7 +1,5 @@
 """The upper limit of the feed [B2013, Eq. 10], and how much of each limit a motion law uses."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import numba

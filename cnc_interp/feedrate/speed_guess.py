@@ -5,8 +5,6 @@ v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s. The guess grows at half that slope. It
 purposes: it shows where time is spent, and it is the starting point of the interior point method.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

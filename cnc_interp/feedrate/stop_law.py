@@ -14,8 +14,6 @@ and the torque are kept, too. If an axis cannot follow, the release is tried ear
 then less braking. If none keeps the limits, the motion goes on as planned until there is a stop.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

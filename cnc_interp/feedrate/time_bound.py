@@ -14,8 +14,6 @@ So TOPP-RA may take every third node, and the result is still a bound. Where lim
 position, the second and third line take the largest V and A in each cell.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba

@@ -4,8 +4,6 @@ The backward pass of TOPP-RA [PP2018, Algorithm 1] with ``seidel``. The unknowns
 b = s_dot^2 at its start and its change, over the largest b: within 1, whatever the unit of length.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec, module_from_spec
 from typing import Any

@@ -5,8 +5,6 @@ tool axis rests, so a 3-axis path on the pole is no singularity. Nearer to the p
 tolerance, the outer axis is given (``pole_passage.py``), or turns first, about the resting tip.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

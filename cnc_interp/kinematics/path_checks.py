@@ -1,7 +1,5 @@
 """What is refused of a path in machine axes: tilt, unreachable poses, words, travel."""
 
-from __future__ import annotations
-
 from typing import NoReturn
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An axis path from arrays of axis positions; apart, because no program needs scipy's splines."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import make_interp_spline
 

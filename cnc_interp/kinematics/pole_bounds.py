@@ -24,8 +24,6 @@ Between samples du apart, |g| <= G = largest sample + |v'| du / 2, and then the 
 ``largest sample + |g''| du^2 / 8``.
 """
 
-from __future__ import annotations
-
 from math import atan2, ceil, pi, sqrt, tan
 
 import numpy as np

@@ -14,8 +14,6 @@ when the path after it is known so far that nothing later can change it. So the 
 depend on how the segments arrive. ``path_at_pole.py`` answers questions about the path.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ A segment is cut until the septics between the ends of cells meet the exact axes
 break where the third derivative may jump: at joins and at u = 0.5 of corners.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

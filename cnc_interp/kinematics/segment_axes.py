@@ -1,7 +1,5 @@
 """Axes and derivatives at one point of a segment; ``inside`` selects the piece at a break."""
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

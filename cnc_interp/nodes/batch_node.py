@@ -1,7 +1,5 @@
 """The batch node: action ``plan_batch``, many programs planned beside a running machine."""
 
-from __future__ import annotations
-
 import re
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The topics of a trajectory controller of ros2_control, heard in a thread of their own."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Sequence

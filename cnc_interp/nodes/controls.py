@@ -1,7 +1,5 @@
 """Services and topics of the operator: those of the machine node, and ``optional_stop``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

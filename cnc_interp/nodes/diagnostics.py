@@ -1,7 +1,5 @@
 """The diagnostics of a node on ``/diagnostics``: once a second, and changes at once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue

@@ -1,7 +1,5 @@
 """The feedrate node: ``segments`` in, ``setpoints`` out; see ``run/planning_session.py``."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

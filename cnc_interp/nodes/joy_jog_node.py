@@ -1,7 +1,5 @@
 """The joystick node: ``joy`` in, beats of ``jog`` out while its enable button is pressed."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """A tiny built-in path loads every compiled kernel, once in a process, before anything moves."""
 
-from __future__ import annotations
-
 import gc
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The look-ahead node: ``blocks`` or ``block_batches`` in, rounded ``segments`` out."""
 
-from __future__ import annotations
-
 import sys
 from collections import deque
 from functools import partial

@@ -1,7 +1,5 @@
 """The machine node: ``setpoints`` in, at absolute deadlines into the drives."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """What the machine node publishes: state, joints, executed setpoints."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

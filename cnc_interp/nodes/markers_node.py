@@ -1,7 +1,5 @@
 """The markers node: programmed and executed path for RViz and Foxglove; it only listens."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterable

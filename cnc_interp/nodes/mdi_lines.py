@@ -1,7 +1,5 @@
 """Lines by hand (MDI) in the program node: when they may start, and their modal state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

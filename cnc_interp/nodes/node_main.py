@@ -1,7 +1,5 @@
 """The main loop that all nodes share: start, spin, end in a controlled way with exit code 0."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import multiprocessing

@@ -1,7 +1,5 @@
 """Parameters of the nodes: one scalar each, SI, with description and range."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

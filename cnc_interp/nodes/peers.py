@@ -1,7 +1,5 @@
 """The last messages of the other nodes, and which nodes are silent."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """From a goal to blocks that are known to run: read, then checked to the last block."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace

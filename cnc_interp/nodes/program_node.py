@@ -1,7 +1,5 @@
 """The program node: action ``run_program`` in, ``block_batches`` out within the window."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -1,7 +1,5 @@
 """Goals that wait while a program runs: each starts when the one before it has ended."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """One run of a program, from its goal to its outcome; no ROS calls and no clock."""
 
-from __future__ import annotations
-
 import uuid
 from concurrent.futures import Future
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Quality of service of every topic; those of ``run_program`` are rclpy's for actions."""
 
-from __future__ import annotations
-
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 DEPTH = 4096  #: Largest window that a node may be given, in messages.

@@ -1,7 +1,5 @@
 """Offsets and tools of the machine over ROS: services and the topic ``setup_table``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import partial

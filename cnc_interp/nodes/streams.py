@@ -1,7 +1,5 @@
 """Both ends of a stream as a ROS topic: checksum, window, checks, refusals, repetition."""
 
-from __future__ import annotations
-
 import math
 import time
 import zlib

@@ -1,7 +1,5 @@
 """Live charts: feed against its limit, and the axes' use of their limits."""
 
-from __future__ import annotations
-
 import time
 from itertools import cycle
 from typing import Any

@@ -10,8 +10,6 @@ The server has a copy of the text in each field, which is old after such a break
 reads fields sends the texts in them when pressed (``act_on_shown``).
 """
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import json

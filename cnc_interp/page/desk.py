@@ -1,7 +1,5 @@
 """What all pages share: the nodes' last words, the loaded program, its plan and the history."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import time

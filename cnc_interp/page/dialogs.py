@@ -1,7 +1,5 @@
 """The dialogs of a page: keyboard, settings of the next run, offsets and tools."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Awaitable, Callable

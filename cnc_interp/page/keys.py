@@ -1,7 +1,5 @@
 """The keys of a page: stops, start and reset, switches, feed override and rapid override."""
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The page: read-outs, machine, program, charts and keys of one browser tab."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The dialog of a page that runs probing cycles."""
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any

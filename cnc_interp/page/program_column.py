@@ -1,7 +1,5 @@
 """The program column of a page: the text, the line of the next start, and lines by hand (MDI)."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable, Callable

@@ -1,7 +1,5 @@
 """What a page tells: numbers as words of the shop floor, in its unit of lengths, and messages."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from html import escape

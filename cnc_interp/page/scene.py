@@ -1,7 +1,5 @@
 """The machine in three dimensions: moving axes, the tool, and its path as a coloured tube."""
 
-from __future__ import annotations
-
 import json
 import struct
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """A start inside the loaded program: the line that is chosen, and the way that leads there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

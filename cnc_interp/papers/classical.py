@@ -7,8 +7,6 @@ and v. The feed direction is first that of the scallop, then that of the pass ju
 passes may turn back or cross themselves [TL2008, Fig. 1 and 5a]; the result says where.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

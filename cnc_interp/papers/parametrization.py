@@ -4,8 +4,6 @@ The first and last three values of f are found one after the other by Newton's m
 discrete third derivative of the axis (Eq. 11). A cubic spline joins them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray

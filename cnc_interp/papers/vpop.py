@@ -15,8 +15,6 @@ The idea is that of [B2012], the searches are our own. The constraints are appli
 of the exact path.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -9,8 +9,6 @@ and the torque of its drive. Each step takes the largest j, or the lowest one to
 period or to the border of a path cell; before a speed limit a is zero when v gets there.
 """
 
-from __future__ import annotations
-
 from typing import TypeAlias
 
 import numba

@@ -1,7 +1,5 @@
 """Python's fork server loads libraries and kernels once; processes forked from it share them."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -5,8 +5,6 @@ Another process may be about to open the same port. If its file were removed aft
 opens it later would get another file, and no message. So Fast DDS's own lock is held meanwhile.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -1,7 +1,5 @@
 """Ctrl-C, SIGTERM and a closed terminal: seen by a loop as a request, or handled later."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

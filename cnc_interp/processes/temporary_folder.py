@@ -1,7 +1,5 @@
 """Temporary folders that do not outlive their process for long, though it may be killed."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,7 +1,5 @@
 """By default no other computer reaches the nodes: variables of ROS 2 and Fast DDS that say so."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Two runs side by side: tables, and both feeds over path length and time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from html import escape
 from typing import Any

@@ -1,7 +1,5 @@
 """The close-up of a corner: both curves in space, and the profiles along them."""
 
-from __future__ import annotations
-
 import json
 from html import escape
 from typing import Any

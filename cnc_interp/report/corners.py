@@ -1,7 +1,5 @@
 """Selected corners: their curves, parametrization, derivatives and feed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

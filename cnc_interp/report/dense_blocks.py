@@ -1,7 +1,5 @@
 """Dense blocks that became curves: figures and text of the report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

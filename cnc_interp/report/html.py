@@ -1,7 +1,5 @@
 """HTML pages that stand alone: their style, sections and drawings, and the packed library."""
 
-from __future__ import annotations
-
 import json
 import re
 import zlib

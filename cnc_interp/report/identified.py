@@ -1,7 +1,5 @@
 """The page about identified drives: measured against modelled, residual, Bode."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path

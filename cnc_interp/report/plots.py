@@ -1,7 +1,5 @@
 """The figures of every report, in plotly, and the list of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

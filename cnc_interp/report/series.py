@@ -1,7 +1,5 @@
 """The values that a report draws, as arrays in shop units, thinned without loss of extremes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

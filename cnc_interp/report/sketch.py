@@ -1,7 +1,5 @@
 """The feed profile of a plan as a few lines of text for the terminal."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which limit holds the motion, on which lines, and what that costs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole chain without ROS: blocks -> segments -> axes -> motion law -> setpoints -> a sink."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path

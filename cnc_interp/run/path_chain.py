@@ -4,8 +4,6 @@ Smoothing proposes stops at doubtful corners (``smoothing/stop_choice.py``), ``i
 both ways. The look-ahead node only smooths (``smoother_of``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial

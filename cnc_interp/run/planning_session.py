@@ -4,8 +4,6 @@
 be, and hands the result to ``finish``. ``SessionPort`` is the node's side.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The sending side of a run: its phases, how it ends, and what it must know about the machine."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum, IntEnum

@@ -5,8 +5,6 @@ the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan th
 never asks for less than a stop from there (``way_down``).
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Sequence
 

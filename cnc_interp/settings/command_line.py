@@ -1,7 +1,5 @@
 """Settings as options of a command, and back."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from typing import Any

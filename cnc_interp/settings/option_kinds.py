@@ -4,8 +4,6 @@
 operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 from collections.abc import Mapping

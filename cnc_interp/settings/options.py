@@ -1,7 +1,5 @@
 """Settings: all choices of the user, each declared in one place; and as texts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import pi

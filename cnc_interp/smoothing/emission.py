@@ -1,7 +1,5 @@
 """Classified vertices to segments: the remaining lines, the corners and the spans of curves."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ line between them that is too short. The result does not depend on how the block
 into batches.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray

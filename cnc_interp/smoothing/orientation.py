@@ -1,7 +1,5 @@
 """Tool axes on lines: great circles [B2013, Eq. 4], and shares beside the pole."""
 
-from __future__ import annotations
-
 from math import atan2, cos, sin, sqrt
 
 import numpy as np

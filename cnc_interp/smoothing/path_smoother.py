@@ -4,8 +4,6 @@ Lines and splines meet at the programmed poses. The look-ahead sees a stop at su
 spline continues the line smoothly, this stop is removed from the segments afterwards.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

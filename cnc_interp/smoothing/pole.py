@@ -16,8 +16,6 @@ not come nearer than that. The factor g is 1 for curves. A corner deviates less 
 from its vertex: at the part f of its leg by about ``(1 - f)^4`` of its largest deviation.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -21,8 +21,6 @@ stop, or six lines after it. Which lines it has does not depend on how the block
 neither does the choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Chunks of setpoints <-> ROS messages, bit for bit; ``message_checks`` checks them first."""
 
-from __future__ import annotations
-
 from array import array
 from typing import Any
 

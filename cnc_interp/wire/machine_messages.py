@@ -1,7 +1,5 @@
 """The state of the machine, its joints and what it executed as messages."""
 
-from __future__ import annotations
-
 from itertools import groupby
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Messages about a whole run: its settings, the machine's report, how far it is, its result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace

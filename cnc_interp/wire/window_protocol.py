@@ -5,8 +5,6 @@ The receiver says what it expects next and how far it may be sent. The sender ke
 until it is acknowledged, and begins again at the first one that was not after a while.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

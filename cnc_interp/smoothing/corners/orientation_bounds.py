@@ -14,8 +14,6 @@ is a proven bound. An interval is halved until its bound is within the factor ``
 largest error at any Chebyshev point of the corner.
 """
 
-from __future__ import annotations
-
 from math import comb, cos, expm1, sin, sqrt
 
 import numpy as np

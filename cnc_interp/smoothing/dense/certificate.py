@@ -7,8 +7,6 @@ of the curve from the blocks and of the blocks from the curve. Tip and tool axis
 the same u, too.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

@@ -8,8 +8,6 @@ does not depend on how the blocks arrive. Where a curve meets a line or a corner
 the motion of the line: the tip moves straight and the tool axis on the great circle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

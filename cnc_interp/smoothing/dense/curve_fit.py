@@ -1,7 +1,5 @@
 """One curve through a run of short blocks: fitted, certified and committed window by window."""
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The lines at both ends of a curve: a long block, or a chord over short blocks at a corner."""
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import NamedTuple
 

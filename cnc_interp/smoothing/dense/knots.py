@@ -5,8 +5,6 @@ flank height h, the curve parameter u grows by du = sqrt((|dp|^2 + |dT|^2) / 2) 
 also grows where the tip is slow and the tool turns.
 """
 
-from __future__ import annotations
-
 from math import ceil, sqrt
 
 import numpy as np

@@ -7,8 +7,6 @@ vertices from their chord is recorded. A corner is measured between chords of at
 tolerances, because the angles between shorter chords are noise.
 """
 
-from __future__ import annotations
-
 from math import acos, sqrt
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ weight. The result tends to the spline with the smallest integral inside the tub
 weights for Chebyshev approximation work in the same way.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 import numpy as np

@@ -8,8 +8,6 @@ halved, so that only its end changes. If the path turns too sharply, the tool re
 ``--parametrization linear`` nothing is connected, as on a control with u_top = u_bottom.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from cnc_interp.core.arrays import FloatArray, IntArray

@@ -45,11 +45,13 @@ def why_not() -> str:
     return ''
 
 
-def witnessed_file(name: str) -> str:
-    """Return a bundled file with the second sampler."""
+def witnessed_file(name: str, inputs: int) -> str:
+    """Return a bundled file with the second sampler, and further inputs in the first."""
     text, count = (FOLDER / f'{name}.hal').read_text(encoding='utf-8'), len(AXES)
     depths = f'depth=4000,{WITNESSED}'
-    text = re.sub(r'depth=4000 cfg=(\w+)', rf'{depths} cfg=\1,{"f" * 2 * count}b', text)
+    text = re.sub(
+        r'depth=4000 cfg=(\w+)', rf'{depths} cfg=\1{"b" * inputs},{"f" * 2 * count}b', text
+    )
     signals = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
     nets = [f'net {signal} => sampler.1.pin.{k}' for k, signal in enumerate(signals)]
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
@@ -64,18 +66,20 @@ class Session:
     ----------
     name : str
         A file of ``config/hal``, without its suffix.
+    inputs : int
+        Number of inputs of the machine file.
 
     """
 
-    def __init__(self, name: str = 'simulated_axes'):
-        self._name = name
+    def __init__(self, name: str = 'simulated_axes', inputs: int = 0):
+        self._name, self._inputs = name, inputs
 
     def __enter__(self) -> Session:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
         if os.geteuid() == 0:
             os.chown(self._folder.name, NOBODY, NOBODY)
         path = Path(self._folder.name) / 'witnessed.hal'
-        path.write_text(witnessed_file(self._name), encoding='utf-8')
+        path.write_text(witnessed_file(self._name, self._inputs), encoding='utf-8')
         path.chmod(0o644)  # read by the other user
         self._run('halcmd', '-f', str(path))
         self._session = HalSession()

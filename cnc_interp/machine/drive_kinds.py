@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.machine_model.signals import home_input
 
 if TYPE_CHECKING:
     from cnc_interp.machine.drives import Drives
@@ -128,11 +129,10 @@ def drives_of(machine: Machine, period: float, values: Values, link: Link) -> Dr
         if values['compensation'] or values['learnt']:
             text = 'are not compensated so far; leave compensation out'
             raise InterpError(f'drives of {name} {text}')
-        if machine.homing.switches:
-            raise InterpError(
-                'the machine file has reference switches (homing), which only simulated drives '
-                'have; real drives must know their positions: remove homing from the machine file'
-            )
+        inputs = {signal.name for signal in machine.signals.inputs} if name == 'hal' else set()
+        if missing := {*map(home_input, machine.homing.switches)} - inputs:
+            needed = f'the inputs {" ".join(sorted(missing))} in its signals' if inputs else 'HAL'
+            raise InterpError(f'homing of the machine file needs {needed}, or leave homing out')
     return KINDS[name].make(machine, period, values, link)
 
 

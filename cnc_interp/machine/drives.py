@@ -123,6 +123,20 @@ class CycleDrives(Drives, Protocol):
 
 
 @runtime_checkable
+class HomedDrives(CycleDrives, Protocol):
+    """Drives that know where their axes are only after these have found reference switches."""
+
+    @property
+    def released(self) -> FloatArray:
+        """Where each axis was in the period in which its switch released last [m, rad]."""
+        ...
+
+    def shift(self, by: FloatArray) -> None:
+        """Add to the positions of the axes, which rest and stay where they are [m, rad]."""
+        ...
+
+
+@runtime_checkable
 class DelayedDrives(Drives, Protocol):
     """Drives that Python feeds with what the cycle played; unheard, they rest on the path."""
 

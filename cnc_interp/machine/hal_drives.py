@@ -19,6 +19,7 @@ from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
 from cnc_interp.machine.hal_file import columns_of
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import home_input
 
 LIBRARY = 'liblinuxcnchal.so.0'
 #: Keys of the shared memory of HAL itself, of the first streamer and of the first sampler.
@@ -186,10 +187,16 @@ class HalDrives:
             self._block = hal_step.block_at(self.memory.ctypes.data, n)
             self.outputs, self.inputs = self._block.outputs, self._block.inputs
             self._block.is_number[:] = [s.is_number for s in machine.signals.outputs]
+            inputs = [signal.name for signal in machine.signals.inputs]
+            self._block.home[:] = [
+                inputs.index(home_input(name)) if name in machine.homing.switches else -1
+                for name in self._names
+            ]
             self._fill(machine, period, depth, limits, stream, samples)
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
             self._await_answer()
+            self._assume_inside(machine)
         except BaseException:
             self._leave()
             raise
@@ -238,6 +245,24 @@ class HalDrives:
         self._step_until(hal_step.COUNTED, 1)
         if not self._block.words[hal_step.COUNTED]:
             raise DriveFaultError("HAL's thread does not run; start it: halcmd start")
+
+    def _assume_inside(self, machine: Machine) -> None:
+        """Count axes that will be homed from within their travel, wherever HAL has them."""
+        block, inside = self._block, np.clip(self._block.actual[1], *machine.travel.T)
+        block.shift[:] = np.where(block.home >= 0, inside - block.actual[1], 0.0)
+        hal_step.shift_axes(block)
+
+    @property
+    def released(self) -> FloatArray:
+        return self._block.released.copy()
+
+    def shift(self, by: FloatArray) -> None:
+        words = self._block.words
+        self._block.shift[:] = by
+        publish(words, hal_step.SHIFT_ASKED, 1)
+        self._wait(lambda: not words[hal_step.SHIFT_ASKED])
+        if words[hal_step.SHIFT_ASKED]:
+            raise DriveFaultError(CAUSES[hal_step.STOPPED])
 
     def _step_until(self, word: int, value: int) -> None:
         """Let periods pass in place of the clock, which does not run, until a word has a value."""

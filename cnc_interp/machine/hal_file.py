@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.machine_model.signals import Signals
+from cnc_interp.machine_model.signals import Signals, home_input
 
 NO_SIGNALS = Signals()
 #: Modules of the motion controller, by name or as the INI file names them.
@@ -131,7 +131,10 @@ def _places(axes: Sequence[str], joints: str, signals: Signals) -> dict[str, str
             f'joint.{joint}.vel-cmd': f'streamer.0.pin.{n + i}',
             f'joint.{joint}.motor-pos-fb': f'sampler.0.pin.{n + i}',
             f'joint.{joint}.amp-fault-in': f'sampler.0.pin.{2 * n + i}',
-        }
+        } | {
+            f'joint.{joint}.home-sw-in': f'sampler.0.pin.{3 * n + 2 + k}'
+            for k, signal in enumerate(signals.inputs) if signal.name == home_input(letter)
+        }  # fmt: skip
     return found
 
 

@@ -27,6 +27,8 @@ WANTED, PERIOD, POWER = range(6, 9)
 #: time at which samples were looked for last [ns], and the memory of a ``timespec``.
 COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
 LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
+#: 1 while the next step shall count the axes from elsewhere; the step sets it back.
+SHIFT_ASKED = 25
 #: Numbers of outputs and inputs, which Python writes before all others.
 OUTPUTS, INPUTS, WORDS = 26, 27, 28
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
@@ -40,6 +42,9 @@ BEHIND, AMPLIFIER = 100, 200
 LONGEST_SILENCE = 500_000_000  #: Without a sample for so long HAL's thread counts as stopped [ns].
 #: Shift of the clock for each row too many or too few, and at most [periods].
 SHIFT, LARGEST_SHIFT = 2e-4, 1e-3
+#: Without power a row follows the axes by this share of its distance, over the rows in the FIFO.
+#: More would let a move of axes that follow without power go round through the FIFO for ever.
+FOLLOWS = 0.1
 PATIENCE = 20  #: Periods at rest with too many or few rows, before one more or less.
 
 
@@ -51,6 +56,10 @@ class Block(NamedTuple):
     limits: FloatArray  #: (n,): Largest following error [m, rad].
     held: FloatArray  #: (n,): Where the axes are held after the power came [m, rad].
     actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
+    offset: FloatArray  #: (n,): Position where HAL's is 0 [m, rad].
+    shift: FloatArray  #: (n,): What the next shift adds to positions and offset [m, rad].
+    home: FloatArray  #: (n,): Number of the input of each axis' reference switch; -1: none.
+    released: FloatArray  #: (n,): Where each axis was when its switch released last [m, rad].
     kept: FloatArray  #: (KEPT, 2n + FLAGS): Pushed rows: setpoint [m, rad], in HAL's units, flags.
     row: FloatArray  #: (2n + 1 + m,): A row of the stream: positions, velocities, power, outputs.
     #: (3n + 2 + k,): A row of the sampler: positions commanded and actual; then bits: amplifier
@@ -64,7 +73,7 @@ class Block(NamedTuple):
 
 def block_size(n: int, outputs: int, inputs: int) -> int:
     signals = 3 * outputs + 2 * inputs
-    return WORDS + 5 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1 + signals
+    return WORDS + 9 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1 + signals
 
 
 @njit(cache=True, nogil=True)
@@ -73,7 +82,7 @@ def block_at(address: int, n: int) -> Block:
     columns, at = 2 * n + FLAGS, address + 8 * WORDS
     words = carray(pointer(np.uintp(address)), (WORDS,)).view(np.int64)
     m, k = words[OUTPUTS], words[INPUTS]
-    rows = at + 8 * 5 * n
+    rows = at + 8 * 9 * n
     row = rows + 8 * KEPT * columns
     sample = row + 8 * (2 * n + 1 + m)
     number = sample + 8 * (3 * n + 2 + k)
@@ -83,6 +92,10 @@ def block_at(address: int, n: int) -> Block:
         carray(pointer(np.uintp(at + 8 * n)), (n,)),
         carray(pointer(np.uintp(at + 16 * n)), (n,)),
         carray(pointer(np.uintp(at + 24 * n)), (2, n)),
+        carray(pointer(np.uintp(at + 40 * n)), (n,)),
+        carray(pointer(np.uintp(at + 48 * n)), (n,)),
+        carray(pointer(np.uintp(at + 56 * n)), (n,)),
+        carray(pointer(np.uintp(at + 64 * n)), (n,)),
         carray(pointer(np.uintp(rows)), (KEPT, columns)),
         carray(pointer(np.uintp(row)), (2 * n + 1 + m,)),
         carray(pointer(np.uintp(sample)), (3 * n + 2 + k,)),
@@ -105,7 +118,7 @@ def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, move
     words, n = block.words, len(block.units)
     kept = block.kept[words[PUSHED] % KEPT]
     for i in range(n):
-        kept[i], kept[n + i] = wanted[i], wanted[i] / block.units[i]
+        kept[i], kept[n + i] = wanted[i], (wanted[i] - block.offset[i]) / block.units[i]
         block.row[i], block.row[n + i] = kept[n + i], velocity[i] / block.units[i]
     kept[2 * n], kept[2 * n + 1] = on, moves
     bits = block.row[2 * n :].view(np.int64)
@@ -127,11 +140,14 @@ def _judge(block: Block) -> int:
     words, n, sample = block.words, len(block.units), block.sample
     bits = sample[2 * n :].view(np.int64)
     on, empty = (bits[n] & 1) == 1, (bits[n + 1] & 1) == 1
-    for i in range(len(block.inputs)):
-        block.inputs[i] = bits[n + 2 + i] & 1
     for i in range(n):
         block.actual[0, i] = block.actual[1, i]
-        block.actual[1, i] = sample[n + i] * block.units[i]
+        block.actual[1, i] = sample[n + i] * block.units[i] + block.offset[i]
+        k = int(block.home[i])
+        if k >= 0 and block.inputs[k] != 0.0 and not bits[n + 2 + k] & 1:
+            block.released[i] = block.actual[1, i]
+    for i in range(len(block.inputs)):
+        block.inputs[i] = bits[n + 2 + i] & 1
     if words[COUNTED] == 0:
         return 0
     words[PLAYED] += 0 if empty else 1
@@ -197,6 +213,21 @@ def _begin_count(block: Block) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def shift_axes(block: Block) -> None:
+    """Count the axes from elsewhere, at rest: what HAL is sent stays, and they are held there."""
+    words, n = block.words, len(block.units)
+    block.offset[:] += block.shift
+    for k in range(2):
+        block.actual[k] += block.shift
+    for k in range(KEPT):
+        block.kept[k, :n] += block.shift
+    if words[POWER] != OFF:
+        block.held[:] = block.kept[(words[PUSHED] - 1) % KEPT, :n]
+        words[POWER] = HOLD
+    publish(words, SHIFT_ASKED, 0)
+
+
+@njit(cache=True, nogil=True)
 def _rows_to_push(words: IntArray, waiting: int, moves: bool) -> int:
     """Return how many times the row is pushed: once, or to have the wanted rows at rest."""
     excess = waiting + 1 - words[WANTED]
@@ -241,13 +272,15 @@ def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
     if not (words[COUNTED] or _begin_count(block)):
         told[0], told[1] = block.actual[1], 0.0
         return 0
+    if words[SHIFT_ASKED]:
+        shift_axes(block)
     power, wanted, velocity = _power(block, asked), asked, rate
     if power == HOLD:
         wanted = block.held
-    elif power == OFF:
-        wanted = block.actual[1]
-    elif power == LEAVE:
+    elif power != FOLLOW:
         wanted = block.kept[(words[PUSHED] - 1) % KEPT, :n].copy()
+    if power == OFF:
+        wanted += (block.actual[1] - wanted) * (FOLLOWS / words[WANTED])
     if power != FOLLOW:
         velocity = np.zeros(n)
     moves, fault = bool(np.any(velocity != 0.0)), 0

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import StreamError
+from cnc_interp.machine.drives import HomedDrives
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import home_input
 from cnc_interp.run.run_state import Reason, State
 
 SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
@@ -36,16 +38,57 @@ class SimulatedSwitches:
     def pressed(self, q: FloatArray) -> BoolArray:
         return np.asarray((q - self._at) * self.towards >= 0.0)
 
+    def lose(self, names: Sequence[str]) -> None:
+        """Do nothing: simulated axes know where they are."""
+
+    find = lose
+
+
+class WiredSwitches(SimulatedSwitches):
+    """Switches on the inputs ``home_x`` ...; their axes are counted anew from where they release.
+
+    Until then an axis counts from the end of its travel, so that it may move all its way.
+    """
+
+    def __init__(self, playback: Playback, drives: HomedDrives):
+        self._machine = machine = playback.axes.machine
+        super().__init__(machine)
+        self._playback, self._drives = playback, drives
+        inputs = [signal.name for signal in machine.signals.inputs]
+        switches = machine.homing.switches
+        self._inputs = [
+            inputs.index(home_input(name)) if name in switches else -1
+            for name in machine.axis_names
+        ]
+
+    def pressed(self, q: FloatArray) -> BoolArray:
+        told = np.append(self._drives.inputs, 0.0)  # the last is of an axis without a switch
+        return np.asarray(told[self._inputs] != 0.0)
+
+    def lose(self, names: Sequence[str]) -> None:
+        q = self._playback.axes.setpoints[-1]
+        low, high = self._machine.travel.T
+        at_high = self.pressed(q) == (self.towards > 0.0)
+        self._shift(names, np.where(at_high, high, low) - q)
+
+    def find(self, names: Sequence[str]) -> None:
+        self._shift(names, self._at - self._drives.released)
+
+    def _shift(self, names: Sequence[str], by: FloatArray) -> None:
+        homed = np.isin(self._machine.axis_names, list(names))
+        self._playback.shift(self._drives, np.where(homed, by, 0.0))
+
 
 class Homing:
-    """The homing of a machine; ``pressed`` and ``towards`` as ``SimulatedSwitches`` has them."""
+    """The homing of a machine."""
 
-    def __init__(
-        self, playback: Playback, jog: Jog, pressed: Callable[[FloatArray], BoolArray],
-        towards: FloatArray,
-    ):  # fmt: skip
-        self._playback, self._jog, self._pressed, self._towards = playback, jog, pressed, towards
-        self._machine = playback.axes.machine
+    def __init__(self, playback: Playback, jog: Jog):
+        self._playback, self._jog = playback, jog
+        self._machine, drives = playback.axes.machine, playback.drives
+        self._switches = SimulatedSwitches(self._machine)
+        self._required = self._machine.homing.required
+        if isinstance(drives, HomedDrives):
+            self._switches, self._required = WiredSwitches(playback, drives), True
         self._names = self._machine.axis_names
         self._groups: list[tuple[str, ...]] = []
         self._stages: dict[str, AxisHoming] = {}  # of a group; empty while none is homed
@@ -62,8 +105,7 @@ class Homing:
 
     @property
     def must_home(self) -> list[str]:
-        required = self._machine.homing.required
-        return sorted(self._unknown, key=self._names.index) if required else []
+        return sorted(self._unknown, key=self._names.index) if self._required else []
 
     def forget(self) -> None:
         """Count all axes with a switch as not homed, as after the drives were off."""
@@ -84,6 +126,9 @@ class Homing:
                 f'homing is not possible while {self._playback.state.state.value}; '
                 'the machine must be at rest without a program'
             )
+        probe = self._machine.signals.probe
+        if probe and self._playback.drives.inputs[probe[1]]:
+            raise StreamError('homing is not possible while the probe touches; move it free')
         self._playback.check_jog()
         self._jog.beat({}, 0.0, now)  # a key that is still held does not count
         self._seen = self._playback.state
@@ -96,6 +141,8 @@ class Homing:
 
     def _next(self) -> None:
         group = self._groups.pop(0) if self._groups else ()
+        if group:
+            self._switches.lose(group)
         self._stages = dict.fromkeys(group, AxisHoming.SEARCHES)
 
     def stop(self, now: float) -> None:
@@ -112,28 +159,31 @@ class Homing:
         if held or state.state not in (State.IDLE, State.JOGGING):
             self.stop(now)
             raise StreamError('homing was stopped; home again')
-        q = self._playback.feedback.position[-1]
-        pressed = self._pressed(q)
+        q = self._playback.axes.setpoints[-1]
+        pressed = self._switches.pressed(self._playback.feedback.position[-1])
         for name, stage in self._stages.items():
             i = self._names.index(name)
             if stage is AxisHoming.SEARCHES and pressed[i]:
                 self._stages[name] = AxisHoming.LEAVES
             elif stage is AxisHoming.LEAVES and not pressed[i]:
                 self._stages[name] = AxisHoming.DONE
-                self._unknown.discard(name)
-            end = self._machine.travel[i][int(self._towards[i] > 0.0)]
-            if stage is AxisHoming.SEARCHES and not pressed[i] and abs(q[i] - end) < AT_END:
+            searches = stage is AxisHoming.SEARCHES
+            end = self._machine.travel[i][int(searches == (self._switches.towards[i] > 0.0))]
+            if self._stages[name] is stage is not AxisHoming.DONE and abs(q[i] - end) < AT_END:
                 self.stop(now)
-                raise StreamError(f'{name} has reached its end of travel without a switch')
+                why = 'without a switch' if searches else 'and its switch stays pressed'
+                raise StreamError(f'{name} has reached its end of travel {why}')
         self._jog.beat(self._shares(), 0.0, now)
         rests = state.state is State.IDLE
         if rests and all(stage is AxisHoming.DONE for stage in self._stages.values()):
+            self._switches.find(list(self._stages))
+            self._unknown -= set(self._stages)
             self._next()
 
     def _shares(self) -> dict[str, float]:
         share = {AxisHoming.SEARCHES: SEARCH, AxisHoming.LEAVES: -BACK}
         return {
-            name: share[stage] * float(self._towards[self._names.index(name)])
+            name: share[stage] * float(self._switches.towards[self._names.index(name)])
             for name, stage in self._stages.items()
             if stage in share
         }

@@ -32,7 +32,14 @@ from cnc_interp.machine.cycle_kernels import (
     WAITED,
     follow_ideally,
 )
-from cnc_interp.machine.drives import AxisRows, CycleDrives, DelayedDrives, DriveFaultError, Drives
+from cnc_interp.machine.drives import (
+    AxisRows,
+    CycleDrives,
+    DelayedDrives,
+    DriveFaultError,
+    Drives,
+    HomedDrives,
+)
 from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.run_id import NO_RUN, RunId
@@ -118,6 +125,11 @@ class Playback:
         row = np.array(position, dtype=float)[None, :]
         self.feedback = self.axes.measure(row, row, np.zeros_like(row))
         self.buffer = Buffer(row[0])
+
+    def shift(self, drives: HomedDrives, by: FloatArray) -> None:
+        """Count the axes from elsewhere, at rest; they stay where they are [m, rad]."""
+        drives.shift(by)
+        self._place(drives.position)
 
     def switch_on(self) -> None:
         """Switch the drives on. Where they cannot be, the machine is in FAULT until a reset."""

@@ -25,7 +25,12 @@ TOWARD, AWAY = 'G38.2', 'G38.4'
 PROBE, ARMED = 'probe', 'probe_armed'
 #: Words that stop, call or return, which are no functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
+HOME = 'home_'  #: Inputs of reference switches, as home_x.
 NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
+
+
+def home_input(axis: str) -> str:
+    return f'{HOME}{axis.lower()}'
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.core.errors import BlockError, StreamError
-from cnc_interp.machine.homing import Homing, SimulatedSwitches
+from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.switching import Act
@@ -37,8 +37,7 @@ class Controls:
         self._playback, self._diagnostics = playback, diagnostics
         self._give_up, self._wake = give_up, wake
         self._jog, self._transform = Jog(playback), Transform.of(playback.axes.machine)
-        switches = SimulatedSwitches(playback.axes.machine)
-        self.homing = Homing(playback, self._jog, switches.pressed, switches.towards)
+        self.homing = Homing(playback, self._jog)
         for kind, name, act in (
             (Trigger, 'feed_hold', partial(self._press, playback.hold)),
             (Trigger, 'cycle_start', partial(self._press, playback.start)),

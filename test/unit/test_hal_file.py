@@ -5,6 +5,7 @@ import pytest
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine.hal_file import hal_file
+from cnc_interp.machine_model.signals import signals as signals_of
 
 HAL = """loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT base_period_nsec=[EMCMOT]BASE_PERIOD servo_period_nsec=[EMCMOT]SERVO_PERIOD
@@ -98,3 +99,12 @@ def test_the_command_reads_all_files_and_tells_what_is_not_connected(tmp_path, c
     assert (tmp_path / 'made.hal').read_text() == hal_file(HAL, 'XYZ', 'XYZ')[0]
     assert capsys.readouterr().err.startswith('not connected: net spindle-cw')
     assert main(['hal', 'xyz', str(tmp_path / 'missing')]) == 2
+
+
+def test_inputs_of_reference_switches_take_over_their_pins():
+    declared = signals_of({'signals': {'inputs': {'door': None, 'home_z': None}}})
+    switch = 'net z-home parport.0.pin-12-in => joint.2.home-sw-in\n'
+    made, left_out = hal_file(HAL + switch, 'XYZ', 'XYZ', declared)
+    assert {'parport.0.pin-12-in', 'sampler.0.pin.12'} in signals(made)
+    assert 'z-home' not in ' '.join(left_out)
+    assert switch.strip() in hal_file(HAL + switch, 'XYZ', 'XYZ')[1]

@@ -39,37 +39,84 @@ def zero(_stream, _row, _number):
     return 0
 
 
+class Stand:
+    """The memory of a step, with streams that keep one row each."""
+
+    def __init__(self):
+        self.memory = np.zeros(hal_step.block_size(N, OUTPUTS, INPUTS))
+        self.words = self.memory.view(np.int64)
+        self.words[[hal_step.OUTPUTS, hal_step.INPUTS]] = OUTPUTS, INPUTS
+        self.block = hal_step.block_at(self.memory.ctypes.data, N)
+        self.block.units[:], self.block.limits[:], self.block.home[:] = 1.0, np.inf, -1
+        self.block.is_number[:] = [signal.is_number for signal in SIGNALS.outputs]
+        self.sent, self.sampled = np.zeros(40), np.zeros(40)
+        for word, function in (
+            (hal_step.WRITE, write), (hal_step.READ, read), (hal_step.DEPTH, zero),
+            (hal_step.OVERRUNS, zero),
+        ):  # fmt: skip
+            self.words[word] = function.address
+        streams = self.sent.ctypes.data, self.sampled.ctypes.data
+        self.words[[hal_step.STREAM, hal_step.SAMPLES]] = streams
+        self.words[[hal_step.WANTED, hal_step.PERIOD]] = 1, 1_000_000
+        self.setpoint, self.feedback = np.zeros((2, N)), np.zeros((4, N))
+        self.bits = self.sampled[1 + 2 * N :].view(np.int64)
+        self.bits[N + 1] = 1  # the FIFO was empty
+        step = hal_step.step_hal.address
+        self._step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(step)
+
+    def step(self, actual=None):
+        if actual is not None:
+            self.sampled[1 : 1 + N] = self.sent[:N]
+            self.sampled[1 + N : 1 + 2 * N] = actual
+            self.sampled[0] = 1.0
+        columns = (self.memory, self.setpoint, self.feedback)
+        return self._step(*(column.ctypes.data for column in columns), N)
+
+
 def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sample():
-    memory = np.zeros(hal_step.block_size(N, OUTPUTS, INPUTS))
-    words = memory.view(np.int64)
-    words[[hal_step.OUTPUTS, hal_step.INPUTS]] = OUTPUTS, INPUTS
-    block = hal_step.block_at(memory.ctypes.data, N)
-    block.units[:], block.limits[:] = 1.0, np.inf
-    block.is_number[:] = [signal.is_number for signal in SIGNALS.outputs]
-    sent, sampled = np.zeros(40), np.zeros(40)
-    for word, function in (
-        (hal_step.WRITE, write), (hal_step.READ, read), (hal_step.DEPTH, zero),
-        (hal_step.OVERRUNS, zero),
-    ):  # fmt: skip
-        words[word] = function.address
-    words[[hal_step.STREAM, hal_step.SAMPLES]] = sent.ctypes.data, sampled.ctypes.data
-    words[[hal_step.WANTED, hal_step.PERIOD]] = 1, 1_000_000
-    setpoint, feedback = np.zeros((2, N)), np.zeros((4, N))
-    step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(hal_step.step_hal.address)
-    bits = sampled[1 + 2 * N :].view(np.int64)
-    bits[N + 1] = 1  # the FIFO was empty
+    stand = Stand()
+    block, bits = stand.block, stand.bits
     for values, answers in (
         ([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0]),
         ([100, 0, 1, 0, 0, 6, 1, 0], [0, 1, 1]),
     ):
         block.outputs[:] = values
         bits[N + 2 : N + 2 + INPUTS] = answers
-        sampled[0] = 1.0
+        stand.sampled[0] = 1.0
         for _ in range(2):  # the first step begins to count rows
-            step(memory.ctypes.data, setpoint.ctypes.data, feedback.ctypes.data, N)
-        told = sent[2 * N + 1 : ROW]
+            stand.step()
+        told = stand.sent[2 * N + 1 : ROW]
         for k, (signal, value) in enumerate(zip(SIGNALS.outputs, values, strict=True)):
             found = told[k] if signal.is_number else told[k : k + 1].view(np.int64)[0]
             assert found == value, signal.name
         assert block.inputs.tolist() == answers
     assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfbf', 'ffffff' + 'b' * (N + 2 + INPUTS))
+
+
+def test_axes_that_are_counted_anew_stay_where_they_are_until_the_machine_knows():
+    stand = Stand()
+    block, bits, here = stand.block, stand.bits, np.array([1.0, 2.0, 3.0])
+    block.home[0] = 1
+    for _ in range(2):
+        stand.step(here)
+    bits[N], bits[N + 1], stand.words[hal_step.POWER] = 1, 0, hal_step.HOLD
+    stand.setpoint[0] = here
+    bits[N + 2 + 1] = 1
+    for actual in ([1.25, 2, 3], [1.5, 2, 3]):
+        assert stand.step(np.array(actual)) == 0
+    bits[N + 2 + 1] = 0
+    for actual in ([1.125, 2, 3], here):
+        assert stand.step(np.array(actual)) == 0
+    assert block.released.tolist() == [1.125, 0.0, 0.0]
+    before, by = stand.sent[: 2 * N].copy(), np.array([-7.5, 0.0, 0.25])
+    block.shift[:], stand.words[hal_step.SHIFT_ASKED] = by, 1
+    for at in (here, here + by, here + by):  # the machine knows a period later
+        stand.setpoint[0] = at
+        assert stand.step(here) == 0 and stand.words[hal_step.SHIFT_ASKED] == 0
+        assert np.array_equal(stand.sent[: 2 * N], before)
+        assert np.array_equal(stand.feedback[0], here + by) and not stand.feedback[1].any()
+        assert np.array_equal(stand.feedback[2], here + by)
+    assert stand.words[hal_step.POWER] == hal_step.FOLLOW
+    stand.setpoint[0, 0] += 0.5
+    stand.step(here)
+    assert np.array_equal(stand.sent[:N], here + [0.5, 0.0, 0.0])

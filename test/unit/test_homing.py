@@ -8,7 +8,7 @@ from test_jog import MM, Bench, T
 
 from cnc_interp.core.errors import MachineError, StreamError
 from cnc_interp.core.small_files import read_yaml
-from cnc_interp.machine.homing import BACK, Homing, SimulatedSwitches
+from cnc_interp.machine.homing import BACK, Homing
 from cnc_interp.machine.jog import AHEAD
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.run.run_state import State
@@ -31,8 +31,7 @@ class HomingBench(Bench):
 
     def __init__(self, machine=None, position=None):
         super().__init__(machine or globals()['machine'](), position)
-        switches = SimulatedSwitches(self.machine)
-        self.homing = Homing(self.play, self.jog, switches.pressed, switches.towards)
+        self.homing = Homing(self.play, self.jog)
 
     def run(self, time, **shares):
         for _ in range(max(1, round(time / (5 * T)))):
@@ -88,14 +87,15 @@ def test_a_hold_a_stop_and_a_missing_switch_end_it():
     bench.homing.stop(bench.now)
     bench.rest()
     assert not bench.homing.active and bench.q[-1, 2] < 50 * MM
-    deaf = HomingBench(position=np.array([0.0, 0.0, 0.0, A.travel[0] + 0.1, 0.0]))
-    deaf.homing._pressed = lambda q: np.zeros(5, dtype=bool)
-    deaf.homing.begin(['A'], deaf.now)
-    with pytest.raises(StreamError, match='A has reached its end of travel'):
-        for _ in range(4000):
-            deaf.run(5 * T)
-    deaf.rest()
-    assert deaf.homing.must_home == ['X', 'Z', 'A']
+    for told, at, why in ((0, A.travel[0] + 0.1, 'without'), (1, A.travel[1] - 0.01, 'and its')):
+        stuck = HomingBench(position=np.array([0.0, 0.0, 0.0, at, 0.0]))
+        stuck.homing._switches.pressed = lambda q, told=told: np.full(5, bool(told))
+        stuck.homing.begin(['A'], stuck.now)
+        with pytest.raises(StreamError, match=f'A has reached its end of travel {why}'):
+            for _ in range(4000):
+                stuck.run(5 * T)
+        stuck.rest()
+        assert stuck.homing.must_home == ['X', 'Z', 'A']
 
 
 def test_what_cannot_be_homed_is_told():

@@ -15,7 +15,8 @@ ROOT = Path(__file__).parents[1]
 #: Tests that start nodes or a browser, in two lanes: two files at a time, no more.
 LANES = ('test/ros/',), ('test/page/', 'test/replay/test_bags.py')
 LIVE = tuple(folder for lane in LANES for folder in lane)
-SHARED = 'test/ros/ shared nodes'  #: Scope of the files that use one set of nodes.
+#: Files that name one of them run one after the other: one set of nodes, one session of HAL.
+SHARED = 'shared_nodes', 'hal_session'
 
 
 def pytest_addoption(parser):
@@ -97,7 +98,8 @@ def pytest_xdist_auto_num_workers(config):
 @cache
 def scope_of(file):
     """Return what runs in one process: a file, or those that use one set of nodes."""
-    return SHARED if 'shared_nodes' in (ROOT / file).read_text() else file
+    text = (ROOT / file).read_text()
+    return next((f'test/ros/ {name}' for name in SHARED if name in text), file)
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -69,7 +69,7 @@ def run(program: Path, depth: int, session: Session) -> tuple[str, RunResult]:
         if not result.ok:
             return 'not executed to the end', result
         setpoints = np.load(Path(folder) / 'setpoints.npz')['position'] / UNITS
-    seen, _, empty = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    seen, _, empty, _ = (np.concatenate(parts) for parts in zip(*found, strict=True))
     last = np.flatnonzero((seen == setpoints[-1]).all(axis=1))
     end = last[-1] + 1 if len(last) else len(seen)  # without power the command follows the axes
     return compare(setpoints, seen[:end], empty[:end]), result

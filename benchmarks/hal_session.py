@@ -15,6 +15,7 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from cnc_interp.machine.hal_drives import (
     HalStream,
     shared_memories,
 )
+from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of
+from cnc_interp.machine_model.signals import Signals
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'hal'
 NOBODY = 65534
@@ -45,15 +48,28 @@ def why_not() -> str:
     return ''
 
 
-def witnessed_file(name: str, inputs: int) -> str:
-    """Return a bundled file with the second sampler, and further inputs in the first."""
+class Periods(NamedTuple):
+    #: (K, n_axes): Positions at the pins, in HAL's units [mm, deg].
+    commanded: np.ndarray
+    actual: np.ndarray
+    empty: np.ndarray  #: (K,): Periods in which the FIFO was empty.
+    outputs: np.ndarray  #: (K, n_outputs)
+
+
+def witnessed_file(name: str, signals: Signals) -> str:
+    """Return a bundled file with the signals of a machine file, and with the second sampler.
+
+    A net of its name begins at each output.
+    """
     text, count = (FOLDER / f'{name}.hal').read_text(encoding='utf-8'), len(AXES)
-    depths = f'depth=4000,{WITNESSED}'
-    text = re.sub(
-        r'depth=4000 cfg=(\w+)', rf'{depths} cfg=\1{"b" * inputs},{"f" * 2 * count}b', text
-    )
-    signals = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
-    nets = [f'net {signal} => sampler.1.pin.{k}' for k, signal in enumerate(signals)]
+    stream, samples = columns_of(count, signals)
+    text = re.sub(r'(depth=1000 cfg=)\w+', rf'\1{stream}', text)
+    added = f'{"f" * 2 * count}b{stream[2 * count + 1 :]}'
+    text = re.sub(r'depth=4000 cfg=\w+', f'depth=4000,{WITNESSED} cfg={samples},{added}', text)
+    nets = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
+    for k, signal in enumerate(signals.outputs, 2 * count + 1):
+        nets.append(f'{signal.name} streamer.0.pin.{k}')
+    nets = [f'net {net} => sampler.1.pin.{k}' for k, net in enumerate(nets)]
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
     return re.sub(r'^start$', added, text, flags=re.MULTILINE)
 
@@ -66,24 +82,26 @@ class Session:
     ----------
     name : str
         A file of ``config/hal``, without its suffix.
-    inputs : int
-        Number of inputs of the machine file.
+    signals : Signals
+        Those of the machine file.
 
     """
 
-    def __init__(self, name: str = 'simulated_axes', inputs: int = 0):
-        self._name, self._inputs = name, inputs
+    def __init__(self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS):
+        self._name, self._signals = name, signals
 
     def __enter__(self) -> Session:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
         if os.geteuid() == 0:
             os.chown(self._folder.name, NOBODY, NOBODY)
         path = Path(self._folder.name) / 'witnessed.hal'
-        path.write_text(witnessed_file(self._name, self._inputs), encoding='utf-8')
+        path.write_text(witnessed_file(self._name, self._signals), encoding='utf-8')
         path.chmod(0o644)  # read by the other user
         self._run('halcmd', '-f', str(path))
         self._session = HalSession()
-        columns = 'f' * 2 * len(AXES) + 'b'
+        outputs = columns_of(len(AXES), self._signals)[0][2 * len(AXES) + 1 :]
+        self._is_number = np.array([letter == 'f' for letter in outputs], dtype=bool)
+        columns = 'f' * 2 * len(AXES) + 'b' + outputs
         self._witness = HalStream(self._session, SAMPLER_KEY + 1, columns, 'sampler.1')
         self.forget()
         return self
@@ -119,27 +137,19 @@ class Session:
         self._lost = self._session.library.hal_stream_num_overruns(reference)
         self.periods()
 
-    def periods(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """
-        Read the periods since the last call.
-
-        Returns
-        -------
-        commanded, actual : ndarray, shape (K, n_axes)
-            Positions at the pins, in HAL's units [mm, deg].
-        empty : ndarray of bool, shape (K,)
-            Periods in which the FIFO was empty.
-
-        """
+    def periods(self) -> Periods:
+        """Read the periods since the last call."""
         library, width = self._session.library, 2 * len(AXES)
-        row, found = np.zeros(width + 1), []
+        row, found = np.zeros(width + 1 + len(self._is_number)), []
         number, place = ctypes.c_uint(), row.ctypes.data_as(ctypes.c_void_p)
         while library.hal_stream_read(self._witness.reference, place, ctypes.byref(number)) == 0:
             found.append(row.copy())
-        rows = np.array(found).reshape(-1, width + 1)
+        rows = np.array(found).reshape(-1, len(row))
         assert library.hal_stream_num_overruns(self._witness.reference) == self._lost
-        empty = np.ascontiguousarray(rows[:, width]).view(np.int64) & 1
-        return rows[:, : len(AXES)], rows[:, len(AXES) : width], empty.astype(bool)
+        bits = rows.view(np.int64)[:, width:] & 1
+        outputs = np.where(self._is_number, rows[:, width + 1 :], bits[:, 1:])
+        place = rows[:, : len(AXES)], rows[:, len(AXES) : width]
+        return Periods(*place, bits[:, 0].astype(bool), outputs)
 
     def __exit__(self, *_: object) -> None:
         self._witness.detach()

@@ -100,7 +100,7 @@ def prove(hal, bench):
 
     def complete():
         nonlocal seen, empty
-        more, _, gaps = hal.periods()
+        more, _, gaps, _ = hal.periods()
         seen, empty = np.concatenate([seen, more]), np.concatenate([empty, gaps])
         return len(changes(seen)) >= len(moved)
 

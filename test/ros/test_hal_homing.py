@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
@@ -18,6 +19,7 @@ from operated import Bench, Result
 from cnc_interp.commands.cli import main
 from cnc_interp.machine.homing import BACK
 from cnc_interp.machine_model.machine import Machine, find_machine_file
+from cnc_interp.machine_model.signals import signals
 from cnc_interp.nodes.parameters import NODES
 
 pytestmark = pytest.mark.thorough
@@ -38,7 +40,7 @@ def hal():
     reason = hal_session.why_not()
     if reason:
         pytest.skip(reason)
-    with hal_session.Session(inputs=len(AT)) as session:
+    with hal_session.Session(signals=signals(yaml.safe_load(HOMING))) as session:
         session.tell('loadrt', 'comp', 'names=x-home,z-home')
         for k, (axis, at) in enumerate(AT.items()):
             moves, stands = ('in0', 'in1') if axis == 'x' else ('in1', 'in0')
@@ -69,7 +71,7 @@ def test_positions_are_those_of_the_switches_and_programs_run_by_them(hal, bench
     command = ['home', '--namespace', bench.namespace, '--domain', str(bench.domain)]
     hal.forget()
     assert main(command) == 0, capfd.readouterr().err
-    commanded, _, _ = hal.periods()
+    commanded = hal.periods().commanded
     # No jump at the pins: nothing moves where the positions are counted anew.
     most = Machine.load('xyzac').max_velocity / hal_session.UNITS * 1e-3
     assert (np.abs(np.diff(commanded, axis=0)) <= most).all()
@@ -96,5 +98,5 @@ def test_positions_are_those_of_the_switches_and_programs_run_by_them(hal, bench
     compare()
     hal.forget()
     assert main([*command, 'X']) == 0
-    way = hal.periods()[0][:, 0]
+    way = hal.periods().commanded[:, 0]
     assert (np.diff(way) >= -1e-9).all() and np.ptp(way) > 4.0

@@ -41,7 +41,7 @@ WORK_OFFSETS = set(job.WORK_OFFSETS)
 TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
     'G33', 'G33.1', 'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
-    'G31', 'G38.2', 'G38.3', 'G38.4', 'G38.5',
+    'G31', 'G38.2', 'G38.3', 'G38.4', 'G38.5', 'MEAS=1', 'MEAS=-1',
 }  # fmt: skip
 #: Those of which no control tells what a polar word is.
 NOT_POLAR = {'G28', 'G30', 'G31', 'G33', 'G33.1', 'G53.3'}

@@ -9,6 +9,7 @@ binds first. Angles are in deg, as on the controls.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from functools import cache, lru_cache
@@ -98,6 +99,9 @@ Q_FUNCTION: /[A-Z]+/
 """
 _TOO_DEEP = 'the expression is nested too deeply; use parameters'
 
+#: What Siemens names after a measurement: whether it has answered, and where.
+_MEASURED = re.compile(r'\$AC_MEA\s*\[\s*1\s*\]|\$AA_MW\s*\[\s*([XYZABC])\s*\]')
+
 Node = Any
 
 
@@ -121,8 +125,14 @@ def _parser() -> Lark:
     )
 
 
+def _as_number(match: re.Match[str]) -> str:
+    return f'#{5061 + "XYZABC".index(match[1])}' if match[1] else '#5070'
+
+
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
+    if '$A' in text:
+        text = _MEASURED.sub(_as_number, text)
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:

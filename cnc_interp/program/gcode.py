@@ -263,6 +263,7 @@ class GcodeReader:
         values, mover = words.values, self.mover
         for letter in ('N', 'O'):
             values.pop(letter, None)
+        words.g += probing.measuring(words)
         drilling = self._siemens_cycle(words)
         self._named.execute(words)
         changes = 'M6' in words.m or 'M61' in words.m

@@ -1,4 +1,4 @@
-"""Probing: G38.2 to G38.5, and G31 of Fanuc.
+"""Probing: G38.2 to G38.5, G31 of Fanuc and MEAS of Siemens.
 
 The tool moves along a line, from rest, until the probe answers. Where that was stands in #5061 to
 #5066, in the coordinates of the program; #5070 is 1 if it has answered, else 0. What follows may
@@ -32,6 +32,7 @@ CODES = {
     'G38.2': ProbeCode(TOWARD, True), 'G38.3': ProbeCode(TOWARD, False),
     'G38.4': ProbeCode(AWAY, True), 'G38.5': ProbeCode(AWAY, False),
     'G31': ProbeCode(TOWARD, False),
+    'MEAS=1': ProbeCode(TOWARD, False), 'MEAS=-1': ProbeCode(AWAY, False),
 }  # fmt: skip
 ANSWERED, PLACE = 5070, 5061  #: The first variables of the answer, and of the place.
 SHORTEST = 1e-6  #: A shorter way is none [m].
@@ -56,10 +57,19 @@ class Probe:
         return f'line {self.line}: {self.code}: the probe has not answered to the end of the line'
 
 
+def measuring(words: BlockWords) -> list[str]:
+    """Take MEAS=1 out of the assignments of a block, as a code."""
+    found = [(name, value) for name, value in words.sets if name == 'MEAS' and value]
+    words.sets[:] = [each for each in words.sets if each not in found]
+    return [f'{name}={value:g}' for name, value in found]
+
+
 def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> FloatArray:
     """Take the words of a probing block; return the point to which it leads, (3,) [m]."""
     if code == 'G31' and mover.dialect not in (FANUC, PLAIN):
         raise mover.fault('skips on Fanuc; write G38.3', code)
+    if code.startswith('MEAS') and mover.motion != 1:
+        raise mover.fault('measures along a line; write G1 with it', code)
     if CODES[code].word not in signals.words:
         raise mover.fault(NO_PROBE, code)
     if mover.targets.empty:

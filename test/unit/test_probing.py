@@ -51,6 +51,18 @@ def test_what_follows_a_probe_is_read_with_its_answer():
     assert stream.changes[0].change.value == {'Z': pytest.approx(0.002)}
 
 
+def test_siemens_measures_and_names_what_it_has_found():
+    text = 'G71 G90\nG0 X1 Y2 Z30\nMEAS=1 G1 Z-10 F300\nIF $AC_MEA[1]==0 GOTOF LOST\n'
+    text += 'G1 Z=$AA_MW[Z]+6 F900\nM30\nLOST:\nG1 Z40\nM30\n'
+    for at, tip in ((np.array([0.001, 0.002, 0.004]), 10.0), (None, 40.0)):
+        (first, then), _ = parts_of(text, [at])
+        assert np.allclose(first[:, 2], [0.03, -0.01]) and then[-1, 2] * 1e3 == pytest.approx(tip)
+    with pytest.raises(ProgramError, match='MEAS=1: measures along a line; write G1'):
+        parts_of(text.replace('G1 Z-10', 'G0 Z-10'), [])
+    with pytest.raises(ProgramError, match='MEAW'):
+        parts_of(text.replace('MEAS=1', 'MEAW=1'), [])
+
+
 def test_without_an_answer_the_program_sees_zero():
     text = 'G21 G90\nG0 X1 Y2 Z30\nG38.3 Z0 F300\nG1 X[10+#5070] Z#5063 F900\nM2\n'
     (_, then), _ = parts_of(text, [None])

@@ -189,6 +189,11 @@ class LineEnd:
     place: str
     position: dict[str, float]
 
+    @property
+    def notices(self) -> list[str]:
+        run = self.answer.response
+        return list(run.notices) if run is not None else []
+
     def text(self) -> str:
         return f'{self.line}: {self.answer.message}: {self.place}' if self.line else self.place
 

@@ -287,8 +287,12 @@ class OperatorClient:
 
         def ended(sent: SentProgram) -> Answer | None:
             result = sent.result
-            good = result is not None and result.code == RunProgram.Result.SUCCEEDED
-            return None if result is None else Answer(good, result.message, result)
+            if result is None:
+                return None
+            for notice in result.notices:
+                self.alarms.add('notice', 'program', notice)
+            good = result.code == RunProgram.Result.SUCCEEDED
+            return Answer(good, result.message, result)
 
         return self._program(RunProgram.Goal(text=text, mdi=True), ended)
 

@@ -188,12 +188,14 @@ def home_command(options: argparse.Namespace) -> int:
 
 def mdi_command(options: argparse.Namespace) -> int:
     from cnc_interp.client.hand_move import give_lines
+    from cnc_interp.program.notices import tell
 
     ends = []
     for end in give_lines(options.lines, options.namespace, options.domain):
         ends.append(end)
         if not options.json:
             print(end.text(), flush=True)
+            tell(end.notices)
     if options.json:
         print(json.dumps([end.to_json() for end in ends], indent=2))
     else:
@@ -216,10 +218,12 @@ def probe_command(options: argparse.Namespace) -> int:
         raise InterpError(f'no cycle {options.cycle!r}; there are {", ".join(cycles())}')
     from cnc_interp.client.hand_move import give_lines
     from cnc_interp.client.setup_client import setup_console
+    from cnc_interp.program.notices import tell
 
     values = {name.lower(): value for name, value in pairs(options.words).items()}
     (end,) = give_lines([cycle.line(values)], options.namespace, options.domain)
     print(end.text())
+    tell(end.notices)
     if end.answer.ok:
         with setup_console(options.namespace, options.domain) as console:
             print(console.tools_text() if cycle.name == 'tool' else console.offsets_text())

@@ -24,7 +24,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
 from cnc_interp.program.cycles import TAPPING, CannedCycle, SiemensCycle
 from cnc_interp.program.dialect_words import NamedWords
-from cnc_interp.program.expressions import UNSET, ProgramVariables
+from cnc_interp.program.expressions import UNSET, ExpressionError, ProgramVariables
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.functions import Acting, acting
 from cnc_interp.program.job import JobSetup, SetupChange
@@ -44,6 +44,9 @@ from cnc_interp.settings.options import Settings
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 #: A length or an angle without a decimal point; codes of units and of canned cycles.
 _NO_POINT = re.compile(r'(?<![A-Z_#<\d])([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
+#: What a comment tells the operator, and parameters in it.
+_MESSAGE = re.compile(r'\(\s*(?:DEBUG|PRINT|MSG)\s*,([^)]*)\)', re.IGNORECASE)
+_PARAMETER = re.compile(r'#(\d+|<[^<>]+>)')
 _UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\d)')
 
 
@@ -218,6 +221,8 @@ class GcodeReader:
             self.notice('text before %', 'it does not belong to the program')
             return
         line = without_comments(raw.upper(), self.fault)
+        if '(' in raw and (said := _MESSAGE.search(raw)):
+            self._say(said[1])
         if not line:
             return
         if line[0] == '%' and line[-1] != '*':
@@ -242,6 +247,21 @@ class GcodeReader:
             rest = self._with_points(rest)
         if rest and not (rest[0] in 'O<' and self.targets.empty and is_name(rest)):
             self._execute(split_words(rest, self.variables, self.fault))
+
+    def _say(self, text: str) -> None:
+        """Tell a message of the program, with the values of its parameters."""
+
+        def value(match: re.Match[str]) -> str:
+            name, known = match[1].upper(), self.variables
+            try:
+                return f'{known.number(int(name)) if name.isdigit() else known.named(name):.6g}'
+            except ExpressionError:
+                return match[0]
+
+        text = _PARAMETER.sub(value, text).strip()
+        if self.mover.probed and not self.waits_at_probes:
+            text += ' (before the probe answers)'
+        self.mover.notices.once(text, self.flow.line_number, text)
 
     def _with_points(self, line: str) -> str:
         """Write lengths and angles of a line that count increments with a decimal point."""

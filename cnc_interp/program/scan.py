@@ -57,10 +57,15 @@ def scan_lines(
                     at += 1
                 break
             if letter == 40:  # ( begins a comment in parentheses
-                at += 1
-                while text[at] != 41 and text[at] != 40 and text[at] != 10:
+                at, comma = at + 1, False
+                while text[at] == 32:
                     at += 1
-                if text[at] != 41:
+                begins = text[at] & 95  # in upper case
+                while text[at] != 41 and text[at] != 40 and text[at] != 10:
+                    comma = comma or text[at] == 44
+                    at += 1
+                told = comma and (begins == 68 or begins == 80 or begins == 77)  # D, P or M
+                if told or text[at] != 41:
                     kind[line] = RARE
                     break
                 at += 1

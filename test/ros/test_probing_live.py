@@ -35,7 +35,7 @@ O1 REPEAT [2]
   G38.2 Z[#5063-2] F60
 O1 ENDREPEAT
 G10 L20 P1 Z[#5422-#5063]
-G0 Z5
+G0 Z5 (debug, top at #5063)
 G0 X-5
 Z-3
 G38.3 X40 F120
@@ -82,6 +82,8 @@ def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
     tip, _ = Transform.of(machine).forward(np.array([list(told['position'].values())]))
     # The edge is at X 10 and the top at Z -3; delay and noise leave a few micrometres.
     assert np.allclose(tip[0] * 1e3, [10, 0, 17], atol=0.015)
+    (top,) = (float(n.partition('top at')[2]) for n in told['notices'] if 'top at' in n)
+    assert abs(top + 3.0) < 0.015
     with Bag(run.bag) as recorded:
         contacts = recorded.read('probe_contact')
     assert [c.line_number for c in contacts] == [3, 5, 6, 5, 6, 12, 16]

@@ -1,5 +1,6 @@
 """The probing cycles: what they find with a probe that is not exact, and what they leave alone."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,7 @@ class Bench:
             for change in stream.changes:
                 self.setup = self.setup.changed(change.change)
             if stream.probe is None:
+                self.told = stream.notices
                 return tips[-1]
             stands, at = self.answers(stream.probe, tips[-2], tips[-1], feeds[-1])
             assert not stream.probe.fault(at is not None, False)
@@ -82,6 +84,12 @@ def test_a_bore_is_centred_within_a_micrometre(tmp_path):
         bench.run('O<probe_bore> CALL [20] [3] [3] [300] [60]', [0.0115, -0.0052, -0.005])
         errors += [bench.zero('X') - 12.3e-3, bench.zero('Y') + 4.5e-3]
     assert np.sqrt(np.mean(np.square(errors))) < 1.0 * UM
+    assert abs(diameter(bench) - 20.0) < 0.02  # both answers are late
+
+
+def diameter(bench):
+    (text,) = re.findall(r'diameter ([\d.]+) mm', bench.told[-1])
+    return float(text)
 
 
 def test_a_boss_is_centred_from_above(tmp_path):
@@ -89,6 +97,7 @@ def test_a_boss_is_centred_from_above(tmp_path):
     end = bench.run('O<probe_boss> CALL [24] [3] [4] [5] [300] [60]', [-0.0065, 0.0034, 0.002])
     assert abs(bench.zero('X') + 7e-3) < 3 * UM and abs(bench.zero('Y') - 3e-3) < 3 * UM
     assert np.allclose(end, [-0.007, 0.003, 0.002], atol=3 * UM)
+    assert abs(diameter(bench) - 24.0) < 0.02
 
 
 def test_a_boss_with_something_beside_it_ends_the_program(tmp_path):

@@ -161,3 +161,8 @@ def test_blocks_stream_with_flat_memory_and_progress(tmp_path):
     assert rows == 60001 - 1  # the second line repeats the start
     assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
     assert largest < 30000
+
+
+def test_messages_tell_values_of_parameters():
+    text = 'G0 X0\n#1=[7/2] #<way>=-4\nG1 X1 F100\n  ( Debug, at #1 of #<way>, #9)\nX2 (no, #1)\n'
+    assert read(text).notices[-1] == 'line 4: at 3.5 of -4, #9'

@@ -152,11 +152,12 @@ class _Printed:
 
     def __init__(self) -> None:
         self.unit, self.plane, self.tcp = MM, PLANES['17'], False
+        self.digit = LAST_DIGIT * MM  # of the coarsest unit so far, in which offsets may stand
         self.feed, self.mode, self.spindle = float('nan'), 'G94', 0.0
         self.offsets = {name: np.zeros(6) for name in ('G5X', 'G92', 'TOOL')}
         self.turn = np.eye(6)  # of the work offset
         self.here = np.zeros(6)
-        self.tolerance, self.worded = float('nan'), False
+        self.tolerance, self.worded, self.lengthened = float('nan'), False, False
 
     def take(self, name: str, text: str) -> ReadMove | None:
         numbers = [float(word) for word in _NUMBER.findall(text)]
@@ -165,7 +166,10 @@ class _Printed:
         if name == 'ARC_FEED':
             return self.arc(numbers)
         if name == 'USE_LENGTH_UNITS':
-            self.unit = 25.4 * MM if 'INCHES' in text else MM
+            before, self.unit = self.unit, 25.4 * MM if 'INCHES' in text else MM
+            self.digit = max(self.digit, LAST_DIGIT * self.unit)
+            if self.unit != before and self.offsets['TOOL'].any():
+                raise LinuxCNCError("LinuxCNC's rs274 keeps a tool length in the unit before")
         elif name == 'SELECT_PLANE':
             self.plane = _PLANES[text[-2:]]
         elif name == 'SET_FEED_RATE':
@@ -179,6 +183,9 @@ class _Printed:
         elif name in ('SET_G5X_OFFSET', 'SET_G92_OFFSET', 'USE_TOOL_LENGTH_OFFSET'):
             kind = name.removesuffix('_OFFSET').split('_')[-1].replace('LENGTH', 'TOOL')
             self.offsets[kind] = self.sized(numbers[name == 'SET_G5X_OFFSET' :][:6])
+            self.lengthened = self.lengthened or kind == 'TOOL'
+        elif name == 'CHANGE_TOOL' and self.lengthened:
+            raise LinuxCNCError("LinuxCNC's rs274 forgets a length at a tool change before motion")
         elif name == 'SET_MOTION_CONTROL_MODE' and numbers:
             self.tolerance = numbers[0] * self.unit or float('nan')
         elif name == 'SET_XY_ROTATION':
@@ -204,8 +211,8 @@ class _Printed:
     def move(
         self, rapid: bool, end: FloatArray, centre: FloatArray | None = None, turns: int = 0
     ) -> ReadMove:
-        before, self.here = self.here, end
-        feed, duration, unsure, digit = float('nan'), float('nan'), 0.0, LAST_DIGIT * self.unit
+        before, self.here, self.lengthened = self.here, end, False
+        feed, duration, unsure, digit = float('nan'), float('nan'), 0.0, self.digit
         if not rapid and self.mode == 'G94':
             feed, unsure = self.feed, digit / 60.0 / self.feed
         elif not rapid and self.mode == 'G95':

@@ -306,10 +306,12 @@ class _Comparison:
         even = np.abs(radius - (radius[0] + share * (radius[-1] - radius[0]))).max()
         height = points[:, move.plane[2]]
         straight = np.abs(height - (height[0] + share * (height[-1] - height[0]))).max()
-        if abs(angle - wanted) > 1e-6 + _blur(move, points[0]) or (turns < 0.0).any():
+        blur = 1e-6 + _blur(move, points[0])
+        if abs(angle - wanted) > blur or (turns < 0.0).any():
             self.fault(move, f'turns by {np.degrees(wanted):.6g} deg, its rows by '
                        f'{np.degrees(angle):.6g} deg')  # fmt: skip
-        elif max(float(even), float(straight)) > room:
+        # A centre that is off by a digit turns a helix, and so moves it along its axis.
+        elif max(even, straight - blur / max(angle, 1e-12) * np.ptp(height)) > room:
             self.fault(move, 'its rows are not on the arc')
 
     def turn_of(self, move: ReadMove, start: FloatArray) -> float:

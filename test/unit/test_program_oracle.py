@@ -10,7 +10,7 @@ from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program
-from cnc_interp.proof.linuxcnc_reader import interpreter, read_by_linuxcnc
+from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, interpreter, read_by_linuxcnc
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_places, compare_with_text
 from cnc_interp.run.chain import plan_to_files
@@ -70,6 +70,9 @@ SNIPPETS = {
     'functions': 'G1 X[ATAN[1]/[2]] Y[10 MOD 3] Z[ROUND[1.5]]\nX[FIX[-1.2]] Y[FUP[1.2]] Z[2**3]\n'
     'X[ABS[-3]] Y[SQRT[2]] Z[EXP[1]]\nX[LN[5]] Y[ACOS[0.5]/10] Z[TAN[45]]\nX[1 XOR 0] Y[2 EQ 2]',
     'positions': 'G1 X3 Y4\nX[#5420+1] Y[#5421*2] Z[#5422+1]',
+    # Offsets and centres that are printed in inches are known to 0.00254 mm.
+    'inch offsets': 'G20\nG10 L2 P1 X0.98426\nG0 X1\nG21\nG91 G1 Y1 F100\nG90 G1 X3',
+    'steep helix': 'G20 F33\nG91 G1 X0.12345\nG2 I0.35905 J0.00005 Z25.05',
     'rotary': 'G0 A10 C20\nG1 X5 A20\nG91 C30\nG90 G1 A0 C0 X0',
 }  # fmt: skip
 
@@ -96,6 +99,16 @@ def test_each_kind_of_word(name, tmp_path):
     agreement = judged(path, machine, partly=False, tools={1: 10.0, 2: 25.0})
     assert not agreement.faults, agreement.faults[:3]
     assert agreement.motions >= 3
+
+
+@pytest.mark.parametrize(
+    'text', ['T1 M6 G43\nG20 G49\nG0 Z1', 'T1 M6\nG43 H2\nT1 M6\nG43\nG0 X1\n']
+)
+def test_what_rs274_by_itself_gets_wrong_is_not_compared(text, tmp_path):
+    path = tmp_path / 'part.ngc'
+    path.write_text(f'G21 G90\nG0 X0 Y0 Z10\n{text}\nM2\n')
+    with pytest.raises(LinuxCNCError, match="LinuxCNC's rs274 (keeps|forgets)"):
+        judged(path, 'xyz', partly=False, tools={1: 10.0, 2: 25.0})
 
 
 def test_a_reading_leaves_nothing_where_another_one_could_find_it(tmp_path, monkeypatch):

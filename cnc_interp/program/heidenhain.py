@@ -28,7 +28,7 @@ from cnc_interp.program.words import BlockWords
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
 _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
 _WORD = re.compile(
-    rf'(?P<code>M\d+)\b|(?P<max>FMAX|F\s+MAX|F?AUTO)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
+    rf'(?P<code>M\d+)\b|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
     rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
     rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>M)(?=\s|$)|(?P<space>\s+)'
 )  # fmt: skip
@@ -54,7 +54,7 @@ _OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
 #: Those that say what codes of G-code do.
 _AS_CODES = {'M91': ['G53'], 'M136': ['G95'], 'M137': ['G94'], 'M13': ['M3', 'M8'],
              'M14': ['M4', 'M8']}  # fmt: skip
-_REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M140', 'M144', 'M150'}
+_REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M144', 'M150'}
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
@@ -198,8 +198,6 @@ class HeidenhainReader(GcodeReader):
                 raise self.fault('stands between two lines L, in the plane', match[1])
         elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)', line):
             self._motion(match[1], match[2])
-        elif line.startswith('M140'):
-            raise self.fault('draws the tool back along itself; write L with M91', 'M140')
         elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
             self._motion('L', line)  # a line along one axis, or without motion
         else:
@@ -218,7 +216,8 @@ class HeidenhainReader(GcodeReader):
             if match['code'] or match['radius']:
                 found.append(f'M{int(match["code"][1:])}' if match['code'] else match['radius'])
             elif match['max']:
-                found.append('FMAX' if 'MAX' in match['max'] else 'FAUTO')
+                word = match['max']
+                found.append('FMAX' if 'MAX' in word and word[0] == 'F' else word[:2])
             elif match['dr']:
                 turn = match['sign']
             elif match['name']:
@@ -230,6 +229,13 @@ class HeidenhainReader(GcodeReader):
         if kind == 'CC':
             self._set_centre(values)
             return
+        if 'M140' in found:
+            found.remove('M140')
+            size, feed, back = self.mover.unit, values.pop('F', 0.0), values.pop('MB', 0.0)
+            if self._place(values) or ('MB' not in found and not back > 0.0):
+                raise self.fault('write a block of its own, M140 MB MAX or M140 MB 50', 'M140')
+            self.mover.draw_back(back * size if back else None, feed * size / MINUTE)
+            found = [word for word in found if word != 'MB']
         words = BlockWords(m=[code for code in found if code[0] == 'M'] + ([stop] if stop else []))
         drills = 'M99' in words.m
         self._machine_words(words, values, found)
@@ -256,6 +262,8 @@ class HeidenhainReader(GcodeReader):
         if kind == 'L' and moves and words.g[0] != 'G0':
             self.mover.corner = self._coming_corner()
         self._execute(words)
+        if moves and 'G53' not in words.g:
+            self._frames.demand_upright(place)
         if kind == 'L' and moves:
             way = self._flat(self.mover.here()) - start
             self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading
@@ -475,8 +483,8 @@ class HeidenhainReader(GcodeReader):
     def _tilt(self, kind: str, rest: str) -> None:
         how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}
         values, _, _ = self._words(_TURNING.sub(' ', rest))
-        if 'TABLE' in how:
-            raise self.fault('TABLE ROT is not supported; post with COORD ROT', 'PLANE')
         choice = 1 if '+' in how else 2 if '-' in how else 0
         way = next((word for word in ('MOVE', 'TURN', 'STAY') if word in how), '')
-        self._frames.tilt(kind, values, way, choice)
+        self._frames.tilt(kind, values, way, choice, 'TABLE' in how)
+        for letter, angle in zip(self.mover.rotary_letters, self._frames.found, strict=False):
+            self.variables.set_name(f'Q12{"ABC".index(letter)}', angle / DEG)

@@ -5,7 +5,7 @@ Each lies in the one before: the rotation in the plane, the plane in the shifted
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -26,6 +26,8 @@ class HeidenhainFrames:
         self._turn: FloatArray | None = None
         self._angle = 0.0
         self.angles: dict[str, float] = {}
+        #: Whether the rotary axes still have to turn to the plane, and where (Q120 to Q122) [rad].
+        self._waits, self.found = False, mover.rotary
 
     def shift(self, values: Mapping[str, float]) -> None:
         """Process cycle 7; I before a letter is incremental."""
@@ -51,7 +53,7 @@ class HeidenhainFrames:
             raise self._fault('angles in space on some machines, positions of axes on others; '
                               'post with PLANE SPATIAL or PLANE AXIAL', 'CYCL DEF 19')  # fmt: skip
         if not others:
-            self._turn = None
+            self._turn, self._waits = None, False
             self._mover.set_oriented(False)
             self._frame()
             return
@@ -59,11 +61,13 @@ class HeidenhainFrames:
         self._frame()
         self._position('STAY', 0)
 
-    def tilt(self, kind: str, values: Mapping[str, float], way: str, choice: int) -> None:
-        """Process PLANE: the axes go there (MOVE, TURN), or stand there already (STAY)."""
+    def tilt(
+        self, kind: str, values: Mapping[str, float], way: str, choice: int, table: bool
+    ) -> None:
+        """Process PLANE: the axes go there (MOVE, TURN), or stand there by words (STAY)."""
         if kind == 'RESET':
             self._tilted.cancel()
-            self._turn = None
+            self._turn, self._waits = None, False
             self._frame()
             if way != 'STAY':
                 self._position('TURN' if way == 'TURN' else 'MOVE', 0)
@@ -71,7 +75,7 @@ class HeidenhainFrames:
             return
         self._turn = self._plane_of(kind, values)
         self._frame()
-        self._position(way, choice)
+        self._position(way, choice, table)
 
     def _frame(self) -> None:
         """Put datum shift, plane and rotation together: in this order, each in the one before."""
@@ -127,19 +131,27 @@ class HeidenhainFrames:
         which = int(np.argmax(np.abs(axis)))
         return rotation(which, float(np.copysign(angle, axis[which])))
 
-    def _position(self, way: str, choice: int) -> None:
-        """Turn the rotary axes to the plane, or demand that they stand there."""
-        mover = self._mover
-        if way in ('TURN', 'MOVE') and mover.rotary_letters:
-            self._tilted.stand_up('G53.1' if way == 'TURN' else 'G53.6', choice, BlockWords())
+    def _position(self, way: str, choice: int, table: bool = False) -> None:
+        """Turn the rotary axes to the plane, or wait for the words that do."""
+        self.found = self._tilted.solution(choice, 'PLANE', table)
+        self._waits = way not in ('TURN', 'MOVE')
+        if not self._waits:
+            code = 'G53.1' if way == 'TURN' else 'G53.6'
+            self._tilted.stand_up(code, choice, BlockWords(), table)
+        elif self._stands():
+            self._mover.set_oriented(True)
+            self._waits = False
+
+    def _stands(self) -> bool:
+        return bool(self._mover.tool_axis @ self._mover.frames.turn[:, 2] > 1.0 - 1e-9)
+
+    def demand_upright(self, named: Collection[str]) -> None:
+        """Demand after words of axes that the tool stands upright on the plane, if X Y Z moved."""
+        if not self._waits:
             return
-        if not mover.rotary_letters:
-            if mover.frames.turn[2, 2] < 1.0 - 1e-9:
-                raise self._fault('the tool cannot be turned; this machine has no rotary axes',
-                                  'PLANE')  # fmt: skip
-            return
-        axis = mover.geometry.tool_axis(mover.rotary[None])[0]
-        if axis @ mover.frames.turn[:, 2] < 1.0 - 1e-9:
+        if self._stands():
+            self._waits = False
+            self._mover.set_oriented(True)
+        elif not {'X', 'Y', 'Z'}.isdisjoint(named):
             raise self._fault('the tool does not stand upright on the plane; turn the axes '
                               'before it, or write TURN or MOVE', 'PLANE')  # fmt: skip
-        mover.set_oriented(True)

@@ -304,6 +304,9 @@ class ModalState:
         if not solutions:
             raise self.fault('the machine cannot reach the tool axis; correct the tool direction',
                              'TRAFOOF')  # fmt: skip
+        if np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT:
+            for pair in solutions:  # any position does
+                pair[self.geometry.outer] = self.rotary[self.geometry.outer]
         near = [
             pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
         ]

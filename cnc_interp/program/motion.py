@@ -24,6 +24,7 @@ NO_CORNER = Corner('', 0.0)
 SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].
 #: The plane that two centre letters of an arc tell.
 _PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
+_SHORT = 1e-6  #: The tool is drawn back up to so far from the travel [m].
 MOST_TURN = 1e3 * 360.0 * DEG
 
 
@@ -91,6 +92,31 @@ class Mover(ModalState):
         self.named, self.rotary = float(bool(self.rotary_letters)), rotary
         self.aim()
         self.go(point, rotary, rapid=True)
+
+    def draw_back(self, distance: float | None, feed: float) -> None:
+        """Draw the tool back along itself [m], or to the travel; without feed [m/s] in a rapid."""
+        self.rotary_of_vector()
+        rotary = np.nan_to_num(self.rotary)[None]
+
+        def axes(tip: FloatArray) -> FloatArray:
+            return self.geometry.linear(tip[None], rotary)[0]
+
+        along, q = axes(self.tool_axis) - axes(np.zeros(3)), self.point + self.zero
+        if not self.by_axes:
+            q = axes(self.point) - self.extra @ self._along
+        low, high = self.geometry.machine.travel[:3].T
+        moves = np.abs(along) > SAME_AXIS
+        room = ((np.where(along > 0.0, high, low) - q) / np.where(moves, along, nan))[moves].min()
+        if distance is None and not room < inf:
+            raise self.fault('no travel in the machine file ends it; write M140 MB 50', 'MB MAX')
+        distance = max(room - _SHORT, 0.0) if distance is None else distance
+        point = self.point + distance * (along if self.by_axes else self.tool_axis)
+        if self.targets.empty or not feed:
+            self.turn_to(point, self.rotary)
+            return
+        kept, self.feedrate = self.feedrate, feed
+        self.go(point, self.rotary, rapid=False)
+        self.feedrate = kept
 
     def begin_radius(self, code: str, distance: float) -> None:
         if self.targets.empty:

@@ -199,11 +199,11 @@ class TiltedPlane:
             self.notice(code, 'the frame is not tilted')
         self.stand_up(code, int(choice), words)
 
-    def stand_up(self, code: str, choice: int, words: BlockWords) -> None:
+    def stand_up(self, code: str, choice: int, words: BlockWords, table: bool = False) -> None:
         """Turn the rotary axes; ``choice`` as P of G53.1, and ``code`` tells what stays."""
         mover = self._mover
         mover.rotary_of_vector()
-        rotary = self._solution(choice, code)
+        rotary = self.solution(choice, code, table)
         if code != 'G53.1':
             mover.set_oriented(True)
             stays = code == 'G53.6'
@@ -218,8 +218,9 @@ class TiltedPlane:
         if tcp:
             mover.switch_tcp(tcp)
 
-    def _solution(self, choice: int, code: str) -> FloatArray:
-        mover, normal = self._mover, self._mover.frames.turn[:, 2]
+    def solution(self, choice: int, code: str, table: bool = False) -> FloatArray:
+        """Return rotary positions; an axis that any position does stays, or lays X along X."""
+        mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
             if normal[2] < 1.0 - SMALL:
                 raise self.fault('the tool cannot be turned; this machine has no rotary axes',
@@ -233,7 +234,9 @@ class TiltedPlane:
                 np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0))
                 < geometry.machine.singular_cone
             ):
-                pair[geometry.outer] = mover.rotary[geometry.outer]  # any position does
+                pair[geometry.outer] = mover.rotary[geometry.outer]
+                if table and not geometry.machine.rotary_on_head[geometry.outer]:
+                    pair[geometry.outer] = -np.arctan2(along[1], along[0]) * geometry.pole[2]
             near = pair + 2.0 * pi * np.round((mover.rotary - pair) / (2.0 * pi))
             near = near - 2.0 * pi * np.ceil(np.maximum(near - high, 0.0) / (2.0 * pi) - SMALL)
             near = near + 2.0 * pi * np.ceil(np.maximum(low - near, 0.0) / (2.0 * pi) - SMALL)

@@ -8,6 +8,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program.frames import rotation
 from cnc_interp.settings.options import Settings
 
 XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))
@@ -103,6 +104,26 @@ def test_datum_shift_rotation_and_planes():
     np.testing.assert_allclose(blocks.tip[-2:] / MM, ends, atol=1e-9)
 
 
+@pytest.mark.parametrize(('angle', 'choice'), [(0.0, ''), (30.0, 'SEQ-'), (-20.0, 'SEQ+')])
+def test_words_turn_the_axes_to_a_plane_and_m140_draws_the_tool_back_along_itself(angle, choice):
+    plane = f'PLANE SPATIAL SPA+{angle} SPB+0 SPC+0 STAY {choice} TABLE ROT|'.replace('+-', '-')
+    blocks = read(
+        f'M140 MB MAX|L X+0 Y+0 A+0 C+40 FMAX|L Z+5 FMAX|{plane}L A+Q120 C+Q122 R0 FMAX M126|'
+        'L X+3 Y+4 Z+6 FMAX|M140 MB 2.5 F60|L M140 MB MAX|M5', geometry=AC
+    ).blocks  # fmt: skip
+    turn = rotation(0, angle * DEG)
+    for tip, wanted in zip(blocks.tip[-3:-1], ([3, 4, 6], [3, 4, 8.5]), strict=True):
+        np.testing.assert_allclose(tip / MM, turn @ wanted, atol=1e-9)
+    np.testing.assert_allclose(blocks.axis[-1], turn[:, 2], atol=1e-9)
+    np.testing.assert_allclose(blocks.feedrate[-2], 1.0 * MM)
+    drawn = blocks.tip[-1] - turn @ [3 * MM, 4 * MM, 6 * MM]
+    np.testing.assert_allclose(np.cross(drawn, turn[:, 2]), 0.0, atol=1e-12)
+    z = AC.linear(blocks.tip[[0, -1]], blocks.rotary[[0, -1]])[:, 2]
+    np.testing.assert_allclose(z, AC.machine.travel[2, 1], atol=2e-6)
+    if not angle:  # the table lays X of the plane along X of the machine
+        np.testing.assert_allclose(blocks.rotary[-1], 0.0, atol=1e-9)
+
+
 def test_ln_turns_the_tool_with_tool_tip_programming():
     text = 'L X+0 Y+0 Z+50 A+0 C+0 FMAX|M128|LN X+1 Y+0 Z+50 NX0 NY0 NZ1 TX0 TY0.6 TZ0.8 F100|M129'
     blocks = read(text, geometry=AC).blocks
@@ -124,7 +145,7 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL 2', 'scaling'),
         ('CYCL DEF 204 X', 'back boring'),
         ('CYCL CALL', 'no cycle'), ('CYCL DEF 251 POCKET', 'not supported'),
-        ('L X+1 M140', 'M140'),
+        ('L X+1 M140 MB2', 'block of its own'), ('L M140', 'MB MAX'), ('M140 MB MAX', 'no travel'),
         ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'), ('APPR LT X+1', 'APPR'),
         ('TOOL CALL 1 Z DR+0.1', 'DR'), ('PLANE POINTS P1X+0', 'not supported'),
         ('X+5 FMIX', 'not supported'),
@@ -134,3 +155,8 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
 def test_what_cannot_be_done_is_refused_with_its_line(text, part):
     with pytest.raises(ProgramError, match=part):
         read('L X+0 Y+0 Z+0 FMAX|' + text)
+
+
+def test_moves_in_a_plane_before_the_tool_stands_upright_on_it_are_refused():
+    with pytest.raises(ProgramError, match='does not stand upright'):
+        read('L X+0 Y+0 Z+0 FMAX|PLANE SPATIAL SPA+30 SPB+0 SPC+0 STAY|L X+1 FMAX', geometry=AC)

@@ -107,7 +107,7 @@ def test_each_kind_of_word(name, tmp_path):
 def test_what_rs274_by_itself_gets_wrong_is_not_compared(text, tmp_path):
     path = tmp_path / 'part.ngc'
     path.write_text(f'G21 G90\nG0 X0 Y0 Z10\n{text}\nM2\n')
-    with pytest.raises(LinuxCNCError, match="LinuxCNC's rs274 (keeps|forgets)"):
+    with pytest.raises(LinuxCNCError, match=r"LinuxCNC's rs274 (keeps|forgets)"):
         judged(path, 'xyz', partly=False, tools={1: 10.0, 2: 25.0})
 
 

@@ -17,6 +17,7 @@ from cnc_interp.report.series import KINDS, Series, extremes
 #: Buckets of the small figures of the axes, and of the tool path in space.
 SMALL_BUCKETS, SPACE_BUCKETS = 250, 2500
 TOOL_LINES = 160  #: Number of tool axes in the figure of the tool path.
+MOST_SWITCHES = 2000  #: More marks of functions are thinned.
 
 
 def path_figure(series: Series) -> Any:
@@ -92,8 +93,17 @@ def feed_figure(series: Series) -> Any:
             html.add_curve(
                 figure, row, x[rows], y[rows], name, line, row == 1, legendgroup=name, **hover
             )
+    if series.switched:
+        at = list(series.switched)[:: 1 + len(series.switched) // MOST_SWITCHES]
+        figure.add_scatter(
+            x=html.rounded(series.time[at]), y=[0.0] * len(at), name='functions', mode='markers',
+            marker={'symbol': 'triangle-up', 'color': html.INK, 'size': 9},
+            cliponaxis=False, row=2, col=1,
+            text=[f'{series.switched[k]}<br>line {series.line[k]}' for k in at],
+            hovertemplate='%{text}, %{x:.3f} s<extra></extra>',
+        )  # fmt: skip
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
-    figure.update_xaxes(title_text='time (s)', row=2, col=1)
+    figure.update_xaxes(title_text='time (s)', range=[0.0, series.time[-1]], row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
     return html.laid_out(figure, 560)
 

@@ -49,6 +49,7 @@ class Series:
     line: IntArray  #: (K,): Line of the part program.
     vertices: FloatArray  #: (M, 3): Programmed tool tips [mm].
     flank_height: float  #: Height above the tip at which the orientation error is measured [mm].
+    switched: dict[int, str]  #: What functions switch, by the number of the setpoint.
 
 
 def series_of(plan: PlanFiles, machine: Machine) -> Series:
@@ -83,7 +84,18 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         line=np.asarray(plan.blocks['line'], dtype=np.int64)[plan.block],
         vertices=plan.blocks['tip'] / MM,
         flank_height=plan.flank_height / MM,
+        switched=switched(plan, machine),
     )
+
+
+def switched(plan: PlanFiles, machine: Machine) -> dict[int, str]:
+    found, signals, texts = plan.functions, machine.signals, {}
+    acts = zip(found['sample'].tolist(), found['step'].tolist(), found['value'], strict=True)
+    for sample, step, value in acts:
+        text = signals.text(signals.steps[step].output, float(value))
+        at = min(sample, len(plan.block) - 1)
+        texts[at] = f'{texts[at]}<br>{text}' if at in texts else text
+    return texts
 
 
 def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:

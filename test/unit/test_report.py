@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from packed_page import PACKED, unpacked
 from plan_directories import files, line_x, stroke, write
 
+from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
@@ -21,7 +22,7 @@ from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 from cnc_interp.report import write_report
 from cnc_interp.report.html import feed_ceiling, letters
-from cnc_interp.report.plots import feed_span
+from cnc_interp.report.plots import feed_figure, feed_span
 from cnc_interp.report.series import extremes, series_of
 from cnc_interp.report.time_lost import NO_LIMIT, time_lost
 
@@ -184,3 +185,16 @@ def test_a_feed_axis_ends_above_the_motion_and_a_fast_program_at_some_times_of_i
         found = feed_ceiling(motion, np.array([10.0, programmed]), most)
         assert 1.3 * end < found < 1.6 * end
     assert feed_ceiling(np.zeros(2), np.full(2, np.inf)) == 1.0
+
+
+def test_functions_stand_where_they_switch(tmp_path):
+    program = tmp_path / 'part.ngc'
+    program.write_text('G0 X0 Y0 Z5\nM8\nG1 Z0 F600\nX20 M9\nX30\nM2\n')
+    assert main(['plan', str(program), '--machine', 'vmc', '--out', str(tmp_path / 'plan')]) == 0
+    series = series_of(read_plan(tmp_path / 'plan'), Machine.load('vmc'))
+    marks = feed_figure(series).data[-1]
+    assert [text.partition('<')[0] for text in marks.text] == [
+        'coolant_flood on', 'coolant_mist off', 'spindle_forward off',
+    ]  # fmt: skip
+    at = np.flatnonzero(np.isin(series.time, marks.x))
+    assert np.allclose(series.tip[at, ::2], [[0, 5], [20, 0], [30, 0]], atol=0.05)

@@ -259,7 +259,8 @@ class Writer:
         end = complex(words[a] - self.words[a], words[b] - self.words[b]) + arm
         turn = np.angle(end / arm * np.sign(sweep) ** 0) * np.sign(sweep) % (2.0 * np.pi)
         turn = turn + 2.0 * np.pi * (turns - 1)
-        share = np.linspace(0.0, 1.0, POSES * turns)
+        chords = np.sqrt(5.0 * abs(arm) * turn**2 / min(self.tolerance))  # within a fortieth
+        share = np.linspace(0.0, 1.0, POSES * turns + int(chords))
         size = abs(arm) + share * (abs(end) - abs(arm))
         at = size * arm / abs(arm) * np.exp(1j * np.sign(sweep) * share * turn)
         path = self.words + share[:, None] * (words - self.words)
@@ -269,7 +270,8 @@ class Writer:
 
     def curve(self) -> None:
         """Write a B-spline in X Y Z."""
-        if not self.tcp or self.timed or not self.siemens:
+        # A second BSPLINE right after a curve would continue it.
+        if not self.tcp or self.timed or not self.siemens or self.motions[-1].first:
             self.arc()
             return
         rng = self.rng
@@ -543,6 +545,13 @@ def path(found: Emitted, motions: list[Motion]) -> list[str]:
         if not motion.known or not len(rows):
             continue
         rows = rows[:: max(1, len(rows) // 300)]
+        for i in (k - 1, k + 1):  # a corner with a way that is not known is not judged
+            if 0 < i < len(motions) and curves[i] is None:
+                joint = curves[k][0 if i < k else -1]
+                off = np.linalg.norm(emitted[rows] - joint, axis=1)
+                rows = rows[off > 8.0 * max(motion.tolerance)]
+        if not len(rows):
+            continue
         near = [*beside(k, -1), k, *beside(k, 1)]
         scale = np.repeat(np.max([motions[i].tolerance for i in near], axis=0), 3)
         off = distances(

@@ -295,7 +295,7 @@ class ClReader:
         elif major == 'INDIRV':
             heading = self._numbers(minor, 3, 'write INDIRV/i,j,k')
             self._heading = self._frames.direction(heading)
-        elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT'):
+        elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT', 'CLEAR'):
             self._cycle = cl_words.cycle_of(minor, self.unit, self._fault)
             if self._cycle.rests:
                 self._notice(major, codes.DWELL)

@@ -28,14 +28,14 @@ from cnc_interp.program.words import BlockWords
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
 _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
 _WORD = re.compile(
-    rf'(?P<code>M\d+)\b|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
+    rf'(?P<code>M\d+)\b\.?|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
     rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
     rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>M)(?=\s|$)|(?P<space>\s+)'
 )  # fmt: skip
 _TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
 _LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')
 _CALL = re.compile(r'CALL\s+LBL\s*(\d+|"[^"]+"|[A-Z]\w*)\s*(?:REP\s*(\d+)\s*(?:/\s*\d+)?)?')
-_CALL_FILE = re.compile(r'CALL\s+PGM\s+([\w-]+?)(?:\.H)?')
+_CALL_FILE = re.compile(r'CALL\s+PGM\s+(?:\S*[\\/])?([\w-]+?)(?:\.H)?')
 _CYCLE = re.compile(r'CYCLE?\s+DEF\s*(\d+)(?:\.(\d+))?\s*(.*)')
 _FN = re.compile(r'FN\s*(\d+)\s*:\s*(.*)')
 _JUMP = re.compile(rf'IF\s*({_VALUE})\s*([A-Z]+)\s*({_VALUE})\s*GOTO\s*LBL\s*(\d+|"[^"]+"|\w+)')
@@ -258,12 +258,12 @@ class HeidenhainReader(GcodeReader):
             if kind != 'CT' and not turn:
                 raise self.fault('the direction is missing; write DR+ or DR-', kind)
             words.g[:1] = [self._arc(kind, values, words, turn)]
+        self._frames.before(place.keys(), 'G53' in words.g)
         start = self._flat(self.mover.here())
         if kind == 'L' and moves and words.g[0] != 'G0':
             self.mover.corner = self._coming_corner()
         self._execute(words)
-        if moves and 'G53' not in words.g:
-            self._frames.demand_upright(place)
+        self._frames.after()
         if kind == 'L' and moves:
             way = self._flat(self.mover.here()) - start
             self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading

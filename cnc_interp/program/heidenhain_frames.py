@@ -5,7 +5,7 @@ Each lies in the one before: the rotation in the plane, the plane in the shifted
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Set
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.frames import rotation
+from cnc_interp.program.modal_state import ORIENTED
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords
@@ -145,13 +146,21 @@ class HeidenhainFrames:
     def _stands(self) -> bool:
         return bool(self._mover.tool_axis @ self._mover.frames.turn[:, 2] > 1.0 - 1e-9)
 
-    def demand_upright(self, named: Collection[str]) -> None:
-        """Demand after words of axes that the tool stands upright on the plane, if X Y Z moved."""
-        if not self._waits:
-            return
-        if self._stands():
+    def before(self, named: Set[str], machine: bool) -> None:
+        """Prepare for words: those of the machine, and rotary words, move the axes alone.
+
+        X Y Z of the plane need the tool upright on it.
+        """
+        mover = self._mover
+        turns = machine or not named.isdisjoint(mover.rotary_letters)
+        if turns and mover.tcp == ORIENTED:
+            mover.set_oriented(False)
+            self._waits = True
+        if self._waits and not machine and not {'X', 'Y', 'Z'}.isdisjoint(named):
+            raise self._fault('the tool does not stand upright on the plane; turn the axes in a '
+                              'block before, or write TURN or MOVE', 'PLANE')  # fmt: skip
+
+    def after(self) -> None:
+        if self._waits and self._stands():
             self._waits = False
             self._mover.set_oriented(True)
-        elif not {'X', 'Y', 'Z'}.isdisjoint(named):
-            raise self._fault('the tool does not stand upright on the plane; turn the axes '
-                              'before it, or write TURN or MOVE', 'PLANE')  # fmt: skip

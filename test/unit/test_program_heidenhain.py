@@ -157,6 +157,23 @@ def test_what_cannot_be_done_is_refused_with_its_line(text, part):
         read('L X+0 Y+0 Z+0 FMAX|' + text)
 
 
-def test_moves_in_a_plane_before_the_tool_stands_upright_on_it_are_refused():
+@pytest.mark.parametrize(
+    'turn', ['STAY|L X+1 FMAX', 'STAY|L X+1 A+30 C+0 FMAX', 'TURN|L A+0|L X+1']
+)
+def test_moves_in_a_plane_on_which_the_tool_does_not_stand_upright_are_refused(turn):
     with pytest.raises(ProgramError, match='does not stand upright'):
-        read('L X+0 Y+0 Z+0 FMAX|PLANE SPATIAL SPA+30 SPB+0 SPC+0 STAY|L X+1 FMAX', geometry=AC)
+        read('L X+0 Y+0 Z+0 FMAX|PLANE SPATIAL SPA+30 SPB+0 SPC+0 ' + turn, geometry=AC)
+
+
+def test_words_of_the_machine_and_rotary_words_move_their_axes_alone_on_a_plane():
+    plane = 'PLANE SPATIAL SPA+30 SPB+0 SPC+0 TURN SEQ+|L Z+20 FMAX|L Z+90 FMAX M91'
+    text = f'L X+0 Y+0 Z+9 A+0 C+0 FMAX|{plane}|L X+3 Y+4 FMAX|L A+0 FMAX'
+    blocks = read(text, geometry=AC).blocks
+    q = AC.linear(blocks.tip[3:], np.nan_to_num(blocks.rotary[[3, 3, 5]]))
+    np.testing.assert_allclose(q[0, 2], 90 * MM, atol=1e-9)
+    turn = rotation(0, 30 * DEG)
+    here = (turn.T @ blocks.tip[3:5].T).T
+    np.testing.assert_allclose(here[1, :2] / MM, [3, 4], atol=1e-9)
+    np.testing.assert_allclose(here[1, 2], here[0, 2], atol=1e-9)
+    before = AC.linear(blocks.tip[4:5], blocks.rotary[3:4])
+    np.testing.assert_allclose(q[2], before[0], atol=1e-9)

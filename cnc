@@ -9,6 +9,7 @@
 #   ./cnc test --all          all tests, a build with colcon and a bare system; before a release
 #   ./cnc test ARGUMENTS      arguments go to pytest: ./cnc test -x test/unit/test_cli.py
 #   ./cnc lint                ruff and mypy
+#   ./cnc docs                all pages and the API as a site, out/site
 #   ./cnc setup               only set up, check all of it, repair what is broken
 #   ./cnc COMMAND ...         any other command of cnc-interp (./cnc --help lists them)
 set -euo pipefail
@@ -28,7 +29,7 @@ fingerprints() (
       base) set -- requirements/{ros-jazzy,build,source,run}.txt ;;
       project) set -- setup.py setup.cfg ;;
       messages) set -- msg_defs/CMakeLists.txt msg_defs/package.xml msg_defs/*/* ;;
-      test | panel | step | batch | tiles | warp) set -- "requirements/$part.txt" ;;
+      test | docs | panel | step | batch | tiles | warp) set -- "requirements/$part.txt" ;;
     esac
     sum=$(sha256sum "$@" | sha256sum)
     printf '%s %s\n' "$part" "${sum%% *}"
@@ -117,6 +118,11 @@ main() {
     lint)
       ensure "${parts[@]}" test
       lint
+      ;;
+    docs)
+      ensure "${parts[@]}" test docs
+      cd "$root"
+      exec "$venv/bin/mkdocs" build --quiet
       ;;
     setup)
       ensure "${parts[@]}"

@@ -18,7 +18,7 @@ from itertools import chain
 
 import numpy as np
 from dense import read
-from paths import Case, cases, dense_cases
+from paths import cases, dense_cases
 from programs import CASES
 from whole_plans import path_of
 
@@ -31,6 +31,7 @@ from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.problems import Problem
 from cnc_interp.run.chain import LONGEST_STEP
 from cnc_interp.run.setpoints import BEFORE, Interpolator, largest_shares
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
@@ -41,7 +42,7 @@ TIMES = 5
 PERIODS = (0.25 * MS, 1.0 * MS, 4.0 * MS)
 
 
-def fastest(case: Case, bound: bool) -> tuple[float, PlannedPiece]:
+def fastest(case: Problem, bound: bool) -> tuple[float, PlannedPiece]:
     """Return the CPU time of planning a path [s], and the plan."""
     seconds = []
     for _ in range(TIMES):

@@ -7,12 +7,12 @@ import time
 
 import numpy as np
 from figures import Figures
-from paths import blocks_of, smoothed
 from rivals import topp3
 from whole_plans import Kept
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.problems.paths import of_blocks
 from cnc_interp.program import Blocks
 from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH
@@ -32,7 +32,7 @@ def raster(count: int, first: int = 0) -> Blocks:
     z = -(x**2 + y**2) / (2 * 200 * MM)
     tilt = np.column_stack([x / (200 * MM), y / (200 * MM) - np.tan(20 * DEG), np.ones(count)])
     axis = tilt / np.linalg.norm(tilt, axis=1, keepdims=True)
-    return blocks_of(np.column_stack([x, y, z]), axis, 3000 * MM_PER_MIN)
+    return Blocks.of_poses(np.column_stack([x, y, z]), axis, 3000 * MM_PER_MIN)
 
 
 def chain_cost(count: int) -> Figures:
@@ -58,5 +58,5 @@ def chain_cost(count: int) -> Figures:
 def topp3_cost(count: int) -> Figures:
     """Plan the same raster with copp-py, one round."""
     machine = Machine.load('xyzac')
-    answer = topp3(smoothed(raster(count), machine), machine, 0, rounds=1)
+    answer = topp3(of_blocks('raster', raster(count), machine).path, machine, 0, rounds=1)
     return {'computing': answer.computing, 'motion': answer.time}

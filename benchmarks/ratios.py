@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from paths import ROOT, SHARED, blocks_of, dome, random_blocks, time_along
+from paths import ROOT, SHARED, time_along
 from whole_plans import path_of
 
 from cnc_interp.core.arrays import FloatArray
@@ -23,6 +23,7 @@ from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.problems.paths import dome, random_blocks
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.path_chain import is_faster
 from cnc_interp.settings.options import Settings
@@ -86,7 +87,7 @@ def unlike() -> Blocks:
     way = np.cumsum(rng.uniform(-0.4, 0.4, count + 1))
     ring = np.sin(lean)
     axis = np.column_stack([ring * np.sin(way), ring * np.cos(way), np.cos(lean)])
-    return blocks_of(tip, axis, 3000.0 * MM_PER_MIN)
+    return Blocks.of_poses(tip, axis, 3000.0 * MM_PER_MIN)
 
 
 def programs() -> Iterator[tuple[str, Blocks]]:

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from figures import Stopwatch
 from optimum import time_grid
-from paths import stretches
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
@@ -20,6 +19,7 @@ from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.problems import stretches
 
 PERIOD = 1e-3
 #: Jerk by third differences of setpoints that counts as kept: the limit and its rounding.

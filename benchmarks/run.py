@@ -21,7 +21,7 @@ from active import largest_use, share_active
 from figures import Figures, Stopwatch, forget, load, save
 from growth import chain_cost, raster, topp3_cost
 from optimum import ROUNDS, Optimum, solve
-from paths import Case, case_of, cases, dense_cases, stop_at_corners, stretches
+from paths import cases, dense_cases, stop_at_corners
 from rivals import topp3, toppra_slowed
 from strokes import line_path, stroke_time
 from tables import write_tables
@@ -29,6 +29,8 @@ from tables import write_tables
 from cnc_interp.core.units import MM
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.problems import Problem, stretches
+from cnc_interp.problems.paths import of_blocks
 
 
 def closed_form(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
@@ -68,7 +70,9 @@ def strokes(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
             )
 
 
-def optimum_of(case: Case, count: int = 500, slowed: float = 1.0, rounds: int = ROUNDS) -> Optimum:
+def optimum_of(
+    case: Problem, count: int = 500, slowed: float = 1.0, rounds: int = ROUNDS
+) -> Optimum:
     """Solve every stretch between stops and add up."""
     parts = stretches(case.path)
     found = [solve(part, case.limits, None, count, slowed, rounds) for part in parts]
@@ -82,7 +86,7 @@ def optimum_of(case: Case, count: int = 500, slowed: float = 1.0, rounds: int = 
     )
 
 
-def planning_cost(case: Case) -> Figures:
+def planning_cost(case: Problem) -> Figures:
     """Plan a path six times; the motion, and the CPU seconds of the fastest but the first."""
     planned, seconds = plan_path(case.path, case.limits), []
     for _ in range(5):
@@ -180,7 +184,7 @@ def trust(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
 def speed(wanted: Callable[[str], bool]) -> Iterator[tuple[str, Figures]]:
     """Plan dense 5-axis programs: blocks so short that each costs cells of its own."""
     machine = Machine.load('xyzac')
-    raster_case = case_of('raster on a dome, 2,000 blocks of 1 mm', raster(2000), machine)
+    raster_case = of_blocks('raster on a dome, 2,000 blocks of 1 mm', raster(2000), machine)
     for case in chain([raster_case], dense_cases(machine)):
         if wanted(case.name):
             yield case.name, planning_cost(case)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from paths import blocks_of, time_along
+from paths import time_along
 
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
@@ -48,7 +48,7 @@ def two_lines(rng: np.random.Generator, turn: float, turning: bool) -> Blocks:
     way = rng.uniform(0.0, 6.28) + np.cumsum(swing * rng.uniform(-10.0, 10.0, 3))
     axis = np.column_stack([np.sin(lean) * np.sin(way), np.sin(lean) * np.cos(way), np.cos(lean)])
     feedrate = float(rng.choice([1000.0, 3000.0, 10000.0])) * MM_PER_MIN
-    return blocks_of(tip, axis, feedrate, spread(0.002, 1.0) * MM)
+    return Blocks.of_poses(tip, axis, feedrate, spread(0.002, 1.0) * MM)
 
 
 def cycle_time(blocks: Blocks, sharpest: float) -> float:

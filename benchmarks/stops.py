@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import ruckig
-from paths import Case, cases
+from paths import cases
 from whole_plans import path_of
 
 from cnc_interp.feedrate.feed_planner import plan_path
@@ -28,6 +28,7 @@ from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.problems import Problem
 from cnc_interp.program import read_program
 from cnc_interp.settings.options import Settings
 
@@ -49,7 +50,7 @@ def straight_stop(path: AxisPath, s: float, v: float, a: float, limits: AxisLimi
     return float(found.duration)
 
 
-def row_of(case: Case) -> str:
+def row_of(case: Problem) -> str:
     """Plan one path and ask for stops all along it; return the row of the table."""
     piece, without = (
         plan_path(case.path, case.limits, PlanOptions(reserve=reserve))
@@ -78,13 +79,13 @@ def row_of(case: Case) -> str:
     )
 
 
-def of_programs(names: list[str]) -> Iterator[Case]:
+def of_programs(names: list[str]) -> Iterator[Problem]:
     """Read programs for the reference machine."""
     machine = Machine.load('xyzac')
     transform = Transform.of(machine)
     for name in names:
         blocks = read_program(Path(name), transform, Settings()).blocks
-        yield Case(Path(name).stem, path_of(blocks, transform, Settings()), machine, blocks)
+        yield Problem(Path(name).stem, path_of(blocks, transform, Settings()), machine, blocks)
 
 
 def main() -> None:

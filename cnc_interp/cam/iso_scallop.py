@@ -416,6 +416,26 @@ def iso_scallop_paths(
     surface: Surface, cutter: Cutter, plane_normal: FloatArray, options: IsoScallopOptions,
     progress: Callable[[float], None] | None = None,
 ) -> IsoScallopPaths:  # fmt: skip
+    """Find passes of constant scallop height on a surface [TL2008].
+
+    Parameters
+    ----------
+    surface : Surface
+        Such as ``BSplineSurface.through(points)``, points (m, n, 3) [m].
+    plane_normal : FloatArray
+        (3,): the passes lie one beside the other in this direction.
+
+    Returns
+    -------
+    IsoScallopPaths
+        ``passes``; each has ``postures`` with ``tip`` and ``axis``, (n, 3) [m, -].
+
+    Raises
+    ------
+    SurfaceError
+        The mill does not fit the surface; the message names the place.
+
+    """
     if cutter.is_ball:
         raise SurfaceError(
             'the strip of a ball mill does not depend on its tilt; take a corner radius smaller '

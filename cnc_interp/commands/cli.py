@@ -7,9 +7,10 @@ import signal
 import sys
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from types import FrameType
 
-from cnc_interp import __version__
+import cnc_interp
 from cnc_interp.commands.bags import add_bag_commands
 from cnc_interp.commands.batch import add_batch_commands
 from cnc_interp.commands.cam import add_cam_commands
@@ -17,8 +18,9 @@ from cnc_interp.commands.check import add_check_commands
 from cnc_interp.commands.convert import add_convert_command, add_machine_commands
 from cnc_interp.commands.identify import add_identify_commands
 from cnc_interp.commands.operate import add_operate_commands
-from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser
+from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command
 from cnc_interp.commands.plan import add_plan_command
+from cnc_interp.commands.problems import add_problems_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.sweep import add_sweep_command
 from cnc_interp.core.errors import InterpError
@@ -72,20 +74,55 @@ def interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+class Version(argparse.Action):
+    """Print version and commit: that of the build, or of the checkout."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        package = Path(cnc_interp.__file__).parent
+        noted, found = package / 'commit.txt', ''
+        if noted.exists():
+            found = noted.read_text()
+        elif (package.parent / '.git').exists():
+            import subprocess
+
+            git = ['git', 'describe', '--always', '--dirty=+', '--exclude=*']
+            found = subprocess.run(git, cwd=package, capture_output=True, text=True).stdout
+        print(f'cnc-interp {cnc_interp.__version__} {found.strip()}'.rstrip())
+        parser.exit()
+
+
 def parser() -> argparse.ArgumentParser:
     top = CommandParser(
         prog='cnc-interp',
         description='5-axis CNC interpolator: smooth, plan and run part programs, every setpoint '
         'proven.',
     )
-    top.add_argument('--version', action='version', version=f'cnc-interp {__version__}')
+    top.add_argument('--version', action=Version, nargs=0, help='print version and commit')
     commands = top.add_subparsers(required=True, metavar='COMMAND')
 
     for add in (
         add_run_command, add_plan_command, add_batch_commands,
         partial(add_sweep_command, main=main), add_convert_command, add_check_commands,
         add_panel_command, add_operate_commands, add_machine_commands, add_bag_commands,
-        add_identify_commands, add_cam_commands,
+        add_identify_commands, add_cam_commands, add_problems_command,
     ):  # fmt: skip
         add(commands)
+    completion = command(
+        commands, 'completion', completion_command,
+        'print what a shell completes, or the man page',
+        'cnc-interp completion bash > ~/.local/share/bash-completion/completions/cnc-interp',
+    )  # fmt: skip
+    completion.add_argument('kind', choices=('bash', 'zsh', 'man'), help='shell, or man')
     return top
+
+
+def completion_command(options: argparse.Namespace) -> int:
+    if options.kind == 'man':
+        from argparse_manpage.manpage import Manpage
+
+        print(Manpage(parser()))
+    else:
+        import shtab
+
+        print(shtab.complete(parser(), options.kind))
+    return FINE

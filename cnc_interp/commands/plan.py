@@ -7,7 +7,9 @@ import json
 import math
 import os
 import shutil
+import signal
 import sys
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +50,7 @@ def add_plan_command(commands: Any) -> None:
 
 
 def plan_command(options: argparse.Namespace) -> int:
+    from cnc_interp.core import kernel_cache
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.feedrate.plan_options import tool_warnings
     from cnc_interp.machine_model.transform import Transform
@@ -59,6 +62,8 @@ def plan_command(options: argparse.Namespace) -> int:
     settings = settings_from(options)
     geometry = Transform.of(machine)
     tell(tool_warnings(machine, settings))
+    if not kernel_cache.folder().exists():  # the first plan ever: kernels of two stages at a time
+        get_context('fork').Process(target=_compile, args=(machine,), daemon=True).start()
     stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)
     read_as: tuple[str, ...] = ()
@@ -84,6 +89,15 @@ def plan_command(options: argparse.Namespace) -> int:
             f'all of it: cnc-interp check {options.out}'
         )  # fmt: skip
     return FAILED if excesses_of(summary) else FINE
+
+
+def _compile(machine: Machine) -> None:
+    from cnc_interp.feedrate.feed_planner import plan_path
+    from cnc_interp.nodes.kernel_warmup import path_without_kernels
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    plan_path(path_without_kernels(machine), machine)
 
 
 def machine_of(options: argparse.Namespace) -> Machine:

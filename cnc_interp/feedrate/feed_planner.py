@@ -406,6 +406,26 @@ def plan_path(
     path: AxisPath, limits: AxisLimits, options: PlanOptions | None = None,
     start: tuple[float, float] = AT_REST, tool: ToolLimit | None = None,
 ) -> PlannedPiece:  # fmt: skip
-    """Plan a complete path, which may contain stops; raises as ``FeedPlanner``."""
+    """Plan the fastest motion along a complete path, which may contain stops, from rest to rest.
+
+    Parameters
+    ----------
+    limits : AxisLimits
+        A ``Machine``, or what has ``max_velocity`` (n_axes,) and ``limit_table``.
+    start : tuple of float
+        s_dot [m/s] and s_ddot [m/s2] of a motion that goes on.
+
+    Returns
+    -------
+    PlannedPiece
+        ``path`` and ``law`` for ``axis_motion``; ``law.end_time``, and ``least_time``: no motion
+        without jerk limits is faster [s].
+
+    Raises
+    ------
+    PlanningError
+        No motion keeps the limits; the message names the block.
+
+    """
     planner = FeedPlanner(limits, options, start, tool=tool)
     return PlannedPiece.join(planner.push(path) + planner.finish())

@@ -50,10 +50,19 @@ class MotionLaw(Table):
 def axis_motion(
     path: AxisPath, law: MotionLaw, time: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
-    """Return the motion of the axes at increasing times [s] of a law along a path.
+    """Return q(t): the motion of the axes by a law along its path.
 
-    That are their positions and three derivatives by time, (K, n_axes), the rows of the blocks,
-    and the places on the path [m].
+    Parameters
+    ----------
+    time : FloatArray
+        (K,): increasing times; beyond its ends the motion rests [s].
+
+    Returns
+    -------
+    tuple of arrays
+        Positions and three derivatives by time, (K, n_axes) each [m or rad, per s, ...]; rows of
+        the blocks, (K,); places on the path, (K,) [m].
+
     """
     rows = law.time, law.duration, law.s, law.s_dot, law.s_ddot, law.jerk, law.cell
     out, cell, s = _axis_motion(rows, path.s, path.cell_left, path.cell_right, time)

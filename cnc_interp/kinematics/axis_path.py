@@ -137,7 +137,10 @@ def evaluate_cells(
 def evaluate(
     path: AxisPath, s: FloatArray, cell: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the axes and three derivatives by s at positions [m], (M, n_axes); held outside."""
+    """Return q(s) and three derivatives by s at places [m], (M, n_axes) each; held outside.
+
+    ``cell`` (M,): cells of the places, where a place is an end of two.
+    """
     s = np.asarray(s, dtype=np.float64)
     if cell is None:
         found = np.searchsorted(path.s, s, side='right') - 1

@@ -17,9 +17,22 @@ def axis_path_from(
 ) -> AxisPath:
     """Return the smooth path from rest to rest through axis positions, by quintic splines.
 
-    Its error is of the sixth order in the distance of the points; at corners it overshoots. ``q``
-    (N, n_axes): positions, N >= 6 [m, rad]; ``s`` (N,): increasing, usually the tool tip's path
-    length [m]; ``feedrate``: largest ds/dt. Raises InterpError if the arrays do not fit.
+    Its error is of the sixth order in the distance of the points; at corners it overshoots.
+
+    Parameters
+    ----------
+    q : FloatArray
+        (N, n_axes): axis positions, N >= 6 [m, rad].
+    s : FloatArray
+        (N,): increasing, usually the path length of the tool tip [m].
+    feedrate : float
+        Largest ds/dt [m/s].
+
+    Raises
+    ------
+    InterpError
+        The arrays do not fit.
+
     """
     q, s = np.array(q, dtype=float), np.array(s, dtype=float)
     axes = len(machine.axis_names)

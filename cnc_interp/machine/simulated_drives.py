@@ -62,11 +62,21 @@ def simulate(
     machine: Machine, period: float, positions: FloatArray, velocities: FloatArray | None = None,
     model: Machine | None = None,
 ) -> Recording:  # fmt: skip
-    """Run simulated drives through all setpoints (K, n_axes), from rest at the first one.
+    """Run simulated drives through all setpoints, from rest, to the bits of ``SimulatedDrives``.
 
-    The bits are those of ``Cycle`` with ``SimulatedDrives``. Without velocities, central
-    differences; ``model``: compensate its drives; all axes are then later by
-    ``Compensation.lead``.
+    Parameters
+    ----------
+    positions, velocities : FloatArray
+        (K, n_axes), one row each period [m or rad, per s]; by default central differences.
+    model : Machine, optional
+        Compensate its drives; all axes are then later by ``Compensation.lead``.
+
+    Returns
+    -------
+    Recording
+        ``position``, ``following_error`` (K, n_axes), ``tip``, ``axis`` (K, 3), ``contour_error``
+        (K,) [m or rad].
+
     """
     r = np.ascontiguousarray(positions, dtype=float)
     rate = np.gradient(r, period, axis=0) if velocities is None else velocities

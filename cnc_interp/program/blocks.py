@@ -9,6 +9,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.units import MM
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
 #: Values of ``Blocks.corner``: whether a stop is faster is tried, or known.
@@ -63,6 +64,28 @@ class Blocks(Table):
     #: ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
     #: the path is not smooth and need not rest. Otherwise OPEN_CORNER.
     corner: IntArray = column(default=OPEN_CORNER)
+
+    @staticmethod
+    def of_poses(
+        tip: FloatArray, axis: FloatArray, feedrate: float, tolerance: float = 0.02 * MM
+    ) -> Blocks:
+        """Make linear blocks of poses, the first one being the start.
+
+        Parameters
+        ----------
+        tip, axis : FloatArray
+            (N, 3): tool tips [m] and unit tool axes, in the frame of the workpiece.
+        feedrate, tolerance : float
+            Speed of the tip [m/s]; tolerance of contour and orientation [m].
+
+        """
+        n = len(tip)
+        return Blocks(
+            tip=tip, axis=axis, rotary=np.full((n, 2), nan), feedrate=np.full(n, feedrate),
+            duration=np.full(n, nan), rapid=np.zeros(n, dtype=bool),
+            exact_stop=np.zeros(n, dtype=bool), contour_tolerance=np.full(n, tolerance),
+            orientation_tolerance=np.full(n, tolerance), line_number=np.arange(1, n + 1),
+        )  # fmt: skip
 
     @property
     def on_spline(self) -> BoolArray:

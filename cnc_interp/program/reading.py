@@ -28,9 +28,9 @@ from cnc_interp.settings.options import Settings
 class Program:
     blocks: Blocks  #: Row 0 is the start pose. Each other row is one linear piece of motion.
     #: Words that had no effect or were simplified, each with its first line.
-    notices: tuple[str, ...]
-    source: str  #: File name, or ``<text>``.
-    dialect: str  #: Dialect of the text.
+    notices: tuple[str, ...] = ()
+    source: str = '<blocks>'  #: File name, or ``<text>``.
+    dialect: str = ''  #: Dialect of the text.
 
 
 class ProgramStream:
@@ -156,12 +156,31 @@ def open_program(
 
 
 def read_program(
-    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None
-) -> Program:
-    return open_program(path, geometry, settings, setup).read()
+    path: Path, geometry: Transform, settings: Settings | None = None,
+    setup: JobSetup | None = None,
+) -> Program:  # fmt: skip
+    """Read a whole part program; its words tell the dialect.
+
+    Parameters
+    ----------
+    settings : Settings, optional
+        ``feedrate`` and tolerances count where the program has none.
+    setup : JobSetup, optional
+        Work offsets and tools; by default those of the file that the settings name.
+
+    Raises
+    ------
+    ProgramError
+        A word is refused; the message names file and line.
+
+    """
+    return open_program(path, geometry, settings or Settings(), setup).read()
 
 
 def read_text(
-    text: str, source: str, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
+    text: str, source: str, geometry: Transform, settings: Settings | None = None,
+    setup: JobSetup | None = None,
 ) -> Program:  # fmt: skip
-    return ProgramStream(Source.of_text(text, source), geometry, settings, setup).read()
+    """Read a program that is a text, as ``read_program``; ``source`` names it in messages."""
+    stream = ProgramStream(Source.of_text(text, source), geometry, settings or Settings(), setup)
+    return stream.read()

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cnc_interp.core.compile_time import working_time
 from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
@@ -17,9 +17,10 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.setpoints import Interpolator
+from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
+from cnc_interp.smoothing.segments import PathSegments
 
 #: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
 LONGEST_STEP = 1e-3
@@ -27,9 +28,15 @@ LONGEST_STEP = 1e-3
 STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
 
 
+class Sink(Protocol):
+    segments: Callable[[PathSegments], None]
+    piece: Callable[[PlannedPiece], None]
+    setpoints: Callable[[Setpoints], None]
+
+
 class Chain:
     def __init__(
-        self, machine: Machine, settings: Settings, sink: PlanWriter,
+        self, machine: Machine, settings: Settings, sink: Sink | PlanWriter,
         clock: Callable[[], float] = working_time, start: StartFinder | None = None,
         processes: int = 1,
     ):  # fmt: skip

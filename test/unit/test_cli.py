@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.commands.cli import main
+import cnc_interp
+from cnc_interp.commands.cli import main, parser
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core.errors import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
@@ -44,6 +45,29 @@ def test_plan_check_and_report_of_the_pyramid(tmp_path, capsys):
         assert max(summary['largest_use'][name].values()) <= 1.0
     for name in ('velocity', 'acceleration'):
         assert setpoints[name].shape == setpoints['position'].shape
+
+
+def test_shells_and_the_man_page_know_every_command(capsys):
+    (commands,) = (a.choices for a in parser()._actions if isinstance(a.choices, dict))
+    for kind in ('man', 'zsh', 'bash'):
+        assert main(['completion', kind]) == FINE
+        printed = capsys.readouterr().out
+        plain = printed.replace('\\', '')
+        assert '--contour-tolerance' in plain and all(name in plain for name in commands)
+    script = f'{printed}\nCOMP_WORDS=(cnc-interp swe) COMP_CWORD=1\n'
+    script += '_shtab_cnc_interp; echo "${COMPREPLY[@]}"'
+    done = subprocess.run(['bash', '-c', script], capture_output=True, text=True)
+    assert done.stdout == 'sweep\n', done.stderr
+
+
+def test_version_tells_the_commit(capsys):
+    with pytest.raises(SystemExit):
+        main(['--version'])
+    git = ['git', 'describe', '--always', '--dirty=+', '--exclude=*']
+    commit = subprocess.run(git, cwd=EXAMPLES, capture_output=True, text=True).stdout
+    assert (
+        capsys.readouterr().out == f'cnc-interp {cnc_interp.__version__} {commit}'.rstrip() + '\n'
+    )
 
 
 def test_a_plan_over_a_limit_is_not_proven_and_fails(tmp_path, capsys, monkeypatch):

@@ -1,0 +1,108 @@
+"""Whole programs in memory: what a caller in Python has in the place of commands and files."""
+
+from dataclasses import dataclass
+
+from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.reading import Program
+from cnc_interp.proof.plan_files import BLOCK_COLUMNS, PlanFiles
+from cnc_interp.proof.verdict import Proof
+from cnc_interp.proof.verify import verify
+from cnc_interp.run.chain import Chain, at_fault, no_motion
+from cnc_interp.run.path_chain import PathChain, batches
+from cnc_interp.run.plan_writer import block_columns
+from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.settings.options import Settings
+from cnc_interp.smoothing.segments import PathSegments
+
+
+class Kept:
+    """A sink of the chain that keeps everything."""
+
+    def __init__(self) -> None:
+        self.parts: list[PathSegments] = []
+        self.pieces: list[PlannedPiece] = []
+        self.samples: list[Setpoints] = []
+        self.segments, self.piece = self.parts.append, self.pieces.append
+        self.setpoints = self.samples.append
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planned program."""
+
+    program: Program
+    machine: Machine
+    settings: Settings
+    segments: PathSegments  #: The smooth path of the tool.
+    pieces: list[PlannedPiece]  #: The path of the axes and the motion law along it, in parts.
+    #: ``time`` (K,) [s]; ``position``, ``velocity``, ``acceleration``, ``jerk`` (K, n_axes) [m or
+    #: rad, per s, ...]; ``block`` (K,), ``s`` (K,) [m].
+    setpoints: Setpoints
+    planning_time: dict[str, float]  #: Seconds of each stage.
+
+
+def plan_program(program: Program, machine: Machine, settings: Settings | None = None) -> Plan:
+    """Plan a whole program to setpoints in memory; ``cnc-interp plan`` has no bound of length.
+
+    Parameters
+    ----------
+    program : Program
+        As ``read_program`` and ``read_text`` return it, or ``Program(blocks)``.
+    settings : Settings, optional
+        Tolerances and period; by default 0.02 mm and 1 ms.
+
+    Raises
+    ------
+    InterpError
+        Nothing moves, or the machine cannot follow; the message names the line.
+
+    """
+    settings, kept = settings or Settings(), Kept()
+    chain = Chain(machine, settings, kept)
+    with at_fault(program.source):
+        for batch in batches(program.blocks):
+            chain.push(batch)
+        chain.finish()
+    if not chain.moved:
+        raise no_motion(program.source)
+    segments, setpoints = PathSegments.concatenate(kept.parts), Setpoints.concatenate(kept.samples)
+    return Plan(program, machine, settings, segments, kept.pieces, setpoints, chain.seconds)
+
+
+def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None = None) -> AxisPath:
+    """Round the corners of blocks within their tolerances, and return the path of the axes.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Of a program, or ``Blocks.of_poses(tip, axis, feedrate)``.
+    settings : Settings, optional
+        ``Settings(compress=False)`` rounds every corner and makes no curves of dense blocks.
+
+    """
+    chain = PathChain(geometry, settings or Settings())
+    parts = [*(chain.push(batch) for batch in batches(blocks)), chain.finish()]
+    return AxisPath.join([part.path for part in parts if part.path is not None])
+
+
+def check(plan: Plan) -> Proof:
+    """Prove the setpoints of a plan against limits, tolerances, feed and order of its program.
+
+    Returns
+    -------
+    Proof
+        ``ok``; ``failures``, a sentence for each; ``largest('jerk', 'X').ratio``: use of a limit.
+
+    """
+    rows, found = len(plan.program.blocks), block_columns(plan.program.blocks)
+    blocks = {name: found.get(name, of.filled(rows)) for name, of in BLOCK_COLUMNS.items()}
+    given = {
+        'interpolation_period': plan.settings.interpolation_period,
+        'flank_height': plan.settings.flank_height,
+        'settings': {'longest_block': plan.settings.longest_block},
+    }
+    return verify(PlanFiles(plan.setpoints.columns(), {}, blocks, given), plan.machine)

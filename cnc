@@ -84,6 +84,7 @@ try_everything_else() {
   tools/colcon_check "$workspace"
   rm -rf "$workspace"
   tools/bare_system --tests
+  tools/bare_system --pip
   if RS274=$(tools/get_rs274 "$venv/linuxcnc"); then export RS274; fi
 }
 
@@ -104,7 +105,7 @@ main() {
     test)
       shift
       parts+=(test panel step batch tiles)
-      case " $* " in *' --all '*) parts+=(warp) ;; esac
+      case " $* " in *' --all '*) parts+=(docs warp) ;; esac
       ensure "${parts[@]}"
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac

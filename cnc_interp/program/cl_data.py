@@ -255,10 +255,7 @@ class ClReader:
             if self._switch(major, minor):
                 return
         if major == 'GOTO':
-            raise self._fault(
-                'expected three numbers, or six with the tool axis, between commas or spaces',
-                statement,
-            )
+            raise self._fault('expected three numbers, or six with the tool axis', statement)
         if major in cl_words.REFUSED and not _ALONG_ARC.fullmatch(statement):
             raise self._fault(cl_words.REFUSED[major], major)
         if major in cl_words.OFF_ONLY and minor not in cl_words.OFF and _moves(minor):
@@ -285,10 +282,8 @@ class ClReader:
         elif major == 'GODLTA':
             delta = self._frames.direction(self._numbers(minor, 3, 'write GODLTA/dx,dy,dz'))
             if self.targets.empty:
-                raise self._fault(
-                    'an incremental move before the first point; write FROM or GOTO first',
-                    'GODLTA',
-                )
+                raise self._fault('an incremental move before the first point; write FROM or GOTO '
+                                  'first', major)  # fmt: skip
             self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
         elif major == 'CIRCLE':
             self._begin_circle(minor)
@@ -370,27 +365,20 @@ class ClReader:
         numbers = _numbers_of(minor)
         if len(numbers) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
             raise self._fault(remedy, 'CIRCLE')
-        del numbers[7:]
         if self._frames.is_moved:
             numbers[:3] = self._frames.point(numbers[:3]).tolist()
         if self.targets.empty:
             raise self._fault('a circle before the first point; write FROM or GOTO', 'CIRCLE')
-        if len(numbers) == 6:
-            whole = _Circle(np.array(numbers[:3]) * self.unit,
-                            np.array(self._unit_vector(numbers[3:], 'CIRCLE')), 0.0)  # fmt: skip
-            numbers.append(whole.off(np.array(self._point)) / self.unit)
-        if not max(map(abs, numbers)) * self.unit <= _FARTHEST or not numbers[6] > 0.0:
+        normal, here = np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), np.array(self._point)
+        circle = _Circle(np.array(numbers[:3]) * self.unit, normal, 0.0)
+        circle.radius = numbers[6] * self.unit if len(numbers) > 6 else circle.off(here)
+        size, off = max(*np.abs(circle.centre), circle.radius), circle.off(here)
+        if not size <= _FARTHEST or not circle.radius > 0.0:
             raise self._fault('a circle beyond 100,000 mm, or with a radius of zero; correct it',
                               'CIRCLE')  # fmt: skip
-        centre, radius = np.array(numbers[:3]) * self.unit, numbers[6] * self.unit
-        circle = _Circle(centre, np.array(self._unit_vector(numbers[3:6], 'CIRCLE')), radius)
-        off = circle.off(np.array(self._point))
-        if not off <= arcs.allowed_mismatch(np.array(radius)):
-            raise self._fault(
-                f'the tool is {off / self.unit:.4g} away from this circle; correct the circle or '
-                'the point before',
-                'CIRCLE',
-            )
+        if not off <= arcs.allowed_mismatch(np.array(circle.radius)):
+            raise self._fault(f'the tool is {off / self.unit:.4g} away from this circle; correct '
+                              'the circle or the point before', 'CIRCLE')  # fmt: skip
         self._circle = circle
 
     def _along_arc(self, numbers: list[float]) -> None:
@@ -417,8 +405,7 @@ class ClReader:
     def _arc_to(self, circle: _Circle, end: FloatArray) -> tuple[float, ...]:
         """Return the arc to a point; a point off the circle ends the CIRCLE statement."""
         first, start = circle.turned == 0.0, np.array(self._point)
-        before, after = circle.across(start), circle.across(end)
-        off = abs(float(np.linalg.norm(after)) - circle.radius)
+        before, after, off = circle.across(start), circle.across(end), circle.off(end)
         allowed = float(arcs.allowed_mismatch(np.array(circle.radius)))
         about = float(circle.normal @ np.cross(before, after))
         angle = float(np.arctan2(about, before @ after)) % (2.0 * pi)

@@ -44,6 +44,9 @@ _SET = re.compile(r'(Q[LR]?\d+)\s*=\s*(.*)')
 _PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
 _TURNING = re.compile(r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
                       r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)')  # fmt: skip
+#: Cycles that set something, and what it means here.
+_SETTING = {247: 'the datum is that of the work offset that is active',
+            239: 'the load has no effect', 392: 'the tuning has no effect'}  # fmt: skip
 _CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
 #: Words that move nothing.
 _IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE)')
@@ -106,7 +109,8 @@ class HeidenhainReader(GcodeReader):
 
     def _assign(self, line: str) -> bool:
         if match := _SET.fullmatch(line):
-            self.variables.set_name(match[1], self._value(match[2]))
+            rapid = self.defining and match[2] in ('MAX', 'FMAX')
+            self.variables.set_name(match[1], np.inf if rapid else self._value(match[2]))
         return match is not None
 
     def _flow(self, line: str) -> bool:
@@ -179,7 +183,7 @@ class HeidenhainReader(GcodeReader):
         elif match := _CYCLE.fullmatch(line):
             self._define_cycle(int(match[1]), match[2], match[3])
         elif match := _TOOL_CALL.fullmatch(line):
-            self._tool_call(match[2], match[3] or 'Z', match[4], bool(match[1]))
+            self._tool_call(match[2], match[3] or 'Z', match[4], (match[1] or '').strip('"'))
         elif match := _PLANE.fullmatch(line):
             self._tilt(match[1], match[2])
         elif _IDLE.match(line):
@@ -227,7 +231,10 @@ class HeidenhainReader(GcodeReader):
     def _motion(self, kind: str, text: str, stop: str = '') -> None:
         values, found, turn = self._words(text)
         if kind == 'CC':
-            self._set_centre(values)
+            centre, given, unit = self.mover.here(), self._place(values), self.mover.unit
+            for letter in {'X', 'Y', 'Z'} & given.keys():
+                centre['XYZ'.index(letter)] = given[letter] * unit
+            self.centre = self._flat(centre)
             return
         if 'M140' in found:
             found.remove('M140')
@@ -313,14 +320,6 @@ class HeidenhainReader(GcodeReader):
         a, b, _ = PLANES[self.mover.plane]
         return complex(point[a], point[b])
 
-    def _set_centre(self, values: dict[str, float]) -> None:
-        place, a, b = self.mover.here(), *PLANES[self.mover.plane][:2]
-        given = self._place(values)
-        for i, letter in enumerate('XYZ'):
-            if letter in given:
-                place[i] = given[letter] * self.mover.unit
-        self.centre = complex(place[a], place[b])
-
     def _polar(
         self, values: dict[str, float], place: dict[str, float], on_arc: bool, words: BlockWords,
         turn: str,
@@ -382,17 +381,21 @@ class HeidenhainReader(GcodeReader):
 
     # --- tools, frames, cycles -----------------------------------------------------------------
 
-    def _tool_call(self, number: str | None, axis: str, rest: str, named: bool) -> None:
+    def _tool_call(self, number: str | None, axis: str, rest: str, named: str) -> None:
         values, _, _ = self._words(rest)
         if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
             raise self.fault('DL and DR are not supported; put them into the setup', 'TOOL CALL')
         words = BlockWords(g=[{'Z': 'G17', 'Y': 'G18', 'X': 'G19'}[axis]])
+        tools = self.mover.setup.tools
         if named:
-            raise self.fault('tools have numbers here; write TOOL CALL 5', 'TOOL CALL')
+            number = next((str(n) for n in tools if tools[n].remark.upper() == named), None)
+            if number is None and tools:
+                raise self.fault('no tool of the setup has this name as its remark', named)
+            words.m.append('M6')
         if number is not None:
             words.values['T'], words.texts['T'] = float(number), f'TOOL CALL {number}'
-            words.m.append('M6')
-            if self.mover.setup.tools or int(number) == 0:
+            words.m[:] = ['M6']
+            if tools or int(number) == 0:
                 words.g.append('G43' if int(number) else 'G49')
         for name in 'SF':
             if name in values:
@@ -416,9 +419,9 @@ class HeidenhainReader(GcodeReader):
                 self.mover.targets.stop_here()
             elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
                 self._modes.tolerances('CYCL DEF 32', float(match[1]) or None, None)
-        elif number == 247:
-            self.cycle, self.defining = 247, True
-            self.notice('CYCL DEF 247', 'the datum is that of the work offset that is active')
+        elif number in _SETTING:
+            self.defining = True
+            self.notice(f'CYCL DEF {number}', _SETTING[number])
         elif number in (1, 2, 240) or 200 <= number <= 207:
             if number == 204:
                 raise self.fault('back boring is not supported; post it as L', 'CYCL DEF 204')
@@ -440,7 +443,7 @@ class HeidenhainReader(GcodeReader):
 
     def _drill(self) -> None:
         mover, unit, axis = self.mover, self.mover.unit, PLANES[self.mover.plane][2]
-        if not self.cycle or self.cycle == 247:
+        if not self.cycle:
             raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')
 
         def of(name: str, default: float = 0.0) -> float:
@@ -466,6 +469,7 @@ class HeidenhainReader(GcodeReader):
         if taps:
             mover.notice(f'CYCL DEF {self.cycle}',
                          'feed in, feed out; the spindle is not synchronised')  # fmt: skip
+        reams = self.cycle == 201 and of('Q208') < np.inf
         breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
         here = mover.here()
         go_along(mover, here, axis, retract, feed_given=True)
@@ -475,8 +479,8 @@ class HeidenhainReader(GcodeReader):
         hole = Hole(
             retract, bottom, clear, pecks, breaks,
             of('Q256') * unit or _BREAK if breaks else _NEAR, rests=of('Q211') > 0.0 or taps,
-            out=retract if taps or self.cycle == 201 else None, feed=feed,
-            feed_out=of('Q208') * unit / MINUTE if self.cycle == 201 else None,
+            out=retract if taps or reams else None, feed=feed,
+            feed_out=of('Q208') * unit / MINUTE if reams else None,
         )  # fmt: skip
         make_hole(mover, hole, here, axis)
 

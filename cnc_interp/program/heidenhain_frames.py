@@ -31,8 +31,8 @@ class HeidenhainFrames:
         self._waits, self.found = False, mover.rotary
 
     def shift(self, values: Mapping[str, float]) -> None:
-        """Process cycle 7; I before a letter is incremental."""
-        if self._turn is not None:
+        """Process cycle 7; I before a letter is incremental, and zeros end the shift."""
+        if self._turn is not None and any(values.values()) and (self._turn != np.eye(3)).any():
             raise self._fault('a datum shift in a tilted plane; write PLANE RESET before',
                               'CYCL DEF 7')  # fmt: skip
         for name, value in values.items():
@@ -71,7 +71,7 @@ class HeidenhainFrames:
             self._turn, self._waits = None, False
             self._frame()
             if way != 'STAY':
-                self._position('TURN' if way == 'TURN' else 'MOVE', 0)
+                self._position(way or 'MOVE', 0)
                 self._mover.set_oriented(False)
             return
         self._turn = self._plane_of(kind, values)

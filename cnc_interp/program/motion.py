@@ -96,14 +96,10 @@ class Mover(ModalState):
     def draw_back(self, distance: float | None, feed: float) -> None:
         """Draw the tool back along itself [m], or to the travel; without feed [m/s] in a rapid."""
         self.rotary_of_vector()
-        rotary = np.nan_to_num(self.rotary)[None]
-
-        def axes(tip: FloatArray) -> FloatArray:
-            return self.geometry.linear(tip[None], rotary)[0]
-
-        along, q = axes(self.tool_axis) - axes(np.zeros(3)), self.point + self.zero
-        if not self.by_axes:
-            q = axes(self.point) - self.extra @ self._along
+        tips = np.stack([self.tool_axis, np.zeros(3), self.point])
+        top, tip, q = self.geometry.linear(tips, np.tile(np.nan_to_num(self.rotary), (3, 1)))
+        along = top - tip
+        q = self.point + self.zero if self.by_axes else q - self.extra @ self._along
         low, high = self.geometry.machine.travel[:3].T
         moves = np.abs(along) > SAME_AXIS
         room = ((np.where(along > 0.0, high, low) - q) / np.where(moves, along, nan))[moves].min()

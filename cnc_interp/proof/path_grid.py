@@ -103,10 +103,6 @@ def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
     with np.errstate(invalid='ignore'):
         apart = np.where(limit == bound, 0.0, np.abs(limit - bound))
     ledger.check('feed limit of path', apart, SAME * bound, rows=rows[a:b])
-    # Eq. 10 leaves out tangential acceleration and jerk, so a correct law may exceed it.
-    bounded, name = limit > 0.0, 'largest_feed_over_limit'
-    over = float(np.max(feed[bounded] / limit[bounded], initial=0.0))
-    ledger.remarks[name] = max(over, ledger.remarks.get(name, 0.0))
 
 
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:

@@ -116,7 +116,6 @@ class ProgrammedAxes:
             result.contour[at[nearer]] = contour[nearer]
             result.row[at[nearer]], result.part[at[nearer]] = k[nearer], x[nearer]
             result.orientation[at] = np.minimum(result.orientation[at], orientation)
-            result.twist[at] = np.minimum(result.twist[at], orientation)
         return np.where(self.linear[block] & self.in_axes[block], beside, 0.0)
 
     def speeds(
@@ -261,7 +260,6 @@ def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> De
         gap = gap + program.plan.flank_height * (axis[ruled] - turned)
         distance = np.linalg.norm(gap, axis=1)
         result.orientation[ruled] = np.minimum(result.orientation[ruled], distance)
-        result.twist[ruled] = np.minimum(result.twist[ruled], distance)
     return result
 
 
@@ -278,7 +276,7 @@ def measure_widely(
         reach = REACH * np.maximum(contour, top)[far]
         wide = program.path.deviation(tip[far], axis[far], block[far], reach)
         nearer = wide.contour <= result.contour[far]
-        for name in ('contour', 'row', 'part', 'twist'):
+        for name in ('contour', 'row', 'part'):
             getattr(result, name)[far] = np.where(
                 nearer, getattr(wide, name), getattr(result, name)[far]
             )

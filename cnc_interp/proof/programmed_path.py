@@ -19,7 +19,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
 WIDE_WINDOW = 500  #: The most rows searched where blocks are shorter than the tolerance.
 TURN_PER_START = 0.1  #: Largest turn between two starts of the search for the nearest point [rad].
-TIE = 1e-9  #: Two distances that differ by less than this are equal [m].
+TIE = 1e-9  #: A shorter way of the tip is none [m].
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,6 @@ class Deviation:
     row: IntArray  #: (K,): Program row of the nearest point.
     part: FloatArray  #: (K,): Place of the nearest point on its row, 0 to 1 [-].
     orientation: FloatArray  #: (K,): Distance of the point at flank height from its curve T [m].
-    #: (K,): Flank height times the angle between the tool axis and the programmed axis at the
-    #: nearest point of the tip [m]. It is stricter than ``orientation`` and only for information.
-    twist: FloatArray
 
 
 @dataclass(frozen=True)
@@ -198,34 +195,16 @@ def _locus_distance(
 
 
 @njit(cache=True, nogil=True)
-def _twist(
-    tip: FloatArray, axis: FloatArray, k: int, start: FloatArray, chord: FloatArray,
-    first: FloatArray, sideways: FloatArray, turn: FloatArray, h: float,
-) -> float:  # fmt: skip
-    """Return h times the angle between the tool axis and the programmed one at the tip's foot."""
-    d = chord[k]
-    if d[0] * d[0] + d[1] * d[1] + d[2] * d[2] == 0.0:
-        zero = np.zeros(3)
-        return float(_locus_distance(h * axis, zero, zero, first[k], sideways[k], turn[k], h))
-    angle = turn[k] * _foot(tip, start[k], d)
-    gap = 0.0
-    for i in range(3):
-        gap += (first[k, i] * np.cos(angle) + sideways[k, i] * np.sin(angle) - axis[i]) ** 2
-    return float(2.0 * h * np.arcsin(min(1.0, 0.5 * np.sqrt(gap))))
-
-
-@njit(cache=True, nogil=True)
 def _deviation(
     tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray, start: FloatArray,
     chord: FloatArray, first: FloatArray, sideways: FloatArray, turn: FloatArray,
     by_axes: BoolArray, h: float,
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:  # fmt: skip
     count = len(tip)
-    contour, part = np.empty(count), np.empty(count)
     row = np.empty(count, dtype=np.int64)
-    orientation, twist = np.empty(count), np.empty(count)
+    contour, part, orientation = np.empty(count), np.empty(count), np.empty(count)
     for i in range(count):
-        best, best_row, best_part, top_best, twist_best = np.inf, low[i], 0.0, np.inf, np.inf
+        best, best_row, best_part, top_best = np.inf, low[i], 0.0, np.inf
         top = tip[i] + h * axis[i]
         for k in range(low[i], high[i] + 1):
             foot = _foot(tip[i], start[k], chord[k])
@@ -239,15 +218,8 @@ def _deviation(
                 )[0]
                 top_best = min(top_best, np.sqrt(square), _locus_distance(
                     top, start[k], chord[k], first[k], sideways[k], turn[k], h))  # fmt: skip
-        for k in range(low[i], high[i] + 1):
-            foot = _foot(tip[i], start[k], chord[k])
-            distance = _line_distance(tip[i], start[k], chord[k], foot)
-            if distance <= best + TIE and not by_axes[k]:
-                twist_best = min(twist_best, _twist(
-                    tip[i], axis[i], k, start, chord, first, sideways, turn, h))  # fmt: skip
-        contour[i], row[i], part[i] = best, best_row, best_part
-        orientation[i], twist[i] = top_best, twist_best
-    return contour, row, part, orientation, twist
+        contour[i], row[i], part[i], orientation[i] = best, best_row, best_part, top_best
+    return contour, row, part, orientation
 
 
 @njit(cache=True, nogil=True)

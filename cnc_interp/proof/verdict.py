@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partialmethod
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,6 @@ class Proof:
     cycle_time: float
     findings: tuple[Finding, ...]  #: Largest use of each limit and tolerance.
     failures: tuple[str, ...]  #: One sentence for each fact that is not proven.
-    remarks: dict[str, float] = field(default_factory=dict)  #: Figures for information only.
     machine_file: str = ''  #: File of the machine; empty for a bundled one.
     given: tuple[Given, ...] = ()  #: What is taken as given.
     program: str = ''  #: What was compared with the text of the program, or ''.
@@ -117,7 +116,6 @@ def with_program(proof: Proof, found: Agreement) -> Proof:
 class Ledger:
     def __init__(self, plan: PlanFiles, machine: Machine):
         self.plan, self.machine = plan, machine
-        self.remarks: dict[str, float] = {}
         # Every quantity that was judged, by its name and axis, with the share that counts and
         # whether it is told only if it fails; and every fault, a text or such a name, in order.
         self._judged: dict[tuple[str, str], tuple[Finding, float, bool]] = {}
@@ -197,7 +195,7 @@ class Ledger:
         return Proof(
             machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
             plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
-            (*self.failures, *([until] if until else [])), self.remarks, machine.file, until=until,
+            (*self.failures, *([until] if until else [])), machine.file, until=until,
         )  # fmt: skip
 
 

@@ -184,19 +184,16 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
-    twist = 0.0
     for a, b in spans(len(plan.position)):
         position, block = plan.position[a:b], plan.block[a:b]
         deviation = measure(program, position, block)
         contour, top = program.tolerances(deviation)
         ledger.judge('contour error', deviation.contour, contour, slack=SLACK, first=a)
         ledger.judge('orientation error', deviation.orientation, top, slack=SLACK, first=a)
-        twist = max(twist, float(np.max(deviation.twist)))
         if program.lines is not None:
             beside = program.lines.improve(deviation, position, block)
             own = plan.blocks['contour_tolerance'][block]
             ledger.judge('axes beside their line', beside * own, own, slack=SLACK, first=a)
-    ledger.remarks['largest_twist'] = twist
 
 
 def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> PlanFiles:

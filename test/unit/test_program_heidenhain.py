@@ -92,6 +92,18 @@ def test_cycle_200_pecks_from_the_surface_and_retracts_to_the_second_clearance()
     assert np.flatnonzero(~blocks.rapid).tolist() == [3, 6, 9, 12]
 
 
+def test_words_of_posts_that_set_something_leave_the_motion_as_it_is():
+    text = ('CYCL DEF 392 ATC~\nQ240=0~\nQ241=1|TOOL CALL "D4" Z S9 DL+0 DR+0|L X+0 Y+0 Z+5 FMAX|'
+            'CYCL DEF 201 REAMING~\nQ200=2~\nQ201=-6~\nQ206=100~\nQ208= MAX~\nQ203=0~\nQ204=9|'
+            'L FMAX M99')  # fmt: skip
+    setup = JobSetup(tools={4: Tool(3.0 * MM, remark='d4')})
+    blocks = read(text, setup=setup).blocks
+    np.testing.assert_allclose(blocks.tip[:, 2] / MM, [8, 5, -3, 12], atol=1e-9)
+    assert blocks.rapid.tolist() == [True, True, False, True]
+    with pytest.raises(ProgramError, match='this name'):
+        read(text)
+
+
 def test_datum_shift_rotation_and_planes():
     shift = 'CYCL DEF 7.0 DATUM|CYCL DEF 7.1 X+10|CYCL DEF 7.2 IY+5|'
     ends = corners(shift + 'L X+0 Y+0 Z+0 FMAX|CYCL DEF 10.0 ROT|CYCL DEF 10.1 ROT+90|L X+1 FMAX')
@@ -122,6 +134,14 @@ def test_words_turn_the_axes_to_a_plane_and_m140_draws_the_tool_back_along_itsel
     np.testing.assert_allclose(z, AC.machine.travel[2, 1], atol=2e-6)
     if not angle:  # the table lays X of the plane along X of the machine
         np.testing.assert_allclose(blocks.rotary[-1], 0.0, atol=1e-9)
+
+
+def test_zeros_end_a_datum_shift_in_a_plane_too():
+    plane = 'PLANE SPATIAL SPA+30 SPB+0 SPC+0 TURN SEQ+|'
+    text = f'L X+0 Y+0 Z+9 A+0 C+0 FMAX|CYCL DEF 7.1 X+5|{plane}CYCL DEF 7.1 X0|L X+1 Y+0 Z+0 FMAX'
+    np.testing.assert_allclose(read(text, geometry=AC).blocks.tip[-1] / MM, [1, 0, 0], atol=1e-9)
+    with pytest.raises(ProgramError, match='datum shift in a tilted plane'):
+        read(f'L X+0 A+0 C+0 FMAX|{plane}CYCL DEF 7.0 D|CYCL DEF 7.1 X2', geometry=AC)
 
 
 def test_ln_turns_the_tool_with_tool_tip_programming():

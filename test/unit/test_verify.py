@@ -69,9 +69,6 @@ def test_a_sound_plan_is_proven(tmp_path):
     assert proof.largest('tip feed').ratio == pytest.approx(1.0, abs=1e-6)
     assert proof.largest('velocity', 'C').ratio == 0.0
     assert 'proven' in proof.text()
-    path = read_plan(tmp_path).path
-    over = path['feed'][1:-1] / path['feed_limit'][1:-1]
-    assert proof.remarks['largest_feed_over_limit'] == pytest.approx(over.max())
     assert json.loads(json.dumps(proof.to_json(), allow_nan=False))['ok'] is True
 
 
@@ -259,7 +256,6 @@ def test_a_pure_rotation_follows_the_great_circle(tmp_path):
     content = rotation(angle, 0 * angle, [(0.0, 0.0), (20 * DEG, 0.0)])
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
-    assert proof.remarks['largest_twist'] < 1e-9
     content['blocks']['axis'][1] = tool_axis(np.array(20.1 * DEG), np.array(0.0))
     only_failure(proof_of(tmp_path, content), 'vertex missed by top')
     only_failure(proof_of(tmp_path, content), 'away from the last pose')

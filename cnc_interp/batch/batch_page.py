@@ -18,14 +18,15 @@ Results = Sequence[tuple[BatchEntry, TaskOutcome]]
 #: fields of ``Row``.
 COLUMNS = {
     'program': str, 'machine': str, 'verdict': str, 'message': str, 'blocks': int,
-    'setpoints': int, 'path_length_m': float, 'cycle_time_s': float, 'time_bound_s': float,
-    'cost': float, 'velocity_use': float, 'acceleration_use': float, 'jerk_use': float,
-    'torque_use': float, 'contour_used': float, 'orientation_used': float, 'notices': str,
-    'plan_hash': str,
+    'setpoints': int, 'path_length_m': float, 'cycle_time_s': float, 'standstill_s': float,
+    'time_bound_s': float, 'cost': float, 'velocity_use': float, 'acceleration_use': float,
+    'jerk_use': float, 'torque_use': float, 'contour_used': float, 'orientation_used': float,
+    'notices': str, 'plan_hash': str,
 }  # fmt: skip
 #: Columns whose field of ``Row`` has another name.
 FIELDS = {
     'path_length_m': 'path_length', 'cycle_time_s': 'cycle_time', 'time_bound_s': 'time_bound',
+    'standstill_s': 'standstill',
 }  # fmt: skip
 COSTS = ('program', 'machine', 'seconds', 'processor_s', 'memory_MB')
 
@@ -41,7 +42,7 @@ def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str,
         'machine': job.model.name,
         'verdict': str(row.verdict),
         'notices': '; '.join(row.notices),
-        'cost': rate * row.cycle_time / HOUR if rate and row.cycle_time else None,
+        'cost': rate * row.run_time / HOUR if rate and row.cycle_time else None,
     }
     return {name: own[name] if name in own else getattr(row, FIELDS.get(name, name))
             for name in COLUMNS}  # fmt: skip

@@ -71,6 +71,7 @@ class Row:
     #: Time of the motion, and the least time that velocities and accelerations allow [s].
     cycle_time: float | None = None
     time_bound: float | None = None
+    standstill: float | None = None  #: For tool changes and the spindle [s].
     #: Largest use of a limit by any axis, as proven [-].
     velocity_use: float | None = None
     acceleration_use: float | None = None
@@ -81,6 +82,11 @@ class Row:
     orientation_used: float | None = None
     notices: tuple[str, ...] = ()  #: What the reader and the planner noticed.
     plan_hash: str = ''  #: Hash of the plan files, their summary left out.
+
+    @property
+    def run_time(self) -> float:
+        """Time of the motion and at standstill [s]; 0 without a plan."""
+        return (self.cycle_time or 0.0) + (self.standstill or 0.0)
 
 
 @dataclass(frozen=True)

@@ -85,6 +85,7 @@ def _planned(task: Task, processes: int) -> Row:
         path_length=summary['path_length'],
         cycle_time=summary['cycle_time'],
         time_bound=summary['time_bound'],
+        standstill=summary['standstill'],
         **{f'{kind}_use': _use(proof, kind) for kind in proof.kinds},
         contour_used=proof.largest('contour error').ratio,
         orientation_used=proof.largest('orientation error').ratio,

@@ -100,7 +100,7 @@ def batch_command(options: argparse.Namespace) -> int:
     files = write_tables(results, options.rate, options.out)
     write_page(results, options.rate, options.out / 'batch.html')
     counts = Counter(outcome.row.verdict for _, outcome in results)
-    total = sum(outcome.row.cycle_time or 0.0 for _, outcome in results)
+    total = sum(outcome.row.run_time for _, outcome in results)
     if options.json:
         print(json.dumps({str(verdict): counts[verdict] for verdict in Verdict}))
     else:

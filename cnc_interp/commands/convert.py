@@ -1,4 +1,4 @@
-"""`cnc-interp convert`, `urdf` and `hal`: a program, a machine, a HAL file in another form."""
+"""`cnc-interp convert`, `urdf`, `hal`, `import-ini`: programs, machines, HAL in other forms."""
 
 import argparse
 import sys
@@ -76,6 +76,14 @@ def add_machine_commands(commands: Any) -> None:
     )  # fmt: skip
     option(hal, '--out', 'file to write (default: print it)', Path, 'FILE')
 
+    ini = command(
+        commands, 'import-ini', import_ini_command,
+        'write a machine file from the INI file of a LinuxCNC machine',
+        'cnc-interp import-ini my_mill.ini --out my_mill.yaml',
+    )  # fmt: skip
+    option(ini, 'file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE')
+    option(ini, '--out', 'machine file to write (default: print it)', Path, 'MACHINE')
+
 
 def urdf_command(options: argparse.Namespace) -> int:
     from cnc_interp.description.urdf import urdf_of
@@ -97,6 +105,16 @@ def hal_command(options: argparse.Namespace) -> int:
     _write(made, options.out)
     for line in left_out:
         print(f'not connected: {line}', file=sys.stderr)
+    return FINE
+
+
+def import_ini_command(options: argparse.Namespace) -> int:
+    from cnc_interp.convert.linuxcnc_ini import machine_from_ini
+
+    text, notes = machine_from_ini(options.file)
+    _write(text, options.out)
+    for note in notes:
+        print(f'assumed: {note}', file=sys.stderr)
     return FINE
 
 

@@ -1,4 +1,4 @@
-"""`cnc-interp excite` and `identify`: the drives of a machine measured."""
+"""`cnc-interp excite`, `identify`, `fit-limits`: drives and run times of a machine measured."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -7,6 +7,7 @@ from typing import Any
 from cnc_interp.commands.parser import FINE, command, machine_option, option
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
+from cnc_interp.settings.command_line import add_settings, settings_from
 
 
 def add_identify_commands(commands: Any) -> None:
@@ -27,6 +28,18 @@ def add_identify_commands(commands: Any) -> None:
     option(identify, '--machine', 'another machine than the bag names', metavar='M')
     option(identify, '--out', 'machine file to write', Path, 'FILE', required=True)
     option(identify, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
+
+    fit = command(
+        commands, 'fit-limits', fit_limits_command,
+        'fit limits and times of a machine file to recorded runs, so that plans predict run times',
+        'cnc-interp fit-limits part_blocks.csv part.nc --machine mine.yaml --out fitted.yaml',
+    )  # fmt: skip
+    told = 'CSV file time_s,block and the program that ran; further pairs may follow'
+    fit.add_argument('pairs', nargs='+', type=Path, metavar='TRACE PROGRAM', help=told)
+    machine_option(fit)
+    add_settings(fit, live=True)
+    option(fit, '--out', 'machine file to write', Path, 'FILE', required=True)
+    option(fit, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
 
     learn = command(
         commands, 'learn', learn_command,
@@ -87,6 +100,40 @@ def identify_command(options: Namespace) -> int:
     Machine.load(options.out)
     page = options.html or options.out.with_suffix('.html')
     write_identified(machine, found, run.period, page)
+    print(f'machine file   {options.out}')
+    print(f'page           {page}')
+    return FINE
+
+
+def fit_limits_command(options: Namespace) -> int:
+    from cnc_interp.core.small_files import read_yaml
+    from cnc_interp.machine_model.machine import Machine, find_machine_file
+    from cnc_interp.report.fitted_times import fitted_text, time_rows, value_text, write_fitted
+    from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
+
+    if len(options.pairs) % 2:
+        raise InterpError('each TRACE needs its PROGRAM after it')
+    machine, settings = Machine.load(options.machine), settings_from(options)
+    programs: dict[tuple[Path, float], TimedProgram] = {}
+    runs = []
+    for file, path in zip(options.pairs[::2], options.pairs[1::2], strict=True):
+        trace = Trace.load(file)
+        plain = programs.setdefault((path, 1.0), TimedProgram.load(path, machine, settings))
+        override = measured_override(plain, trace)
+        program = programs.setdefault((path, override), plain.overridden(override))
+        runs.append(Run.of(program, trace))
+        print(f'{file.name}: {len(runs[-1].windows)} windows, feed override {override:.1%}')
+    found = TimeFit(machine, runs, lambda text: print(text, flush=True)).solve()
+    for key, pair in found.values.items():
+        print(f'  {key:50s} {value_text(*pair)}')
+    for row in time_rows(runs, found):
+        print('{}, lines {}: measured {} s, planned {} s, {}'.format(*row))
+    content = read_yaml(find_machine_file(options.machine))
+    text = fitted_text(content, found, [run.trace.name for run in runs])
+    options.out.write_text(text, encoding='utf-8')
+    Machine.load(options.out)
+    page = options.html or options.out.with_suffix('.html')
+    write_fitted(runs, found, page)
     print(f'machine file   {options.out}')
     print(f'page           {page}')
     return FINE

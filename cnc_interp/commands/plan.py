@@ -61,7 +61,7 @@ def plan_command(options: argparse.Namespace) -> int:
     machine = machine_of(options)
     settings = settings_from(options)
     geometry = Transform.of(machine)
-    tell(tool_warnings(machine, settings))
+    tell([*machine.doubts(), *tool_warnings(machine, settings)])
     if not kernel_cache.folder().exists():  # the first plan ever: kernels of two stages at a time
         get_context('fork').Process(target=_compile, args=(machine,), daemon=True).start()
     stream = open_program(options.program, geometry, settings)
@@ -130,6 +130,14 @@ def describe(summary: dict[str, Any]) -> str:
         *(['functions      ' + '  '.join(f'{n} x {f}' for f, n in switched)] if switched else []),
         *(f'start          {text}' for text in notes),
         f'cycle time     {summary["cycle_time"]:.3f} s',
+        *(
+            [
+                f'standstill     {rest:.3f} s for tool changes and the spindle, '
+                f'{rest + summary["cycle_time"]:.3f} s with the motion'
+            ]
+            if (rest := summary['standstill'])
+            else []
+        ),
         f'planning time  {summary["planning_time"]:.3f} s '
         f'(the motion takes {summary["cycle_time"] / max(summary["planning_time"], 1e-9):.3g} '
         'times as long)',

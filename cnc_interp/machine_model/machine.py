@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +18,7 @@ from cnc_interp.core.errors import MachineError
 from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core.units import DEG, MINUTE, MM, UM
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
@@ -29,8 +29,11 @@ from cnc_interp.machine_model.axis_drives import (
 from cnc_interp.machine_model.machine_entries import (
     GEOMETRY,
     LOCKED_LIMITS,
+    BlockPace,
     ReferenceSwitches,
+    Standstill,
     axis_limits,
+    block_pace,
     control,
     entry,
     extra_axes,
@@ -39,8 +42,15 @@ from cnc_interp.machine_model.machine_entries import (
     limits_by_position,
     linear_geometry,
     rotary_geometry,
+    standstill,
 )
 from cnc_interp.machine_model.signals import Signals, signals
+
+#: Likely largest velocities of linear and of rotary axes [mm/min, deg/min], and likely times to
+#: the largest velocity and acceleration [s].
+LIKELY = {True: (200.0, 240e3), False: (100.0, 1e6)}
+QUICKEST, LONGEST = 1e-4, 20.0
+LOCKED = 1e-6  #: Travel of a locked axis [rad].
 
 
 @dataclass(frozen=True)
@@ -134,6 +144,10 @@ class Machine:
     drives: dict[int, AxisDrive] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
     homing: ReferenceSwitches = field(default_factory=ReferenceSwitches)
+    #: How its control goes through short blocks, if that is slower than the axes allow.
+    pace: BlockPace | None = None
+    #: How long the path rests for tool changes and the spindle.
+    standstill: Standstill = field(default_factory=Standstill)
     #: What its control means by a program: choices of the reader, by name.
     control: dict[str, Any] = field(default_factory=dict)
     #: Its outputs and inputs, and the functions of a program that switch them.
@@ -179,6 +193,24 @@ class Machine:
             Axis(name, bool(linear), float(v), float(a), float(j), (float(low), float(high)))
             for name, linear, v, a, j, (low, high) in columns
         )
+
+    def doubts(self) -> Iterator[str]:
+        """Say which limits are likely in a wrong unit, one line for each axis."""
+        for axis in self.axes:
+            v, a, j = axis.max_velocity, axis.max_acceleration, axis.max_jerk
+            per_minute = v * MINUTE / axis.shown_size
+            slowest, fastest = LIKELY[axis.linear]
+            if axis.endless or np.ptp(axis.travel) > LOCKED:
+                if not slowest <= per_minute <= fastest:
+                    yield (
+                        f'{axis.name}: the largest velocity of the machine file is '
+                        f'{per_minute:g} {axis.shown_unit}/min; is the unit right?'
+                    )
+                elif not QUICKEST <= v / a <= LONGEST or not QUICKEST <= a / j <= LONGEST:
+                    yield (
+                        f'{axis.name}: by the machine file it takes {v / a:.3g} s to its largest '
+                        f'velocity, and {a / j:.3g} s to its acceleration; are the units right?'
+                    )
 
     @property
     def driven(self) -> list[tuple[AxisDrive, DriveLoad | None]]:
@@ -272,6 +304,8 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=homing(content, travel),
+        pace=block_pace(content, float(table[:3, 2].min())),
+        standstill=standstill(content),
         control=control(content),
         signals=signals(content),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),

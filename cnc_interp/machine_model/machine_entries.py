@@ -34,6 +34,14 @@ ROTARY_KEYS = {
 }
 #: Choices of the reader that a machine file may make.
 CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
+#: How its control goes through short blocks, with the plausible range of each value.
+PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
+STOPS = 'stops_at_rapids'
+#: Times at which the path rests, with their units.
+STANDSTILL = {
+    'tool_change_s': 1.0, 'spindle_start_s_per_1000_rev_per_min': 1e-3,
+    'spindle_stop_s_per_1000_rev_per_min': 1e-3,
+}  # fmt: skip
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
@@ -56,6 +64,50 @@ def control(content: dict[str, Any]) -> dict[str, str]:
         if value not in known[key].values:
             raise MachineError(f'must be {" or ".join(known[key].values)}', f'control.{key}')
     return dict(given)
+
+
+@dataclass(frozen=True)
+class BlockPace:
+    """How fast the control of a machine goes through short blocks; see ``block_pace.py``."""
+
+    jump: float  #: Largest change of velocity at a vertex [m/s].
+    block_time: float  #: Least time of a block [s].
+    jerk: float  #: Jerk between two vertices [m/s3].
+    stops_at_rapids: bool = False  #: Whether the tool rests where a rapid begins or ends.
+
+
+def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
+    given = content.get('look_ahead')
+    if given is None:
+        return None
+    if not isinstance(given, dict) or set(given) - {STOPS} != set(PACE):
+        raise MachineError(f'must hold {" and ".join(PACE)}, and may {STOPS}', 'look_ahead')
+    stops = given.get(STOPS, False)
+    if not isinstance(stops, bool):
+        raise MachineError('must be true or false', f'look_ahead.{STOPS}')
+    jump, time = (number(given[k], f'look_ahead.{k}', *PACE[k]) * 1e-3 for k in PACE)
+    return BlockPace(jump, time, jerk, stops)
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """How long the path rests for what a program switches."""
+
+    tool_change: float = 0.0  #: [s]
+    #: Until the spindle turns, and until it rests [s per rev/min].
+    start: float = 0.0
+    stop: float = 0.0
+
+
+def standstill(content: dict[str, Any]) -> Standstill:
+    given = content.get('standstill') or {}
+    if not isinstance(given, dict):
+        raise MachineError(f'may hold {", ".join(STANDSTILL)}', 'standstill')
+    require_known(given, STANDSTILL, 'standstill')
+    return Standstill(*(
+        number(given[key], f'standstill.{key}', 1e-3, 3600.0) * unit if key in given else 0.0
+        for key, unit in STANDSTILL.items()
+    ))  # fmt: skip
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:

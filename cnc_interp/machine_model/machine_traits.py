@@ -11,6 +11,7 @@ from numba import njit
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import DEG
+from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.transform_kernels import linear_jets, rotary_jets
 
@@ -35,6 +36,7 @@ class MachineTraits:
     #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
     geometry: Transform | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
+    pace: BlockPace | None = None  #: How its control goes through short blocks.
 
     def keeps_tool(self, axis: FloatArray) -> bool:
         """Tell whether a tool along an axis, shape (3,), cannot turn on a curve."""
@@ -53,6 +55,7 @@ def traits_of(transform: Transform) -> MachineTraits:
         pole_cone=machine.singular_cone,
         geometry=transform if machine.has_rotary else None,
         max_jerk=machine.max_jerk if machine.has_rotary else None,
+        pace=machine.pace,
     )
 
 

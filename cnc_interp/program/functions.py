@@ -12,8 +12,10 @@ import numpy as np
 from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.errors import ProgramError
+from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import NO_WAIT, Signals
 
+STOP_SPINDLE = ('M5', 'M6', 'M2', 'M30')  #: Words after which it rests.
 Acting = tuple[int, float]  #: A step of a function, and the value of its output.
 
 
@@ -58,6 +60,24 @@ class Functions(Table):
     def waits(self, signals: Signals) -> IntArray:
         waiting = np.array([step.wait != NO_WAIT for step in signals.steps], dtype=np.bool_)
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
+
+    def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
+        """Return for how long the path rests for each of them, (n,) [s]."""
+        first = {words.start: word for word, words in signals.words.items()}
+        rests, wanted, turning = np.zeros(len(self)), 0.0, 0.0
+        for k, (step, value) in enumerate(zip(self.step.tolist(), self.value, strict=True)):
+            word = first.get(step)
+            before = turning
+            if word == 'S':
+                wanted = float(value)
+            if word in ('M3', 'M4') or (word == 'S' and turning):
+                turning = wanted
+            elif word in STOP_SPINDLE:
+                turning = 0.0
+            change = turning - before
+            rests[k] = times.start * change if change > 0.0 else -times.stop * change
+            rests[k] += times.tool_change * (word == 'M6')
+        return rests
 
     def from_row(self, row: int, signals: Signals) -> Functions:
         """Return the functions of a run from a row on; what still counts acts before it."""

@@ -197,6 +197,9 @@ class PlanFigures:
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
             'functions': self.functions.counts(machine.signals),
+            'standstill': float(
+                self.functions.standstill(machine.signals, machine.standstill).sum()
+            ),
             'samples': self.samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,

@@ -12,6 +12,7 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.settings.options import Settings
+from cnc_interp.smoothing.block_pace import Pacer
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.dense.path_rows import settled
 from cnc_interp.smoothing.lookahead import LookAhead
@@ -32,6 +33,7 @@ class PathSmoother:
         self._settings, self._machine, self._choice = settings, machine, choice
         self._style = Style.of(settings)
         self.stops: list[int] = []  # program rows of corners at which a stop is faster
+        self._pacer = Pacer(machine.pace, settings) if machine.pace else None
         self._upright = Upright(machine, settings.flank_height)
         self._lookahead = LookAhead(settings, machine, choice, stops=self.stops)
         self._run: SplineRun | None = None
@@ -46,6 +48,11 @@ class PathSmoother:
 
         Raises BlockError if a tool axis reverses, or control points do not form a curve.
         """
+        if self._pacer is not None:
+            blocks = self._pacer.push(blocks)
+        return self._push(blocks)
+
+    def _push(self, blocks: Blocks) -> PathSegments:
         if self._row == 0 and self._run is None and len(blocks):
             self._start = blocks.rotary[0]
         blocks = settled(blocks, self._last, self._style.height)
@@ -72,6 +79,11 @@ class PathSmoother:
         return found
 
     def finish(self) -> PathSegments:
+        if self._pacer is not None and (rest := self._pacer.finish()) is not None:
+            return PathSegments.concatenate([self._push(rest), self._finish()])
+        return self._finish()
+
+    def _finish(self) -> PathSegments:
         last = self._upright.finish()
         found = [] if last is None else self._taken(last)
         found += self._end_run(None) if self._run else [self._lookahead.finish()]

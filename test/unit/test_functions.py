@@ -9,6 +9,7 @@ import pytest
 
 from cnc_interp.core.errors import MachineError, ProgramError
 from cnc_interp.machine_model.machine import Machine, from_mapping
+from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
@@ -227,3 +228,15 @@ def test_functions_do_not_change_the_motion(tmp_path) -> None:
     assert all(np.array_equal(a[name], b[name]) for name in a.files)
     assert len(np.load(tmp_path / 'with' / 'functions.npz')['block']) == 39 * 2 + 4
     assert Signals() == Machine.load('xyz').signals and len(Functions.none()) == 0
+
+
+def test_tool_changes_and_the_spindle_take_the_times_of_the_machine_file() -> None:
+    text = 'T1 M6\nS6000 M3\nG1 X1 F100\nS9000\nX2\nT2 M6\nM3\nX3\nS3000\nM5\nX4\nM30\n'
+    stream = ProgramStream(Source.of_text(text, 'p.ngc'), Transform.of(MACHINE), Settings())
+    for _ in stream:
+        pass
+    rests = stream.functions.standstill(MACHINE.signals, Standstill(5.0, 1e-3, 2e-3))
+    by_line = np.bincount(stream.functions.line_number, rests, 13)
+    # Up by 6000 and 3000, down for the change, up to 9000, down by 6000 and to rest.
+    assert by_line[[1, 2, 4, 6, 7, 9, 10]] == pytest.approx([5, 6, 3, 23, 9, 12, 6])
+    assert by_line.sum() == pytest.approx(64.0)

@@ -1,0 +1,380 @@
+"""What a machine file needs to predict run times, fitted to which line a machine executed when.
+
+The model is the planner itself. Parameters are logarithms: the jerk of each linear axis, one
+factor of their accelerations, the velocity jump and the block time of the look-ahead. Residuals
+are measured minus planned times of windows of some seconds in which only the motion takes time.
+Their slopes are planned once; then Gauss-Newton steps with Broyden's update of the slopes follow.
+Velocities come from the feed during rapids. Times of tool changes
+and of the spindle are what is measured beyond the planned motion around each M6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.errors import InterpError
+from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.limit_use import limits_at
+from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine_entries import STANDSTILL, BlockPace, Standstill
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import open_program
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.functions import Functions
+from cnc_interp.run.parallel_planner import Planning
+from cnc_interp.run.path_chain import PathChain, batches
+from cnc_interp.settings.options import Settings
+
+SPAN = 3.0  #: Least length of a window [s].
+START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Where the search begins.
+SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02  #: Of a logarithm.
+STEPS = 5
+PRIOR = 0.5  #: Standard deviation of a logarithm that no window shows.
+ROBUST = 0.3  #: Beyond this residual a window counts less [s].
+CLUSTER = 10  #: Windows whose residuals may be correlated.
+SETTLED = 0.2  #: After so long on a line, a feed belongs to it [s].
+HELD = 3  #: A velocity was held if so many of its feeds are equal within 1 %.
+SIGMAS = 1.96  #: Two-sided 95 % of the normal distribution.
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a control told while it ran a program."""
+
+    name: str
+    #: (k,): Times, and the line executed from then on [s].
+    time: FloatArray
+    line: IntArray
+    feed: FloatArray  #: (m, 2): Times and path feeds [s, m/s]; no rows without a file.
+
+    @staticmethod
+    def load(path: Path) -> Trace:
+        """Read ``time_s,block`` and, beside X_blocks.csv, X_feed.csv (time_s,feed_mm_per_s)."""
+        rows = _table(path, 'time_s,block')
+        beside = path.with_name(path.name.replace('_blocks', '_feed'))
+        feed = np.zeros((0, 2))
+        if beside != path and beside.is_file():
+            feed = _table(beside, 'time_s,feed_mm_per_s') * [1.0, 1e-3]
+        if not (np.diff(rows, axis=0) >= 0.0).all():
+            raise InterpError(f'{path}: times and lines must increase; record one run')
+        return Trace(path.name, rows[:, 0], rows[:, 1].astype(np.int64), feed)
+
+    def line_at(self, time: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Return the line executed at times [s], and for how long it has been [s]."""
+        at = np.maximum(np.searchsorted(self.time, time, side='right') - 1, 0)
+        return self.line[at], time - self.time[at]
+
+
+def _table(path: Path, head: str) -> FloatArray:
+    try:
+        with path.open(encoding='utf-8') as text:
+            if text.readline().strip() != head:
+                raise InterpError(f'{path}: must begin with the line {head}')
+            rows = np.loadtxt(text, delimiter=',', ndmin=2)
+    except (OSError, ValueError) as problem:
+        raise InterpError(f'{path}: cannot be read: {problem}') from None
+    if rows.shape[0] < 2 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        raise InterpError(f'{path}: must hold at least two rows of {head}')
+    return np.asarray(rows)
+
+
+@dataclass(frozen=True)
+class TimedProgram:
+    """A program and its planned times on machines with other limits."""
+
+    name: str
+    blocks: Blocks
+    functions: Functions
+    settings: Settings
+    override: float = 1.0
+
+    @staticmethod
+    def load(path: Path, machine: Machine, settings: Settings) -> TimedProgram:
+        stream = open_program(path, Transform.of(machine), settings)
+        blocks = stream.read().blocks
+        if (np.diff(blocks.line_number) < 0).any():
+            raise InterpError(f'{path}: repeats lines; times are told by line, so take another')
+        return TimedProgram(path.name, blocks, stream.functions, settings)
+
+    @property
+    def lines(self) -> IntArray:
+        return self.blocks.line_number
+
+    @cached_property
+    def switched(self) -> IntArray:
+        """Lines with functions."""
+        return np.unique(self.functions.line_number)
+
+    @property
+    def first(self) -> int:
+        """The first line with motion."""
+        return int(self.lines[min(1, len(self.lines) - 1)])
+
+    def overridden(self, override: float) -> TimedProgram:
+        share = np.where(self.blocks.rapid, 1.0, override / self.override)
+        blocks = replace(self.blocks, feedrate=share * self.blocks.feedrate)
+        return replace(self, blocks=blocks, override=override)
+
+    def pieces(self, machine: Machine) -> Iterator[PlannedPiece]:
+        chain = PathChain(Transform.of(machine), self.settings)
+        limits = limits_at(machine, self.settings.interpolation_period)
+        planner = Planning(limits, PlanOptions(bound=False), None).planner()
+        for part in batches(self.blocks):
+            if (path := chain.push(part).path) is not None:
+                yield from planner.push(path)
+        if (path := chain.finish().path) is not None:
+            yield from planner.push(path)
+        yield from planner.finish()
+
+    def motion(self, machine: Machine) -> Motion:
+        """Plan the program on a machine."""
+        parts = [
+            (p.path.cell_block[p.law.cell], p.law.duration, p.law.s_dot)
+            for p in self.pieces(machine)
+        ]
+        row, duration, speed = map(np.concatenate, zip(*parts, strict=True))
+        return Motion(self.lines[row], duration, speed, int(self.lines[-1]))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The planned motion, piece by piece."""
+
+    line: IntArray  #: (n,)
+    duration: FloatArray  #: (n,) [s]
+    speed: FloatArray  #: (n,): At the start of each piece [m/s].
+    last: int  #: The last line.
+
+    def until(self, line: IntArray) -> FloatArray:
+        """Return the time that all lines before some lines take [s]."""
+        by_line = np.bincount(self.line, self.duration, self.last + 1)
+        return np.append(0.0, np.cumsum(by_line))[np.minimum(line, self.last + 1)]
+
+
+def measured_override(program: TimedProgram, trace: Trace) -> float:
+    """Return the feed override that most feeds show, 1 without any."""
+    feed = np.full(int(program.lines[-1]) + 2, np.inf)
+    cuts = ~program.blocks.rapid
+    feed[program.lines[cuts]] = program.blocks.feedrate[cuts] / program.override
+    line, _ = trace.line_at(trace.feed[:, 0])
+    share = trace.feed[:, 1] / feed[np.minimum(line, len(feed) - 1)]
+    shares, count = np.unique(np.round(share[share > 0.5], 2), return_counts=True)
+    if not len(shares):
+        return 1.0
+    most = shares[np.argmax(count)]
+    return float(np.median(share[np.abs(share - most) < 0.01]))
+
+
+def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
+    """Return the velocities of X, Y, Z that rapids held, (3,) [m/s]; 0 where none did."""
+    step = np.diff(program.blocks.tip, axis=0, prepend=program.blocks.tip[:1])
+    length = np.linalg.norm(step, axis=1)
+    rows = program.blocks.rapid & (length > 0.0)
+    # Where a tool change ends is not known, nor where the program begins.
+    rows &= ~np.isin(program.lines, program.switched) & (program.lines > program.first)
+    share = np.zeros((int(program.lines[-1]) + 2, 3))
+    share[program.lines[rows]] = np.abs(step[rows]) / length[rows, None]
+    line, since = trace.line_at(trace.feed[:, 0])
+    moves = share[np.minimum(line, len(share) - 1)] * trace.feed[:, 1:]
+    moves = np.sort(moves[since > SETTLED], axis=0)[-HELD:]
+    if len(moves) < HELD:
+        return np.zeros(3)
+    return np.asarray(
+        np.where(moves[0] > 0.99 * moves[-1], np.round(np.median(moves, axis=0), 3), 0.0)
+    )
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recorded run of a program, divided into windows and tool changes."""
+
+    program: TimedProgram
+    trace: Trace
+    windows: IntArray  #: (w, 2): Events at which windows of plain motion begin and end.
+
+    @staticmethod
+    def of(program: TimedProgram, trace: Trace) -> Run:
+        switched, windows, first = program.switched, [], -1
+        for event, line in enumerate(trace.line):
+            # The line after a function may wait for it, too.
+            if first >= 0 and np.any((switched >= trace.line[first] - 1) & (switched < line)):
+                first = -1
+            if first < 0:
+                first = event if line >= program.first else -1
+            elif trace.time[event] - trace.time[first] >= SPAN:
+                windows.append((first, event))
+                first = event
+        if not windows:
+            raise InterpError(f'{trace.name}: no {SPAN:g} s of motion without a function')
+        return Run(program, trace, np.array(windows))
+
+    @property
+    def measured(self) -> FloatArray:
+        return np.diff(self.trace.time[self.windows], axis=1)[:, 0]
+
+    def planned(self, motion: Motion) -> FloatArray:
+        return np.diff(motion.until(self.trace.line[self.windows]), axis=1)[:, 0]
+
+    def stretches(self) -> Iterator[tuple[int, int]]:
+        """Yield the windows between which something was switched: first and last one."""
+        breaks = np.flatnonzero(self.windows[1:, 0] != self.windows[:-1, 1]) + 1
+        edges = [0, *breaks.tolist(), len(self.windows)]
+        yield from ((a, b - 1) for a, b in pairwise(edges))
+
+    def rests(self, machine: Machine, motion: Motion) -> Iterator[tuple[int, float]]:
+        """Yield field numbers of ``Standstill`` and their values around each tool change."""
+        functions, line, t = self.program.functions, self.trace.line, self.trace.time
+        changes, starts, stops = (
+            functions.standstill(machine.signals, one)
+            for one in (Standstill(1.0), Standstill(start=1.0), Standstill(stop=1.0))
+        )
+        for row in np.flatnonzero(changes):
+            at = functions.line_number[row]
+            begin, end = np.searchsorted(line, [at, at + 1])
+            known = end < len(line) and line[begin] == at
+            if not known or not stops[: row + 1].any():
+                continue  # the first one may find its tool in the spindle
+            yield 0, float(t[end] - t[begin])
+            after = self.windows[self.windows[:, 0] >= end, 0]
+            if len(after) and starts[row:].any():
+                rise = starts[row:][np.flatnonzero(starts[row:])[0]]
+                yield 1, self._beyond(motion, end, int(after[0])) / rise
+            before = self.windows[self.windows[:, 1] <= begin, 1]
+            if len(before):
+                fall = stops[np.flatnonzero(stops[: row + 1])[-1]]
+                yield 2, self._beyond(motion, int(before[-1]), int(begin)) / fall
+
+    def _beyond(self, motion: Motion, first: int, last: int) -> float:
+        """Return the time between two events beyond the planned motion, at least 0 [s]."""
+        planned = np.diff(motion.until(self.trace.line[[first, last]]))[0]
+        return max(0.0, float(self.trace.time[last] - self.trace.time[first] - planned))
+
+
+@dataclass(frozen=True)
+class Fitted:
+    machine: Machine  #: With what was found.
+    #: Each value by name: how the machine file has it, and half of its 95 % interval.
+    values: dict[str, tuple[float, float]]
+    motions: list[Motion]  #: Of each run, planned on this machine.
+
+
+def with_parameters(machine: Machine, x: FloatArray) -> Machine:
+    """Return the machine with jerks of X Y Z, accelerations and look-ahead by logarithms (6,)."""
+    jerk, acceleration = machine.max_jerk.copy(), machine.max_acceleration.copy()
+    jerk[:3] *= np.exp(x[:3])
+    acceleration[:3] *= np.exp(x[3])
+    pace = machine.pace or START
+    pace = BlockPace(
+        pace.jump * float(np.exp(x[4])), pace.block_time * float(np.exp(x[5])),
+        float(jerk[:3].min()), pace.stops_at_rapids,
+    )  # fmt: skip
+    return replace(machine, max_jerk=jerk, max_acceleration=acceleration, pace=pace)
+
+
+class TimeFit:
+    """The fit to several runs; runs of the same program are planned once."""
+
+    def __init__(self, machine: Machine, runs: Sequence[Run], tell: Callable[[str], None]):
+        velocity = machine.max_velocity.copy()
+        seen = np.max([measured_velocities(run.program, run.trace) for run in runs], axis=0)
+        velocity[:3] = np.where(seen > 0.0, seen, velocity[:3])
+        self._machine = replace(machine, max_velocity=velocity)
+        self._runs, self._tell = runs, tell
+        self._measured = np.concatenate([run.measured for run in runs])
+
+    def motions(self, x: FloatArray) -> list[Motion]:
+        machine = with_parameters(self._machine, x)
+        made = {id(run.program): run.program for run in self._runs}
+        planned = {key: program.motion(machine) for key, program in made.items()}
+        return [planned[id(run.program)] for run in self._runs]
+
+    def _off(self, motions: Sequence[Motion]) -> FloatArray:
+        planned = [run.planned(m) for run, m in zip(self._runs, motions, strict=True)]
+        return self._measured - np.concatenate(planned)
+
+    def solve(self) -> Fitted:
+        x = np.zeros(6)
+        motions = self.motions(x)
+        off = self._off(motions)
+        slopes = np.empty((len(off), len(x)))
+        for k in range(len(x)):
+            self._tell(f'planning with another value, {k + 1} of {len(x)}')
+            slopes[:, k] = self._off(self.motions(x + SLOPE_STEP * np.eye(6)[k])) - off
+        slopes /= SLOPE_STEP
+        best = (np.inf, x, off, motions, slopes)
+        for number in range(STEPS):
+            cost = self._cost(off)
+            self._tell(f'step {number}: off by {np.sqrt(np.mean(off**2)):.3f} s in a window')
+            if cost < best[0]:
+                best = (cost, x, off, motions, slopes)
+            step = self._step(x, off, slopes)
+            if np.abs(step).max() < ENOUGH:
+                break
+            x = x + step
+            motions = self.motions(x)
+            change = self._off(motions) - off
+            off = off + change
+            slopes = slopes + np.outer(change - slopes @ step, step) / (step @ step)
+        last = (self._cost(off), x, off, motions, slopes)
+        _, x, off, motions, slopes = min(best, last, key=lambda one: one[0])
+        return self._fitted(x, off, motions, slopes)
+
+    @staticmethod
+    def _cost(off: FloatArray) -> float:
+        return float((np.hypot(1.0, off / ROBUST) - 1.0).sum())
+
+    @staticmethod
+    def _weights(off: FloatArray) -> tuple[FloatArray, float]:
+        """Return the weights of windows, and the weight of the prior."""
+        weight = 1.0 / np.hypot(1.0, off / ROBUST)
+        return weight, float(np.mean(weight * off**2)) / PRIOR**2
+
+    def _step(self, x: FloatArray, off: FloatArray, slopes: FloatArray) -> FloatArray:
+        weight, prior = self._weights(off)
+        normal = slopes.T @ (weight[:, None] * slopes) + prior * np.eye(6)
+        step = -np.linalg.solve(normal, slopes.T @ (weight * off) + prior * x)
+        return np.asarray(step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-9)))
+
+    def _fitted(
+        self, x: FloatArray, off: FloatArray, motions: list[Motion], slopes: FloatArray
+    ) -> Fitted:
+        weight, prior = self._weights(off)
+        inverse = np.linalg.inv(slopes.T @ (weight[:, None] * slopes) + prior * np.eye(6))
+        # Residuals of neighbouring windows are alike, so they are summed before they are squared.
+        score = np.add.reduceat(
+            slopes * (weight * off)[:, None], np.arange(0, len(off), CLUSTER), axis=0
+        )
+        spread = inverse @ (score.T @ score + prior * np.eye(6)) @ inverse
+        width = SIGMAS * np.sqrt(np.diag(spread))
+        machine = with_parameters(self._machine, x)
+        rests: tuple[list[float], ...] = ([], [], [])
+        for run, motion in zip(self._runs, motions, strict=True):
+            for number, value in run.rests(machine, motion):
+                rests[number].append(value)
+        means = (float(np.mean(rest)) if rest else 0.0 for rest in rests)
+        machine = replace(machine, standstill=Standstill(*means))
+        assert machine.pace is not None
+        values = {
+            f'limits.{name}.jerk_m_per_s3': (machine.max_jerk[k], machine.max_jerk[k] * width[k])
+            for k, name in enumerate('XYZ')
+        }
+        for k, name in enumerate('XYZ'):
+            values[f'limits.{name}.velocity_m_per_min'] = (60.0 * machine.max_velocity[k], np.nan)
+            most = machine.max_acceleration[k]
+            values[f'limits.{name}.acceleration_m_per_s2'] = (most, most * width[3])
+        jump, time = 1e3 * machine.pace.jump, 1e3 * machine.pace.block_time
+        values['look_ahead.velocity_jump_mm_per_s'] = (jump, jump * width[4])
+        values['look_ahead.block_time_ms'] = (time, time * width[5])
+        for (key, unit), rest in zip(STANDSTILL.items(), rests, strict=True):
+            if rest:
+                half = SIGMAS * np.std(rest, ddof=1) / np.sqrt(len(rest)) if rest[1:] else np.nan
+                values[f'standstill.{key}'] = (float(np.mean(rest)) / unit, half / unit)
+        return Fitted(machine, values, motions)

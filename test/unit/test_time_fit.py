@@ -1,0 +1,166 @@
+"""Limits and times fitted to recorded runs: known ones are found, unseen parts are predicted."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from cnc_interp.commands.cli import main
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
+from cnc_interp.settings.options import Settings
+
+SUITE = Path(__file__).parents[3] / 'shared/suites/nist-box'
+LIMIT = '{{velocity_m_per_min: {}, acceleration_m_per_s2: {}, jerk_m_per_s3: {}}}'
+TRUTH = f"""name: known
+signals: milling
+limits:
+  X: {LIMIT.format(24, 2.0, 15)}
+  Y: {LIMIT.format(24, 2.0, 20)}
+  Z: {LIMIT.format(18, 2.0, 25)}
+look_ahead: {{velocity_jump_mm_per_s: 2.5, block_time_ms: 25.0, stops_at_rapids: true}}
+standstill:
+  tool_change_s: 5.0
+  spindle_start_s_per_1000_rev_per_min: 0.4
+  spindle_stop_s_per_1000_rev_per_min: 0.6
+"""
+GUESS = 'name: guess\nsignals: milling\nlimits: {{X: {0}, Y: {0}, Z: {0}}}\n'.format(
+    LIMIT.format(20, 3.0, 40)
+)
+
+
+def part(tool, seed):
+    """One tool: rapids, zigzags, dense circles whose chords are short or long."""
+    rng = np.random.default_rng(seed)
+    lines = [f'T{tool} M6', f'S{2000 * tool} M3', 'G0 X0 Y0 Z20', 'M8']
+    for pocket in range(3):
+        x, y = rng.uniform(-200, 200, 2).round(3)
+        lines += [f'G0 Z{50 + 20 * pocket}', f'X{x} Y{y}', 'Z2', 'G1 Z0 F6000']
+        for k in range(4):
+            lines += [f'X{x + 20 + k} Y{y + k}', f'X{x - k} Y{y + k + 0.5}']
+        count, radius = (120, 0.8) if pocket % 2 else (60, 8.0)
+        for a in np.linspace(0, 4 * np.pi, count):
+            lines.append(f'X{x + radius * np.cos(a):.4f} Y{y + radius * np.sin(a):.4f}')
+    return [*lines, 'M5']
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """A program, and the trace of a machine whose limits are known, at 105 % of the feed."""
+    lines = ['G21 G90', *part(1, 1), *part(2, 2), *part(3, 3), 'M30', '']
+    (tmp_path / 'p.ngc').write_text('\n'.join(lines))
+    (tmp_path / 'truth.yaml').write_text(TRUTH)
+    (tmp_path / 'guess.yaml').write_text(GUESS)
+    machine = Machine.load(tmp_path / 'truth.yaml')
+    program = TimedProgram.load(tmp_path / 'p.ngc', machine, Settings()).overridden(1.05)
+    motion, functions = program.motion(machine), program.functions
+    rest = functions.standstill(machine.signals, machine.standstill)
+    numbers = np.arange(1, len(lines) + 1)
+    # Every line begins when those before it, and what they wait for, are done.
+    rests = np.bincount(functions.line_number, rest, len(lines) + 1)
+    begins = motion.until(numbers) + np.cumsum(rests)[numbers - 1]
+    rng = np.random.default_rng(7)
+    told = np.arange(0.0, begins[-1], 0.17) + rng.uniform(0.0, 0.02, int(begins[-1] / 0.17) + 1)
+    seen = numbers[np.searchsorted(begins, told, side='right') - 1]
+    new = np.flatnonzero(np.diff(seen, prepend=0))
+    start = np.repeat(begins[motion.line - 1], 1)
+    inside = np.cumsum(motion.duration) - motion.until(motion.line)
+    place = np.searchsorted(start + inside, told).clip(max=len(inside) - 1)
+    for name, head, rows in (
+        ('r_blocks.csv', ('time_s', 'block'), zip(told[new], seen[new], strict=True)),
+        ('r_feed.csv', ('time_s', 'feed_mm_per_s'), zip(told, 1e3 * motion.speed[place])),
+    ):
+        with (tmp_path / name).open('w', newline='') as out:
+            writer = csv.writer(out, lineterminator='\n')
+            writer.writerow(head)
+            writer.writerows(rows)
+    return tmp_path
+
+
+@pytest.mark.thorough
+def test_known_limits_are_found_within_their_intervals(recorded, capsys):
+    out = recorded / 'fitted.yaml'
+    words = [str(recorded / name) for name in ('r_blocks.csv', 'p.ngc')]
+    assert main(['fit-limits', *words, '--machine', str(recorded / 'guess.yaml'),
+                 '--out', str(out)]) == 0  # fmt: skip
+    told = capsys.readouterr().out
+    assert 'feed override 105' in told
+    found, truth = yaml.safe_load(out.read_text()), yaml.safe_load(TRUTH)
+    intervals = {
+        key.removeprefix('#').strip(): [float(word) for word in values.split('+-')]
+        for key, _, values in (
+            line.partition(': ') for line in out.read_text().splitlines() if line[:3] == '#  '
+        )
+    }
+    checked = 0
+    for key, (value, *width) in intervals.items():
+        known, written = truth, found
+        for name in key.split('.'):
+            known, written = known[name], written[name]
+        assert written == pytest.approx(value, rel=1e-3)
+        if key.split('.')[-1].startswith('velocity_m'):
+            assert value == pytest.approx(known, rel=0.01) or value == 20.0
+        elif width:
+            checked += 1
+            assert abs(value - known) < 1.5 * width[0] + 0.02 * known, key
+    assert checked >= 8
+    assert 'measured' in (recorded / 'fitted.html').read_text()
+    # The fitted machine needs the time of the known one on a part that was not recorded.
+    (recorded / 'other.ngc').write_text('\n'.join(['G21 G90', *part(2, 9), 'M30', '']))
+    times = []
+    for name in ('fitted', 'truth'):
+        plan = recorded / name
+        assert main(['plan', str(recorded / 'other.ngc'), '--machine', f'{plan}.yaml',
+                     '--out', str(plan)]) == 0  # fmt: skip
+        summary = json.loads((plan / 'summary.json').read_text())
+        times.append([summary['cycle_time'], summary['standstill']])
+    assert times[0][0] == pytest.approx(times[1][0], rel=0.01)
+    assert times[1][1] == pytest.approx(5.0 + 4.0 * 0.4 + 4.0 * 0.6)
+    assert times[0][1] == pytest.approx(times[1][1], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ('text', 'told'),
+    [
+        ('a,b\n1,2\n', 'must begin with the line time_s,block'),
+        ('time_s,block\n1,2\nx,3\n', 'cannot be read'),
+        ('time_s,block\n1,2\n0.5,3\n', 'must increase'),
+        ('time_s,block\n1,2\n', 'at least two rows'),
+        ('time_s,block\n1,2\n1.5,3\n', 'no 3 s of motion'),
+    ],
+)
+def test_a_trace_that_cannot_be_used_is_one_line(tmp_path, capsys, text, told):
+    (tmp_path / 'r_blocks.csv').write_text(text)
+    (tmp_path / 'p.ngc').write_text('G21 G90\nG0 X0 Y0 Z0\nG1 X1 F100\nM2\n')
+    words = [str(tmp_path / name) for name in ('r_blocks.csv', 'p.ngc')]
+    assert main(['fit-limits', *words, '--machine', 'xyz', '--out', str(tmp_path / 'm')]) == 2
+    line = capsys.readouterr().err
+    assert told in line and line.count('\n') == 1
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not SUITE.is_dir(), reason='no shared suites beside the repository')
+def test_sections_of_a_real_machine_are_predicted_from_another_part(tmp_path):
+    """OP3 by a machine file fitted to OP2; see benchmarks/run_times.py for all of them."""
+    setup = tmp_path / 'setup.yaml'
+    offsets = 'work_offsets: {G54: {X: 400, Y: 250, Z: -400}, G58: {X: 0, Y: 0, Z: 0}}\n'
+    setup.write_text(offsets)
+    settings, machine = Settings(setup=setup), Machine.load('vmc')
+
+    def recorded_runs(name, numbers):
+        for number in numbers:
+            trace = Trace.load(SUITE / f'{name}_part{number}_blocks.csv')
+            program = TimedProgram.load(SUITE / f'{name}.nc', machine, settings)
+            yield Run.of(program.overridden(measured_override(program, trace)), trace)
+
+    found = TimeFit(machine, list(recorded_runs('OP2', ('11', '12'))), print).solve()
+    for run in recorded_runs('OP3', ('06', '07')):
+        planned = run.planned(run.program.motion(found.machine))
+        for first, last in run.stretches():
+            both = (planned[first : last + 1].sum(), run.measured[first : last + 1].sum())
+            assert both[0] == pytest.approx(both[1], rel=0.05)
+    rests = found.machine.standstill
+    assert rests.tool_change == pytest.approx(6.0, abs=0.2)

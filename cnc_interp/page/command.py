@@ -8,9 +8,9 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from argparse import Namespace
+from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,7 +36,6 @@ PARENT = 'CNC_INTERP_PARENT'
 SHORTEST_TOKEN = 16
 LONGEST_TOKEN = 1000  #: Longest one [bytes].
 LAST_WAIT = 5.0  #: How long the page may take to end [s].
-WATCH_NODES = 0.5  #: Time between looks at the nodes beside the page [s].
 
 
 def run_panel(options: Namespace) -> None:
@@ -57,7 +56,7 @@ def run_panel(options: Namespace) -> None:
         domain = chosen_domain()
     check_place(options.namespace, domain)
     if options.attach:
-        until_asked(served, options.namespace, domain)
+        until_asked(served, options.namespace, domain, dict)
         return
     Machine.load(options.machine)  # a wrong name is told before anything starts
     parameters: dict[str, dict[str, object]] = {
@@ -68,41 +67,7 @@ def run_panel(options: Namespace) -> None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"
     with Children(options.namespace, domain, parameters, nodes_file()) as children:
         print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
-        with NodeWatch(children):
-            until_asked(served, options.namespace, domain)
-
-
-class NodeWatch:
-    """Watches the nodes beside the page, in a thread.
-
-    Nodes that were killed are started again. One that ended by itself cannot work here, so the
-    page ends, and leaving the context raises InterpError with the node's last words.
-    """
-
-    def __init__(self, children: Children):
-        self._children, self._done = children, threading.Event()
-        self._problem: InterpError | None = None
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-
-    def _watch(self) -> None:
-        while not self._done.wait(WATCH_NODES):
-            try:
-                for name, why in self._children.revive().items():
-                    print(f'{name} {why}; it is started again', file=sys.stderr)
-            except InterpError as problem:
-                self._problem = problem
-                os.kill(os.getpid(), signal.SIGINT)
-                return
-
-    def __enter__(self) -> NodeWatch:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        self._thread.join()
-        if self._problem is not None:
-            raise self._problem
+        until_asked(served, options.namespace, domain, children.revive)
 
 
 def token_of(file: Path | None) -> str:
@@ -126,12 +91,14 @@ def is_loopback(host: str) -> bool:
         return host == 'localhost'
 
 
-def until_asked(served: Served, namespace: str, domain: int) -> None:
+def until_asked(
+    served: Served, namespace: str, domain: int, revive: Callable[[], dict[str, str]]
+) -> None:
     """Serve; Ctrl-C is the way to end it and no fault."""
     from cnc_interp.page.server import serve
 
     with contextlib.suppress(KeyboardInterrupt):
-        serve(served, namespace, domain)
+        serve(served, namespace, domain, revive)
 
 
 def need_library() -> None:

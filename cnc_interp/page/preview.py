@@ -32,6 +32,8 @@ from cnc_interp.settings.options import Settings
 DRAWN = 20000  #: Largest number of points drawn.
 PROGRESS = re.compile(r'\w+ \d+%.*')  #: A line of progress of a command.
 NOTE = re.compile(r'note: |line \d+: .*' + WARNING)  #: A line about the program.
+STRANGE = re.compile(r'[^\w .,()+#-]')  #: Characters that the name of a program does not keep.
+LONGEST_NAME = 60  #: Characters of such a name, of at most four bytes each.
 NICENESS = 5  #: Niceness of the planning process: lower priority than the nodes.
 
 
@@ -124,11 +126,12 @@ class Planner:
     def __init__(self) -> None:
         self.machine = ''  # by file or bundled name; empty before it is known
         self._folder = TemporaryFolder()
-        self._plan = Path(self._folder.name) / 'plan'
+        self._plan = Path(self._folder.name) / '.plan'  # no program is called so
         self._process: asyncio.subprocess.Process | None = None
 
     def keep(self, name: str, text: str) -> Path:
-        path = Path(self._folder.name) / (Path(name).name or 'program.ngc')
+        safe = STRANGE.sub('_', name.rpartition('/')[2])[-LONGEST_NAME:].lstrip('.')
+        path = Path(self._folder.name) / (safe or 'program.ngc')
         path.write_text(text.replace('\0', '\ufffd'), encoding='utf-8')  # a message ends at \0
         return path
 
@@ -141,7 +144,7 @@ class Planner:
     ) -> Preview:
         """Plan a program of ``keep``; InterpError with what `plan` says, one reason in a line."""
         if setup:
-            file = Path(self._folder.name) / 'offsets and tools.yaml'
+            file = Path(self._folder.name) / '.offsets and tools.yaml'
             file.write_text(setup, encoding='utf-8')
             settings = replace(settings, setup=file)
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]

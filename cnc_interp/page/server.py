@@ -8,7 +8,7 @@ import os
 import socket
 import sys
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +50,7 @@ def scripts() -> str:
 
 
 STYLE = Path(__file__).with_name('style.css')
-WATCH = 0.2  #: How often the desk looks after programs and the machine's name [s].
+WATCH = 0.2  #: How often the page looks after nodes, programs and the machine's name [s].
 #: A page whose connection was interrupted finds its place again within this time [s].
 RECONNECT = 20.0
 PORTS = range(65536)
@@ -71,22 +71,33 @@ class Served:
         return Served(host, free_port(host, port), token, program.name if program else '', text)
 
 
-def serve(served: Served, namespace: str, domain: int) -> None:
+def serve(
+    served: Served, namespace: str, domain: int, revive: Callable[[], dict[str, str]]
+) -> None:
+    """Serve until a signal, or until ``revive``, which starts nodes again, raises InterpError."""
     access = Access(served.token)
     with ExitStack() as closing:
         with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
             desk = Desk(namespace, domain)
             closing.callback(desk.close)
-        _serve(served, access, desk)
+        _serve(served, access, desk, revive)
 
 
-def _serve(served: Served, access: Access, desk: Desk) -> None:
-    text = served.text
+def _serve(
+    served: Served, access: Access, desk: Desk, revive: Callable[[], dict[str, str]]
+) -> None:
+    text, lost = served.text, None
 
     async def watch() -> None:
-        nonlocal text
+        nonlocal text, lost
         if int(os.environ.get(PARENT, '0')) not in (0, os.getppid()):
             app.shutdown()  # the run that started the page is gone
+        try:
+            for name, why in (await asyncio.to_thread(revive)).items():
+                print(f'{name} {why}; it is started again', file=sys.stderr)
+        except InterpError as problem:  # a node that ended by itself cannot work here
+            lost = problem
+            app.shutdown()
         await desk.watch()
         if text is not None and desk.machine is not None:
             await desk.load(served.name, text)
@@ -127,6 +138,8 @@ def _serve(served: Served, access: Access, desk: Desk) -> None:
         show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
         binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
     )  # fmt: skip
+    if lost is not None:
+        raise lost
 
 
 class FaultsOnce:

@@ -33,7 +33,7 @@ from cnc_interp.page.desk import Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
 from cnc_interp.page.keys import RAPIDS
-from cnc_interp.page.preview import DRAWN, Preview, thinned
+from cnc_interp.page.preview import DRAWN, Planner, Preview, thinned
 from cnc_interp.page.readings import (
     axis_words,
     clock,
@@ -184,6 +184,24 @@ def test_the_preview_is_the_plan(planned):
 def test_long_paths_are_thinned_with_their_ends():
     rows = thinned(np.zeros((5 * DRAWN, 3)), np.zeros((5 * DRAWN, 3)))
     assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
+
+
+@pytest.mark.parametrize(
+    ('name', 'kept'),
+    [
+        ('a.ngc', 'a.ngc'), ('Teil 7-ü (2).NC', 'Teil 7-ü (2).NC'), ('', 'program.ngc'),
+        ('..', 'program.ngc'), ('.plan', 'plan'), ('/etc/a.h', 'a.h'),
+        ('a\0\n\udcff.apt', 'a___.apt'), ('x' * 300 + '.apt', 56 * 'x' + '.apt'),
+    ],
+)  # fmt: skip
+def test_a_program_is_kept_whatever_it_is_called(name, kept):
+    planner = Planner()
+    try:
+        path = planner.keep(name, PROGRAM)
+        assert path.name == kept and path.read_text() == PROGRAM
+        assert [path] == list(path.parent.iterdir())
+    finally:
+        planner.close()
 
 
 def test_what_stops_several_parts_is_told_once():
@@ -381,5 +399,5 @@ def test_ctrl_c_while_the_desk_is_made_closes_it(monkeypatch):
     hear_ctrl_c()
     monkeypatch.setattr(server, 'Desk', Interrupted)
     with pytest.raises(KeyboardInterrupt):
-        server.serve(server.Served(), '/', 1)
+        server.serve(server.Served(), '/', 1, dict)
     assert closed

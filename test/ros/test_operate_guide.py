@@ -68,12 +68,14 @@ def test_the_commands_lead_to_a_proven_part(tmp_path):
 
 @pytest.mark.thorough
 def test_a_page_whose_nodes_cannot_work_ends_with_their_last_words(tmp_path):
+    """Also where Ctrl-C is ignored, as in the background of a script."""
     (tmp_path / 'file').write_text('')
     setup = tmp_path / 'file' / 'setup.yaml'
     command = [sys.executable, '-m', 'cnc_interp', 'panel', '--port', '0', '--setup', setup]
     done = subprocess.run(
-        command, env=clean_environment(), capture_output=True, text=True, timeout=PATIENCE
-    )
+        command, env=clean_environment(), capture_output=True, text=True, timeout=PATIENCE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
     assert done.returncode == 2
     said = done.stderr.splitlines()[-1]
     assert said.startswith('cnc-interp: program_node ended: ') and str(setup) in said

@@ -5,7 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from types import FrameType
+from typing import Any
+
+AGAIN = 0.01  #: After this time an interrupt that was lost comes again [s].
 
 
 def main() -> int:
@@ -17,6 +21,7 @@ def main() -> int:
 
     if heeded:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.unraisablehook = interrupt_again
     return cli.main()
 
 
@@ -24,6 +29,14 @@ def leave(_number: int, _frame: FrameType | None) -> None:
     """End at once: libraries that are being loaded would swallow an exception, or print it."""
     os.write(2, b'cnc-interp: interrupted\n')
     os._exit(130)
+
+
+def interrupt_again(lost: Any) -> None:
+    """Python drops what a finaliser raises, also the interrupt that a signal raised in it."""
+    if issubclass(lost.exc_type, KeyboardInterrupt):
+        threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 if __name__ == '__main__':

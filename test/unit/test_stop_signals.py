@@ -1,6 +1,8 @@
 """Signals that ask a command to end: seen, or held back until nothing must be left half done."""
 
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -58,3 +60,29 @@ def test_other_threads_hold_nothing_back():
     thread.start()
     thread.join()
     assert reached == [signal.getsignal(signal.SIGINT)]
+
+
+LOST = """
+import signal, time
+from argparse import Namespace
+from cnc_interp import __main__
+from cnc_interp.commands import cli
+
+class Final:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def work(_):
+    Final()
+    time.sleep(60.0)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+cli.parser = lambda: Namespace(parse_args=lambda _: Namespace(command=work))
+raise SystemExit(__main__.main())
+"""
+
+
+def test_ctrl_c_in_a_finaliser_is_not_lost():
+    """A run went on to its end: the exception had come in a finaliser of llvmlite."""
+    done = subprocess.run([sys.executable, '-c', LOST], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, 'cnc-interp: interrupted\n')

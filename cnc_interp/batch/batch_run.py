@@ -71,10 +71,10 @@ def run_batch(
     for number, job in enumerate(listed):
         try:
             keys[number] = jobs.task(job).key
-        except OSError as problem:
-            found[number] = TaskOutcome(
-                Row(Verdict.REFUSED, f'cannot be read: {problem.strerror}')
-            )
+        except (OSError, InterpError) as problem:
+            known = isinstance(problem, InterpError)
+            text = str(problem) if known else f'cannot be read: {problem.strerror}'
+            found[number] = TaskOutcome(Row(Verdict.REFUSED, text))
             continue
         if (known := store.find(keys[number])) is not None:
             found[number] = known

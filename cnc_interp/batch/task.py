@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core.errors import InterpError
+from cnc_interp.core.named_files import open_named
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.program.source import PROGRAM_SUFFIXES, called_files
 from cnc_interp.settings.options import Settings, texts_of
@@ -148,8 +149,9 @@ class Jobs:
 
     def __init__(
         self, programs: Sequence[Path], machines: Sequence[str], settings: Settings,
-        plans: Path | None = None,
+        plans: Path | None = None, folders: Sequence[str] | None = None,
     ):  # fmt: skip
+        self._folders = folders  #: Where files may lie, as for ``open_named``.
         self._settings, self._setup = settings_of(settings)
         self._plans = plans.resolve() if plans else None
         models = [_model(name) for name in dict.fromkeys(machines)]
@@ -169,8 +171,10 @@ class Jobs:
         return iter(self._jobs)
 
     def task(self, job: BatchEntry) -> Task:
-        text = job.path.read_bytes()
-        files = ((job.path.name, text), *called_files(job.path, text).items())
+        with open_named(job.path, self._folders) as stream:
+            text = stream.read()
+        called = called_files(job.path, text, self._folders)
+        files = ((job.path.name, text), *called.items())
         plans = ''
         if self._plans:
             plans = str(self._plans / Path(job.model.name).stem / job.program)

@@ -22,7 +22,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.core.named_files import require_allowed, require_inside
 from cnc_interp.core.progress_bar import TimeLeft
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import end_goal, run_node
+from cnc_interp.nodes.node_main import end_goal, every, run_node
 from cnc_interp.settings.options import with_texts
 
 FEEDBACK = 0.2  #: Time between feedbacks [s].
@@ -51,7 +51,7 @@ class BatchNode(Node):
             handle_accepted_callback=self._accept,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )  # fmt: skip
-        self.create_timer(FEEDBACK, self._work)
+        every(self, FEEDBACK, self._work)
 
     def _accept(self, handle: Any) -> None:
         if self._handle is not None:
@@ -101,7 +101,7 @@ class BatchNode(Node):
         settings = with_texts(self._settings, asked, need_units=True)
         if settings.setup != self._settings.setup and settings.setup is not None:
             require_allowed(settings.setup, folders)
-        jobs = Jobs(programs, machines, settings)
+        jobs = Jobs(programs, machines, settings, folders=folders)
         out = Path(folder) / goal.name
         results = run_batch(
             jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']

@@ -17,7 +17,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import run_node
+from cnc_interp.nodes.node_main import every, run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
@@ -85,7 +85,7 @@ class MarkersNode(Node):
         self.create_subscription(
             SetpointChunk, 'executed_setpoints', self._see_setpoints, LISTENING
         )
-        self.create_timer(1.0 / values['rate'], self._tell)
+        every(self, 1.0 / values['rate'], self._tell)
 
     def _begin(self, program_id: str) -> None:
         if program_id != self._program_id:

@@ -209,21 +209,28 @@ _CALLED, _NUMBER = (
 _COMPUTED = re.compile(rb'[OoPp]\s*[#\[]')
 
 
+LONGEST_NAME = 240  #: Longest name of a subprogram, without its suffix [bytes].
+
+
 def subprogram_file(folder: Path, stem: str) -> Path | None:
-    if not re.fullmatch(r'[\w-]+', stem):
+    if not re.fullmatch(r'[\w-]+', stem) or len(stem.encode()) > LONGEST_NAME:
         return None
     paths = (folder / (stem + suffix) for suffix in SUBPROGRAM_SUFFIXES)
     return next((path for path in paths if path.is_file()), None)
 
 
-def called_files(path: Path, text: bytes) -> dict[str, bytes]:
+def called_files(
+    path: Path, text: bytes, folders: Sequence[str] | None = None
+) -> dict[str, bytes]:
+    """Return the files that a program may call, by name; raises as ``open_named``."""
     found: dict[str, bytes] = {}
     waiting = [text]
     while waiting:
         for stem in sorted(_stems(waiting.pop(), path.parent)):
             file = subprogram_file(path.parent, stem)
             if file is not None and file.name != path.name and file.name not in found:
-                found[file.name] = file.read_bytes()
+                with open_named(file, folders and [*folders, str(path.parent)]) as stream:
+                    found[file.name] = stream.read()
                 waiting.append(found[file.name])
     return dict(sorted(found.items()))
 

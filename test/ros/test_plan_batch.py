@@ -30,6 +30,7 @@ class Client:
         namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
         command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
         given = [f"program_folders:=['{folder / 'programs'}']", f'batch_folder:={folder / "out"}']
+        given.append('use_sim_time:=true')  # and nobody publishes /clock
         command += ['-r', f'__ns:={namespace}', *(w for one in given for w in ('-p', one))]
         self.process = subprocess.Popen(
             command,
@@ -133,3 +134,9 @@ def test_what_a_goal_may_not_have_is_refused(client, tmp_path):
     result = client.result_of(client.send(programs=[inside], name='a'))
     assert not result.success and 'no file of a folder' in result.message
     assert not (tmp_path / 'out').exists()
+    (tmp_path / 'programs' / 'link.ngc').rename(tmp_path / 'programs' / '10')  # a subprogram
+    (tmp_path / 'no.ngc').write_text(f'o10 sub\n{LINE.format(2)[:-4]}o10 endsub\n')
+    (tmp_path / 'programs' / 'a.ngc').write_text('o10 call\nM2\n')
+    result = client.result_of(client.send(programs=[inside], name='a'))
+    assert (result.proven, result.refused) == (0, 1)
+    assert 'no file of a folder' in Path(result.table).read_text()

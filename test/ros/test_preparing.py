@@ -151,3 +151,6 @@ def test_a_subprogram_of_the_folder_is_read_and_one_linked_from_outside_is_not(f
     with pytest.raises(InterpError, match=r'subprogram.*program_folders'):
         prepared_file(main, main)
     assert prepared_file(main, folder).path_length > 0.0
+    main.write_text(f'o<{"x" * 300}> call\nM2\n')  # longer than a file may be called
+    with pytest.raises(InterpError, match='is not in this file or its folder'):
+        prepared_file(main, main)

@@ -2,7 +2,8 @@
 Each node and each pair lost in each phase of a run: how the goal ends, and what is told.
 
 ``PYTHONPATH=.:test/ros:test/unit python benchmarks/losses.py [--phases hold jog]``
-tries the rows that have no figures yet, and writes docs/measured/losses.md. ``LIFE`` is the life
+tries the rows that have no figures yet, and writes docs/measured/losses.md; ``--busy`` tries them
+again beside two busy loops, as many as the time allows, of all phases. ``LIFE`` is the life
 of a run; ``test/ros/test_losses.py`` tries its rows, too. The operator does what he reads: he
 presses cycle_start where the machine says that it goes on, and reset where a text asks for it.
 Windows are small, so that each node still has something to send when another one is lost.
@@ -12,7 +13,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import random
 import signal
+import subprocess
+import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -46,6 +50,7 @@ INTRODUCTION = (
     'ended, the next program ran, all setpoints lay on the path and within the limits. What '
     '"ended", did so with a reason: machine or program were lost. The times are the longest.'
 )
+BUSY = 'losses_busy'  #: The figures beside busy loops.
 WHY = ('cycle_start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
 STANDS = 1.5  #: The operator presses a button after so long at rest [s].
 
@@ -220,15 +225,27 @@ def table() -> Iterator[str]:
         if any(cells):
             yield f'| {phase} | {sum(map(len, cells))} | {" | ".join(words)} |'
     yield from ('', f'Faults: {len(faults)}. {where(held)}', *faults)
+    again = load(BUSY)
+    faults = [f'{row.name}: {fault}' for row in ROWS if row.name in again
+              and (fault := fault_of(row, again[row.name]))]  # fmt: skip
+    told = f'{len(again)} rows again beside two busy loops, {len(faults)} at fault. {where(again)}'
+    yield from ('', told, *faults) if again else ()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--phases', nargs='*', default=PHASES, choices=PHASES)
     parser.add_argument('--seconds', type=float, default=1e9, help='begin no row after this time')
+    parser.add_argument('--busy', action='store_true', help='beside two busy loops')
     options = parser.parse_args()
-    held, begun, bench = load('losses'), time.monotonic(), Bench(PARAMETERS)
-    for row in (row for row in ROWS if row.phase in options.phases):
+    section, rows = 'losses', ROWS
+    if options.busy:
+        section, rows = BUSY, random.Random(0).sample(ROWS, len(ROWS))
+    loop = f'import os\nwhile os.getppid() == {os.getpid()}: pass'
+    for _ in range(2 * options.busy):
+        subprocess.Popen([sys.executable, '-c', loop])
+    held, begun, bench = load(section), time.monotonic(), Bench(PARAMETERS)
+    for row in (row for row in rows if row.phase in options.phases):
         if row.name in held and not fault_of(row, held[row.name]):
             continue
         if time.monotonic() - begun > options.seconds:
@@ -239,7 +256,7 @@ def main() -> None:
             figures = {'code': -1, 'message': traceback.format_exc()[-700:], 'took': 0.0}
             bench.close()
             bench = Bench(PARAMETERS)
-        save('losses', row.name, {'pressed': (), 'told': (), 'next': (-1, ''), **figures})
+        save(section, row.name, {'pressed': (), 'told': (), 'next': (-1, ''), **figures})
         print(row.name, figures, flush=True)
     bench.close()
     TABLE.write_text('\n'.join(table()) + '\n', encoding='utf-8')

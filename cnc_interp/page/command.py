@@ -142,4 +142,5 @@ class PanelBeside:
                 time.sleep(0.2)
         except KeyboardInterrupt:
             process.send_signal(signal.SIGTERM)
-            process.wait(LAST_WAIT)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # it sees the end of this one
+                process.wait(LAST_WAIT)

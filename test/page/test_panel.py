@@ -1,8 +1,11 @@
 """What the operator page is made of: keys, read-outs, the path as a mesh, the plan beside it."""
 
 import io
+import os
 import signal
+import subprocess
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,11 +26,12 @@ from cnc_interp import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import SWITCHES, SharedValue
+from cnc_interp.client.session import RunResult
 from cnc_interp.commands.cli import main
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.page import server
+from cnc_interp.page import command, server
 from cnc_interp.page.contact import Access
 from cnc_interp.page.desk import Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
@@ -401,3 +405,20 @@ def test_ctrl_c_while_the_desk_is_made_closes_it(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         server.serve(server.Served(), '/', 1, dict)
     assert closed
+
+
+def test_a_page_that_ends_late_hurts_no_run(monkeypatch):
+    """Within five seconds a busy computer may not end it; then it sees that its run is gone."""
+    hear_ctrl_c()
+    monkeypatch.setattr(command, 'LAST_WAIT', 0.1)
+    beside = command.PanelBeside.__new__(command.PanelBeside)
+    deaf = [sys.executable, '-c', 'import signal; signal.pause()']
+    beside._process = subprocess.Popen(
+        deaf, preexec_fn=lambda: signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    )
+    try:
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        beside.finish(RunResult(True, 'executed to the end', 'a.ngc', 'xyzac'))
+    finally:
+        beside._process.kill()
+        beside._process.wait()

@@ -6,10 +6,11 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 from typing import Any
 
-AGAIN = 0.01  #: After this time an interrupt that was lost comes again [s].
+AGAIN = 0.01  #: After such times it is looked whether a lost interrupt can come again [s].
 
 
 def main() -> int:
@@ -34,9 +35,21 @@ def leave(_number: int, _frame: FrameType | None) -> None:
 def interrupt_again(lost: Any) -> None:
     """Python drops what a finaliser raises, also the interrupt that a signal raised in it."""
     if issubclass(lost.exc_type, KeyboardInterrupt):
-        threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        threading.Thread(target=_send_later, daemon=True).start()
     else:
         sys.__unraisablehook__(lost)
+
+
+def _send_later() -> None:
+    """Send a signal when the main thread has left ``interrupt_again``, which would drop it."""
+    inside = True
+    while inside:
+        time.sleep(AGAIN)
+        frame = sys._current_frames().get(threading.main_thread().ident or 0)
+        while frame is not None and frame.f_code is not interrupt_again.__code__:
+            frame = frame.f_back
+        inside = frame is not None
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == '__main__':

@@ -72,8 +72,9 @@ def run_batch(
         try:
             keys[number] = jobs.task(job).key
         except (OSError, InterpError) as problem:
-            known = isinstance(problem, InterpError)
-            text = str(problem) if known else f'cannot be read: {problem.strerror}'
+            text = str(problem)
+            if isinstance(problem, OSError):
+                text = f'cannot be read: {problem.strerror}'
             found[number] = TaskOutcome(Row(Verdict.REFUSED, text))
             continue
         if (known := store.find(keys[number])) is not None:

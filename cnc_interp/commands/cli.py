@@ -50,10 +50,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told = f'{package} is not installed; ./cnc of a clone installs what each command needs'
         print(f'cnc-interp: {told}', file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as problem:
+        if not _is_interrupt(problem):
+            raise
         with contextlib.suppress(OSError):  # the terminal may be closed
             print('cnc-interp: interrupted', file=sys.stderr)
         return 130
+
+
+def _is_interrupt(problem: BaseException | None) -> bool:
+    """Tell whether it was Ctrl-C; a library that is being loaded makes an ImportError of it."""
+    while not isinstance(problem, KeyboardInterrupt | None):
+        problem = problem.__cause__ or problem.__context__
+    return problem is not None
 
 
 def _told(problem: OSError, options: argparse.Namespace | None) -> str:

@@ -86,7 +86,8 @@ def serve(
 def _serve(
     served: Served, access: Access, desk: Desk, revive: Callable[[], dict[str, str]]
 ) -> None:
-    text, lost = served.text, None
+    text = served.text
+    lost: InterpError | None = None
 
     async def watch() -> None:
         nonlocal text, lost

@@ -73,6 +73,11 @@ class Final:
         signal.raise_signal(signal.SIGINT)
 
 def work(_):
+    if load:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as problem:
+            raise ImportError('initialization failed') from problem
     Final()
     time.sleep(60.0)
 
@@ -82,7 +87,9 @@ raise SystemExit(__main__.main())
 """
 
 
-def test_ctrl_c_in_a_finaliser_is_not_lost():
+@pytest.mark.parametrize('load', [False, True])
+def test_ctrl_c_in_a_finaliser_or_while_a_library_loads_is_not_lost(load):
     """A run went on to its end: the exception had come in a finaliser of llvmlite."""
-    done = subprocess.run([sys.executable, '-c', LOST], capture_output=True, text=True)
+    words = [sys.executable, '-c', f'load = {load}\n{LOST}']
+    done = subprocess.run(words, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (130, 'cnc-interp: interrupted\n')

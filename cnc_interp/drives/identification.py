@@ -152,26 +152,35 @@ def spreads_of(
 ) -> FloatArray:
     """Return the standard deviations of numbers fitted by least squares, shape (k,).
 
-    With P = (J^T J)^-1 J^T the covariance is P S P^T. S has two parts, whose common diagonal
+    With J = Q R and P = R^-1 Q^T the covariance is P S P^T. S has two parts, whose common diagonal
     counts once: errors near in time, by the autocorrelation of the residual; and errors at one
     place. The rounding of a measuring system is the same whenever the axis stands there, and does
-    not average out. Places nearer than half the residual are one.
+    not average out. Places nearer than half the residual are one. The fit follows the errors of
+    a place that weighs much, so the residual there is too small by I - Q_g Q_g^T, which the scores
+    make good (as the jackknife does).
     """
-    weights, count = np.linalg.pinv(jacobian), len(residual)
+    ortho, triangle = np.linalg.qr(jacobian)
+    to_fitted, count = np.linalg.pinv(triangle), len(residual)
+    weights = to_fitted @ ortho.T
     size = 1 << (2 * count - 1).bit_length()
     covariance = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2, size)[:count] / count
     covariance[lags:] = 0.0
     covariance[:lags] *= 1.0 - np.arange(lags) / lags  # so that no variance is negative
     spectrum = np.abs(np.fft.rfft(np.concatenate([covariance, covariance[:0:-1]]), size))
+    in_time = [
+        row @ np.fft.irfft(np.fft.rfft(row, size) * spectrum, size)[:count] for row in weights
+    ]
     width = max(0.5 * float(np.std(residual)), 1e-15)
-    cell = np.unique(np.floor((place - place.min()) / width), return_inverse=True)[1]
-    found = []
-    for row in weights:
-        in_time = row @ np.fft.irfft(np.fft.rfft(row, size) * spectrum, size)[:count]
-        scores = row * residual
-        in_place = (np.bincount(cell, weights=scores) ** 2).sum() - (scores**2).sum()
-        found.append(in_time + max(float(in_place), 0.0))
-    return np.asarray(np.sqrt(np.maximum(found, 0.0)))
+    cell = np.floor((place - place.min()) / width)
+    order = np.argsort(cell, kind='stable')
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1.0))
+    rows = ortho[order]
+    scores = np.add.reduceat(rows * residual[order, None], first)
+    leverage = np.add.reduceat(rows[:, :, None] * rows[:, None, :], first)
+    left = (1.0 + 1e-9) * np.eye(len(triangle)) - leverage
+    scores = np.linalg.solve(left, scores[:, :, None])[:, :, 0]
+    in_place = ((scores @ to_fitted.T) ** 2).sum(axis=0) - ((weights * residual) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.array(in_time) + np.maximum(in_place, 0.0)))
 
 
 class _Fit:

@@ -94,19 +94,25 @@ def test_the_resolution_is_seen_in_positions():
     assert resolution_of(way) == 0.0
 
 
-def test_rounding_that_comes_back_at_each_rest_widens_the_intervals():
-    """A number is fitted from rests at 40 places; within one all samples are rounded alike."""
+@pytest.mark.parametrize('heavy', [1.0, 6.0])
+def test_rounding_that_comes_back_at_each_rest_widens_the_intervals(heavy):
+    """A number is fitted from rests at 40 places; within one all samples are rounded alike.
+
+    One place may weigh as much as all others: the fit follows its error, and hides it.
+    """
     rng = np.random.default_rng(3)
     rest = np.repeat(np.arange(40), 100)
-    lever = rng.normal(size=(40, 1))[rest]
+    lever = rng.normal(size=(40, 1))
+    lever[0] = heavy
+    lever = lever[rest]
     place = rng.uniform(0.0, 1.0, 40)[rest]
     fitted_by, off, wide = np.linalg.pinv(lever)[0], [], []
     for _ in range(200):
         error = rng.uniform(-0.5, 0.5, 40)[rest] * UM + rng.normal(scale=0.1 * UM, size=len(rest))
         off.append(fitted_by @ error)
         wide.append(spreads_of(lever, error - lever[:, 0] * off[-1], place, 1)[0])
-    assert np.mean(wide) == pytest.approx(np.std(off), rel=0.15)
-    assert 0.85 < np.mean(np.abs(off) < 1.96 * np.array(wide)) < 0.99
+    assert 0.95 < np.mean(wide) / np.std(off) < 1.15
+    assert 0.89 < np.mean(np.abs(off) < 1.96 * np.array(wide)) < 0.99
 
 
 @pytest.mark.parametrize('name', ['xyzac', 'ram_mill', 'head_head', 'xyza'])

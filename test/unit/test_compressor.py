@@ -8,6 +8,8 @@ import pytest
 from path_samples import deviation, jumps, sampled
 from programs import blocks_of
 from programs import dome as dome_of
+from scipy.special import comb
+from tiers import examples
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
@@ -15,7 +17,9 @@ from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath
 from cnc_interp.settings.options import Settings
+from cnc_interp.smoothing.dense.certificate import certify
 from cnc_interp.smoothing.dense.end_lines import _borders
+from cnc_interp.smoothing.dense.polyline import Polyline
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
@@ -86,6 +90,44 @@ def test_the_bound_is_above_what_is_measured_and_not_far():
     )
     assert (measured <= segments.deviation + 1e-12).all()
     assert (segments.deviation.max(axis=0) < 1.2 * measured.max(axis=0)).all()
+
+
+def test_no_random_span_is_beyond_its_certificate():
+    """Random quintic spans along random vertices against 401 samples each, at the same u."""
+    rng, count = np.random.default_rng(8), examples(300, 10_000)
+    scale = 10.0 ** rng.uniform(-2.0, 2.0)
+    a, b = np.cumsum(rng.normal(0.0, 8e-3, (2, 2 * count)), axis=1)
+    axis = np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=1)
+    tip = np.cumsum(rng.normal(0.2, 0.4, (2 * count, 3)), axis=0) * MM
+    u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    zero = np.zeros((2 * count - 1, 2))
+    line = Polyline(
+        np.hstack([tip, axis]), u, np.arange(2 * count), zero, zero + scale * UM, zero[:, 0],
+        zero.astype(int),
+    )  # fmt: skip
+    knots = np.sort(np.append(rng.uniform(0.0, u[-1], count - 1), [0.0, u[-1]]))
+
+    def programmed(at):
+        pose = np.stack([np.interp(at, u, column) for column in line.pose.T], axis=-1)
+        return np.concatenate([pose[..., :3], pose[..., :3] + HEIGHT * pose[..., 3:]], axis=-1)
+
+    greville = knots[:-1, None] + np.diff(knots)[:, None] * np.linspace(0.0, 1.0, 6)
+    noise = rng.normal(size=(count, 6, 6)) * 10.0 ** rng.uniform(-8.0, -4.0, (count, 1, 1))
+    spans = programmed(greville) + noise
+    bound, _, _ = certify(spans, knots, line, HEIGHT, True, 1.0)
+    at = np.linspace(0.0, 1.0, 401)
+    weights = [comb(5, k) * at**k * (1.0 - at) ** (5 - k) for k in range(6)]
+    ratio = []
+    for span, low, high, least in zip(spans, knots[:-1], knots[1:], bound, strict=True):
+        both, wanted = np.transpose(weights) @ span, programmed(low + at * (high - low))
+        tool = [x[:, 3:] - x[:, :3] for x in (both, wanted)]
+        tool = [HEIGHT * x / np.linalg.norm(x, axis=1)[:, None] for x in tool]
+        gap = both[:, :3] - wanted[:, :3]
+        top = np.linalg.norm(gap + tool[0] - tool[1], axis=1).max()
+        found = np.array([np.linalg.norm(gap, axis=1).max(), top])
+        assert (found <= least * (1.0 + 1e-9) + 1e-15).all()
+        ratio.append(least / found)
+    assert np.median(ratio) < 1.5
 
 
 @pytest.mark.parametrize('batch', [1, 7, 64])

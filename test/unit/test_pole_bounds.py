@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tiers import examples
 
 from cnc_interp.core.bezier import (
     bezier_values,
@@ -29,7 +30,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.transform_kernels import guided_gap
 from cnc_interp.smoothing.segments import CORNER, LINE, SPLINE, PathSegments
 
-COUNT = 24
+COUNT = examples(24, 400)
 U = np.linspace(0.0, 1.0, 401)
 
 

@@ -33,6 +33,7 @@ from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
 from cnc_interp.cam.tool_path import UPRIGHT, LinkOptions, link, write_tool_path
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.core.vectors import cross, norm, unit
@@ -43,10 +44,14 @@ from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
-SMOOTHING = 0.2  #: Tolerances of the program, as a share of the scallop height.
+#: Tolerances of the program, as a share of the scallop height, and of what is held in reserve.
+SMOOTHING, SMOOTHING_OF_RESERVE = 0.2, 0.5
+HIGHER = 1.002  #: A note names executed ridges that are higher than so many scallops.
 
 
 def make_program(options: argparse.Namespace) -> int:
+    if not _left_by_passes(options) > 0.0:
+        raise InterpError('--scallop must be larger than --reserve and --chord together')
     part = _part(options)
     cutter = _cutter(options)
     faces = [_machined(number, part, cutter, options) for number in part.surfaces]
@@ -59,7 +64,7 @@ def make_program(options: argparse.Namespace) -> int:
         for step in link(face.parts, face.surface, cutter, links, _all(faces, around), up)
     ]
     machine = Machine.load(options.machine)
-    tolerance = SMOOTHING * options.scallop * UM
+    tolerance = _tolerance(cutter, options)
     reading = Settings(contour_tolerance=tolerance, orientation_tolerance=tolerance)
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
@@ -97,10 +102,30 @@ def make_program(options: argparse.Namespace) -> int:
 
     (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
-    for face in faces:
+    for face, found in zip(faces, face_facts(summary), strict=True):
+        highest = found.get('executed', {}).get('ridge_highest', 0.0)
+        if highest > HIGHER * options.scallop * UM:
+            more = options.reserve + 0.05 * np.ceil(20.0 * (highest / UM - options.scallop))
+            face.notes.append(
+                f'the drives leave ridges up to {highest / UM:.2f} um; --compensate MACHINE or '
+                f'--reserve {more:.2f} lowers them'
+            )
         for note in face.notes:
             _note(f'face {face.number}: {note}' if len(faces) > 1 else note)
     return 0
+
+
+def _left_by_passes(options: argparse.Namespace) -> float:
+    chord = 0.0 if options.format == 'spline' else options.chord
+    return float((options.scallop - options.reserve - chord) * UM)
+
+
+def _tolerance(cutter: Cutter, options: argparse.Namespace) -> float:
+    """Return the tolerance for tip and tool axis; of a reserve the mill uses a part at most."""
+    if not options.reserve:
+        return float(SMOOTHING * options.scallop * UM)
+    widest = 1.0 + (cutter.tool_radius + cutter.corner_radius) / Settings().flank_height
+    return float(SMOOTHING_OF_RESERVE * options.reserve * UM / widest)
 
 
 def _upwards(faces: list[MachinedFace]) -> FloatArray:
@@ -190,7 +215,7 @@ def _followed(
         return planes
     classical = import_module('cnc_interp.papers.classical').classical_paths
     paths = classical(
-        surface, cutter, normal, options.scallop * UM, options.tilt * DEG, progress=show
+        surface, cutter, normal, _left_by_passes(options), options.tilt * DEG, progress=show
     )
     progress.end(complete=not paths.loop)
     if paths.loop:
@@ -287,7 +312,7 @@ def _cutter(options: argparse.Namespace) -> Cutter:
 def _choices(options: argparse.Namespace) -> IsoScallopOptions:
     low, high = options.tilt_limits
     return IsoScallopOptions(
-        scallop_height=options.scallop * UM,
+        scallop_height=_left_by_passes(options),
         stepover=None if options.stepover is None else options.stepover * MM,
         tilt=options.tilt * DEG,
         tilt_limits=(low * DEG, high * DEG),

@@ -27,6 +27,7 @@ FINE = 4.0 * UM  #: Distance of the needles in a section [m].
 THINNINGS = 5  #: Number of times that every second pose may be dropped.
 #: Largest error of thinned motions, and largest distance of their poses [m].
 THIN, LONGEST = 0.004 * UM, 0.4 * MM
+SPLINE_CHORD = 0.01 * UM  #: Chord tolerance of programmed splines [m].
 PROMINENCE = 0.15  #: Smallest prominence of a ridge, as a share of the range of heights.
 
 
@@ -55,7 +56,7 @@ def thinned(motion: Motion) -> Motion:
 
 
 def programmed(program: Program) -> Motion:
-    blocks = with_chords(program.blocks, ARM)
+    blocks = with_chords(program.blocks, ARM, SPLINE_CHORD)
     return Motion('programmed', np.asarray(blocks.tip), np.asarray(blocks.axis))
 
 

@@ -34,6 +34,10 @@ def add_cam_commands(commands: Any) -> None:
         'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
     )  # fmt: skip
     number(make, '--scallop', 10.0, 'scallop height', 'UM')
+    number(
+        make, '--reserve', 0.0,
+        'part of the scallop height for smoothing and drives: passes leave the rest', 'UM',
+    )  # fmt: skip
     option(
         make, '--stepover',
         'distance of the guiding planes; without it the largest that --tilt allows, pass '

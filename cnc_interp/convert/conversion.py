@@ -120,15 +120,16 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
     return Blocks(**columns)
 
 
-def with_chords(blocks: Blocks, height: float) -> Blocks:
+def with_chords(blocks: Blocks, height: float, most: float = np.inf) -> Blocks:
+    """Replace native splines by chords within a share of their tolerance and ``most`` [m]."""
     parts = []
     for first, last in portions(blocks):
         rows = blocks[first:last]
-        parts.append(_chords(rows, height) if rows.on_spline[0] else rows)
+        parts.append(_chords(rows, height, most) if rows.on_spline[0] else rows)
     return Blocks.concatenate(parts)
 
 
-def _chords(rows: Blocks, height: float) -> Blocks:
+def _chords(rows: Blocks, height: float, most: float) -> Blocks:
     portion = Portion(rows.tip, rows.top, rows.knot_interval)
     curve, spans = portion.curve, np.flatnonzero(rows.knot_interval)
 
@@ -138,7 +139,8 @@ def _chords(rows: Blocks, height: float) -> Blocks:
         tool = both[:, 3:] - both[:, :3]
         return both[:, :3], tool / norm(tool)[:, None]
 
-    allowed = np.full(len(spans), CHORD_SHARE * float(rows.contour_tolerance.min()))
+    within = min(CHORD_SHARE * float(rows.contour_tolerance.min()), most)
+    allowed = np.full(len(spans), within)
     turned = np.full(len(spans), np.pi / 4.0)  # several pieces for the first trial
     counts = piece_counts(poses, turned, allowed, allowed, height)
     span, piece = ragged(counts)

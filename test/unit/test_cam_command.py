@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.make_program import across
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps
-from cnc_interp.cam.simulation import programmed
+from cnc_interp.cam.simulation import Motion, cross_sections, programmed, thinned
 from cnc_interp.cam.surface import Placed
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program
@@ -35,10 +37,8 @@ TILTED = np.array([
     [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
 ])  # fmt: skip
 MILL = Cutter(5 * MM, 1.5 * MM)
-NEEDLES = Needles.on(
-    Placed(Bumps((16 * MM, 12 * MM), [(0, 0, 0.5 * MM, 8 * MM)]), TILTED, np.zeros(3)), 0.3 * MM,
-    1 * MM,
-)  # fmt: skip
+FACE = Placed(Bumps((16 * MM, 12 * MM), [(0, 0, 0.5 * MM, 8 * MM)]), TILTED, np.zeros(3))
+NEEDLES = Needles.on(FACE, 0.3 * MM, 1 * MM)
 
 
 @pytest.fixture
@@ -82,6 +82,28 @@ def test_all_formats_hold_the_same_path(surface, tmp_path, capsys):
     capsys.readouterr()
     for form in ('cl', 'gcode'):
         np.testing.assert_allclose(motions[form], motions['spline'], atol=0.3 * UM)
+
+
+@thorough
+def test_no_ridge_is_higher_than_promised(surface, tmp_path, capsys):
+    """Setpoints, also through the drives, cut by the N-buffer; the drives need a reserve."""
+    machine, highest = Machine.load('xyzac'), {}
+    for name, more in (('cl', ['--format', 'cl']), ('', []), ('reserve', ['--reserve', '1.5'])):
+        out = tmp_path / (name or 'spline')
+        command = ['cam', 'iso-scallop', str(surface), '--stepover', '2', '--run', *more, '--json']
+        assert main([*command, '--spacing', '1', '--out', str(out)]) == FINE
+        assert ('--reserve' in capsys.readouterr().err) == (name != 'reserve')
+        rows = np.load(out / 'plan' / 'setpoints.npz')
+        drives = simulate(machine, 1e-3, rows['position'], rows['velocity'])
+        poses = Transform.of(machine).forward(rows['position']), (drives.tip, drives.axis)
+        for motion, (tip, axis) in zip(('planned', 'executed'), poses, strict=True):
+            cut = cross_sections(
+                FACE, MILL, thinned(Motion('', tip, axis)), across(FACE, 0.0), 2 * MM
+            )
+            highest[name, motion] = cut.ridges.max() / UM
+    assert 9.9 < highest['', 'planned'] < 10.02 and 9.7 < highest['cl', 'planned'] < 10.02
+    assert highest['', 'executed'] > 10.02
+    assert 9.0 < highest['reserve', 'executed'] < 10.02
 
 
 @pytest.mark.parametrize(
@@ -144,6 +166,7 @@ def test_passes_beside_the_pole_are_told_with_the_turn_that_avoids_it(tmp_path, 
         (['--corner-radius', '6.5'], 'ball mill'),
         (['--tilt', '80'], 'do not make sense'),
         (['--points', '2'], 'too few'),
+        (['--reserve', '10'], '--scallop must be larger than --reserve'),
     ],
 )
 def test_what_does_not_fit_gets_one_line(arguments, says, surface, tmp_path, capsys):

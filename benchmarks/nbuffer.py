@@ -59,7 +59,7 @@ def one_core() -> None:
         seconds = time.process_time() - begin
         print(
             f'{needles.base[..., 0].size:7d}  {len(tip):7d}  {seconds:8.2f}   '
-            f'{found.pairs / seconds:.2e}'
+            f'{found.height.size * len(MotionPieces.of(MILL, tip, axis)) / seconds:.2e}'
         )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MM
-from cnc_interp.core.vectors import dot, norm, scaled
 
 
 @dataclass(frozen=True)
@@ -51,14 +50,6 @@ class Cutter:
     def tip(self, centre: FloatArray, axis: FloatArray) -> FloatArray:
         """Return the tool tip, the lowest point on the axis, (..., 3) [m]."""
         return np.asarray(centre - self.corner_radius * axis)
-
-    def distance(self, points: FloatArray, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the distance of points from the mill, (...) [m]."""
-        v = points - centre
-        along = dot(v, axis)
-        across = norm(v - scaled(along, axis))
-        beyond = np.maximum(across - self.tool_radius, 0.0)
-        return np.hypot(np.minimum(along, 0.0), beyond) - self.corner_radius
 
     def effective_radius(self, tilt: float) -> float:
         """Radius of the swept profile at the contact point on a plane [TL2008, Eq. 3.17]."""

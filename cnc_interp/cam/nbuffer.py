@@ -27,7 +27,6 @@ class Heights:
     needles: Needles  #: The needles.
     #: (rows, columns): Signed height above the surface; ``TOP`` where nothing was cut [m].
     height: FloatArray
-    pairs: int  #: Needles times pieces of motion, for benchmarks.
 
     @property
     def cut(self) -> BoolArray:
@@ -59,7 +58,7 @@ def cut_needles(
         if progress:
             done = min(i + tall, rows) * columns if j + wide >= columns else i * columns + tall * j
             progress(min(1.0, done / height.size))
-    return Heights(needles, height, height.size * len(sweep))
+    return Heights(needles, height)
 
 
 def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> FloatArray:

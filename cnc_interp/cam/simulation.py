@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.nbuffer import cut_needles
@@ -85,6 +84,8 @@ class Section:
 def cross_sections(
     surface: Surface, cutter: Cutter, motion: Motion, across: FloatArray, margin: float
 ) -> Section:
+    from scipy.signal import find_peaks  # with all of scipy.stats
+
     (u0, u1), (v0, v1) = surface.domain
     middle = surface.at(np.array([0.5 * (u0 + u1)]), np.array([0.5 * (v0 + v1)]))
     along_u = abs(float(middle.d_u[0] @ across)) * float(norm(middle.d_v)[0]) > abs(

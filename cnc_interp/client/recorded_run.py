@@ -278,7 +278,9 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
         for first in range(0, len(run.segments), BATCH):
             segments = segments_from(run.segments[first : first + BATCH])
             writer.segments(finder.segments(segments))
-        for path in executed_paths(run.paths(machine), finder):
+        for path in map(finder.path, run.paths(machine)):
+            if path is None:
+                continue
             way.advance(float(path.s[0]), float(path.s[-1]))
             fine = refine(path, grid_points(path, way.some()))
             writer.path(fine, way.feed(fine.s[:-1]))
@@ -291,12 +293,6 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             writer.figures.start = finder.place(block)
         writer.figures.cut = run.cut
         return writer.finish(run.name, {}, run.largest_override, run.setup)
-
-
-def executed_paths(paths: Iterable[AxisPath], finder: StartFinder) -> Iterator[AxisPath]:
-    for path in paths:
-        if (executed := finder.path(path)) is not None:
-            yield executed
 
 
 class ExecutedWay:

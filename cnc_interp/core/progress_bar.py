@@ -13,10 +13,6 @@ ESTIMATED_FROM = 0.05  #: Smallest part of the work from which the remaining tim
 BEFORE_THE_END = 0.99  #: Largest part that is shown while time is left [-].
 
 
-def redraws(stream: TextIO) -> bool:
-    return stream.isatty() and os.environ.get('TERM') != 'dumb'
-
-
 class TimeLeft:
     """Estimates the remaining time of work from its speed in the later half of the time."""
 
@@ -44,7 +40,8 @@ class ProgressBar:
 
     def __init__(self, stream: TextIO | None):
         self._stream = stream
-        self._redraws = stream is not None and redraws(stream)
+        dumb = os.environ.get('TERM') == 'dumb'
+        self._redraws = stream is not None and stream.isatty() and not dumb
         self._steps = 100 if self._redraws else 10
         self._began = time.monotonic()
         self._time_left = TimeLeft()

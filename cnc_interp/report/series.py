@@ -89,7 +89,8 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
 
 
 def switched(plan: PlanFiles, machine: Machine) -> dict[int, str]:
-    found, signals, texts = plan.functions, machine.signals, {}
+    found, signals = plan.functions, machine.signals
+    texts: dict[int, str] = {}
     acts = zip(found['sample'].tolist(), found['step'].tolist(), found['value'], strict=True)
     for sample, step, value in acts:
         text = signals.text(signals.steps[step].output, float(value))

@@ -113,61 +113,40 @@ SELF_STARTING = frozenset({State.IDLE, State.PAUSED, State.FILLING, State.STARVE
 #: States in which cycle_start is accepted.
 RESUMABLE = frozenset({State.HOLDING, State.HELD, State.STARVING, State.STARVED})
 
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    (State.INACTIVE, Event.ACTIVATE): State.IDLE,
-    (State.IDLE, Event.DEACTIVATE): State.INACTIVE,
-    (State.IDLE, Event.FILL): State.FILLING,
-    (State.IDLE, Event.WAIT): State.HELD,
-    (State.FAULT, Event.DEACTIVATE): State.INACTIVE,
-    (State.IDLE, Event.START): State.RUNNING,
-    (State.IDLE, Event.RESET): State.IDLE,
-    (State.IDLE, Event.BEGIN): State.IDLE,
-    (State.IDLE, Event.REPLAN): State.IDLE,
-    (State.RUNNING, Event.FINISH): State.IDLE,
-    (State.RUNNING, Event.PAUSE): State.PAUSED,
-    (State.RUNNING, Event.WAIT): State.HELD,
-    (State.RUNNING, Event.FILL): State.FILLING,
-    (State.RUNNING, Event.STARVE): State.STARVING,
-    (State.RUNNING, Event.HOLD): State.HOLDING,
-    (State.RUNNING, Event.RESUME): State.RUNNING,
-    (State.PAUSED, Event.HOLD): State.HELD,
-    (State.PAUSED, Event.RESUME): State.PAUSED,
-    (State.FILLING, Event.HOLD): State.HELD,
-    (State.FILLING, Event.RESUME): State.FILLING,
-    (State.HOLDING, Event.HOLD): State.HOLDING,
-    (State.HOLDING, Event.RESUME): State.HOLDING,
-    (State.HOLDING, Event.REST): State.HELD,
-    (State.HELD, Event.HOLD): State.HELD,
-    (State.HELD, Event.RESUME): State.HELD,
-    (State.STARVING, Event.HOLD): State.HOLDING,
-    (State.STARVING, Event.RESUME): State.STARVING,
-    (State.STARVING, Event.REST): State.STARVED,
-    (State.STARVED, Event.HOLD): State.HELD,
-    (State.STARVED, Event.RESUME): State.STARVED,
-    (State.STOPPING, Event.REST): State.FAULT,
-    (State.FAULT, Event.RESET): State.IDLE,
-    (State.IDLE, Event.JOG): State.JOGGING,
-    (State.JOGGING, Event.HOLD): State.JOGGING,
-    (State.JOGGING, Event.STARVE): State.JOGGING,
-    (State.JOGGING, Event.FINISH): State.IDLE,
-    (State.JOGGING, Event.REST): State.IDLE,
-    (State.HELD, Event.JOG): State.AWAY,
-    (State.AWAY, Event.HOLD): State.AWAY,
-    (State.AWAY, Event.STARVE): State.AWAY,
-    (State.AWAY, Event.FINISH): State.HELD,
-    (State.AWAY, Event.REST): State.HELD,
-    **{(state, Event.START): State.RUNNING for state in _ON_PATH_AT_REST},
-    **{(state, Event.FILL): State.FILLING for state in _ON_PATH_AT_REST},
-    **{(state, Event.WAIT): State.HELD for state in _ON_PATH_AT_REST},
-    **{(state, Event.FINISH): State.IDLE for state in _ON_PATH_AT_REST},
-    **{(state, Event.BEGIN): State.IDLE for state in _ON_PATH_AT_REST},
-    **{(state, Event.RESET): State.IDLE for state in _ON_PATH_AT_REST},
-    **{(state, Event.REPLAN): state for state in _ON_PATH_AT_REST},
-    **{(s, Event.STOP): State.FAULT if s in AT_REST else State.STOPPING for s in _ACTIVE},
-    **{(s, Event.REFUSE): State.FAULT if s in _ON_PATH_AT_REST else s for s in State},
-    **{(state, Event.FAIL): State.FAULT for state in _ACTIVE},
-}
 
+def _to(state: State, *before: State) -> dict[State, State]:
+    return dict.fromkeys(before, state)
+
+
+def _stays(*states: State) -> dict[State, State]:
+    return {state: state for state in states}
+
+
+S, _RESTS = State, _ON_PATH_AT_REST
+#: The state after each event, by the state before it.
+_AFTER: dict[Event, dict[State, State]] = {
+    Event.ACTIVATE: _to(S.IDLE, S.INACTIVE),
+    Event.DEACTIVATE: _to(S.INACTIVE, S.IDLE, S.FAULT),
+    Event.BEGIN: _to(S.IDLE, S.IDLE, *_RESTS),
+    Event.REPLAN: _stays(S.IDLE, *_RESTS),
+    Event.START: _to(S.RUNNING, S.IDLE, *_RESTS),
+    Event.FINISH: _to(S.IDLE, S.RUNNING, S.JOGGING, *_RESTS) | _to(S.HELD, S.AWAY),
+    Event.PAUSE: _to(S.PAUSED, S.RUNNING),
+    Event.WAIT: _to(S.HELD, S.IDLE, S.RUNNING, *_RESTS),
+    Event.FILL: _to(S.FILLING, S.IDLE, S.RUNNING, *_RESTS),
+    Event.STARVE: _to(S.STARVING, S.RUNNING) | _stays(S.JOGGING, S.AWAY),
+    Event.REST: _to(S.HELD, S.HOLDING, S.AWAY) | _to(S.STARVED, S.STARVING)
+    | _to(S.FAULT, S.STOPPING) | _to(S.IDLE, S.JOGGING),
+    Event.HOLD: _to(S.HOLDING, S.RUNNING, S.HOLDING, S.STARVING) | _to(S.HELD, *_RESTS)
+    | _stays(S.JOGGING, S.AWAY),
+    Event.RESUME: _stays(S.RUNNING, S.HOLDING, S.STARVING, *_RESTS),
+    Event.RESET: _to(S.IDLE, S.IDLE, S.FAULT, *_RESTS),
+    Event.STOP: {s: S.FAULT if s in AT_REST else S.STOPPING for s in _ACTIVE},
+    Event.REFUSE: {s: S.FAULT if s in _RESTS else s for s in S},
+    Event.FAIL: _to(S.FAULT, *_ACTIVE),
+    Event.JOG: _to(S.JOGGING, S.IDLE) | _to(S.AWAY, S.HELD),
+}  # fmt: skip
+TRANSITIONS = {(s, event): to for event, rows in _AFTER.items() for s, to in rows.items()}
 _REFUSALS = {
     Event.HOLD: 'nothing to hold: no program is moving',
     Event.RESUME: 'nothing to continue: no program is on hold',

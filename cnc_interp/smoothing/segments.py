@@ -53,19 +53,21 @@ class PathSegments(Table):
     #: values of a sextic on it. No spans if f(u) = u.
     parametrization: FloatArray = column('spans', 8)
     axis: FloatArray = column(3)  #: Unit tool axis at the start of the segment [-].
-    rotation: FloatArray = column(3)  #: Rotation vector of the axis over a line or rotation [rad].
-    #: Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
-    #: two are used: the programmed positions at both ends of the block. NaN if there are none.
-    rotary: FloatArray = column(POINTS, 2)
-    #: Length of a line; flank height times angle of a rotation; NaN for curves [m].
-    length: FloatArray = column()
     #: Programmed ds/dt in the first and second half [m/s]; a corner lies in two blocks.
     feed: FloatArray = column(2)
     block: IntArray = column(2)  #: Program rows of the blocks in the first and second half.
     line_number: IntArray = column()  #: Program line of the second block.
-    stop: BoolArray = column()  #: Whether the tool rests at the end of the segment.
     #: Contour and orientation deviation of curves [m], 0 for lines and rotations.
     deviation: FloatArray = column(2)
+    #: Rotation vector of the axis over a line or rotation [rad].
+    rotation: FloatArray = column(3, default=0.0)
+    #: Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
+    #: two are used: the programmed positions at both ends of the block. NaN if there are none.
+    rotary: FloatArray = column(POINTS, 2, default=np.nan)
+    #: Length of a line; flank height times angle of a rotation; NaN for curves [m].
+    length: FloatArray = column(default=np.nan)
+    #: Whether the tool rests at the end of the segment.
+    stop: BoolArray = column(default=False)
     #: Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
     #: path. A rotation uses the first two, like a line.
     extra: FloatArray = column(POINTS, 'k', default=0.0)

@@ -23,7 +23,7 @@ from feedrate_paths import (
 )
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tiers import examples
+from tiers import examples, few_of
 
 from cnc_interp.core.errors import PlanningError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
@@ -155,17 +155,23 @@ def test_going_on_from_a_state_of_motion():
 
 
 @tried(15, 250)
-@given(problems(4), st.integers(0, 2), st.integers(0, 4), st.floats(1.0, 4.0))
-def test_relaxing_any_one_limit_never_costs_time(problem, order, axis, factor):
+@given(
+    problems(4),
+    st.sampled_from([0, 1, 2, slice(None)]),
+    st.sampled_from([*range(5), slice(None)]),
+    st.floats(0.1, 4.0),
+)
+def test_relaxing_limits_never_costs_time(problem, order, axis, factor):
     path, limits, _ = problem
-    table = [x.copy() for x in (limits.max_velocity, limits.max_acceleration, limits.max_jerk)]
-    table[order][axis] *= 10.0**factor
+    table = np.array([limits.max_velocity, limits.max_acceleration, limits.max_jerk])
+    table[order, axis] *= 10.0**factor
     strict = plan_path(path, limits).law.end_time
     assert plan_path(path, Limits(*table)).law.end_time <= 1.001 * strict
 
 
-@pytest.mark.parametrize('length', [1e-4, 0.06, 0.5])
-@pytest.mark.parametrize('cells', [2, 3, 7, 50, 1000, 10_000])
+@pytest.mark.parametrize(
+    ('length', 'cells'), few_of(5, [1e-4, 0.06, 0.5], [2, 3, 7, 50, 1000, 10_000])
+)
 def test_a_line_cut_in_pieces_takes_the_same_time(length, cells):
     once = plan_path(line_path(length, 0.1), XYZAC)
     many = plan_path(line_path(length, 0.1, cells), XYZAC)

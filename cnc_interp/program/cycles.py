@@ -93,8 +93,7 @@ def go_along(
 ) -> None:
     target = place.copy()
     target[axis] = along
-    rotary = target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-    mover.go(mover.frames.point(target[:3]), rotary, feed_given=feed_given, rapid=rapid)
+    mover.go_to(target, feed_given, rapid)
 
 
 def make_hole(

@@ -403,13 +403,12 @@ class HeidenhainReader(GcodeReader):
         self._execute(words)
 
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
-        if number in (7, 10, 19) and part == '0':
-            if number == 19:
-                self._frames.angles = {}
-        elif number in (7, 10, 19) and part:
-            frames = self._frames
-            act = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}[number]
-            act(self._words(rest)[0])
+        frames = self._frames
+        acts = {7: frames.shift, 10: frames.rotate, 19: frames.add_angles}
+        if number in acts and part == '0':
+            frames.angles = {}
+        elif number in acts and part:
+            acts[number](self._words(rest)[0])
         elif number in (8, 11, 26) and part:
             if re.search(r'[1-9XYZ]', rest):
                 raise self.fault('mirroring and scaling are not supported', f'CYCL DEF {number}')
@@ -446,8 +445,8 @@ class HeidenhainReader(GcodeReader):
         if not self.cycle:
             raise self.fault('no cycle is defined; write CYCL DEF', 'CYCL CALL')
 
-        def of(name: str, default: float = 0.0) -> float:
-            return self.variables.named(name) if self.variables.exists(name) else default
+        def of(name: str) -> float:
+            return self.variables.named(name) if self.variables.exists(name) else 0.0
 
         if self.cycle == 240 and of('Q343'):
             raise self.fault('a depth by the diameter is not supported; write Q201', 'Q343')

@@ -312,11 +312,7 @@ class Modes:
         beside = [letter for letter in mover.extra_letters if letter in words.values]
         mover.extra = mover.extra_target(words, machine=False)
         if named or beside:
-            target = mover.target(words)
-            rotary = (
-                target[3:] + mover.frames.rotary_origin if mover.rotary_letters else mover.rotary
-            )
-            mover.go(mover.frames.point(target[:3]), rotary, rapid=True)
+            mover.go_to(mover.target(words), rapid=True)
         point, rotary = mover.point.copy(), mover.rotary.copy()
         mover.extra = np.where([letter in beside for letter in EXTRA_LETTERS], 0.0, mover.extra)
         for letter in named or ([] if beside else letters):

@@ -93,6 +93,11 @@ class Mover(ModalState):
         self.aim()
         self.go(point, rotary, rapid=True)
 
+    def go_to(self, place: FloatArray, feed_given: bool = True, rapid: bool | None = None) -> None:
+        """Add a target in program coordinates, shape (5,) [m, rad]."""
+        rotary = place[3:] + self.frames.rotary_origin if self.rotary_letters else self.rotary
+        self.go(self.frames.point(place[:3]), rotary, feed_given=feed_given, rapid=rapid)
+
     def draw_back(self, distance: float | None, feed: float) -> None:
         """Draw the tool back along itself [m], or to the travel; without feed [m/s] in a rapid."""
         self.rotary_of_vector()

@@ -46,9 +46,9 @@ FROZEN = 4.0  #: How long a node is frozen [s]; longer than ``peer_timeout``.
 APART = 0.3  #: Time between the losses of two nodes [s].
 LONGEST = 60.0  #: A goal without a result never ends [s].
 INTRODUCTION = (
-    'By `benchmarks/losses.py`: nodes and pairs killed, frozen for 4 s or restarted. Each goal '
-    'ended, the next program ran, all setpoints lay on the path and within the limits. What '
-    '"ended", did so with a reason: machine or program were lost. The times are the longest.'
+    'Nodes and pairs killed, frozen for 4 s or restarted (`benchmarks/losses.py`). Each goal '
+    'ended, the next program ran, all setpoints kept path and limits. What "ended", did so with '
+    'a reason: machine or program were lost. The times are the longest.'
 )
 BUSY = 'losses_busy'  #: The figures beside busy loops.
 WHY = ('cycle_start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
@@ -225,11 +225,12 @@ def table() -> Iterator[str]:
         if any(cells):
             yield f'| {phase} | {sum(map(len, cells))} | {" | ".join(words)} |'
     yield from ('', f'Faults: {len(faults)}. {where(held)}', *faults)
-    again = load(BUSY)
-    faults = [f'{row.name}: {fault}' for row in ROWS if row.name in again
-              and (fault := fault_of(row, again[row.name]))]  # fmt: skip
-    told = f'{len(again)} rows again beside two busy loops, {len(faults)} at fault. {where(again)}'
-    yield from ('', told, *faults) if again else ()
+    if again := load(BUSY):
+        tried = [(row, again[row.name]) for row in ROWS if row.name in again]
+        faults = [f'{row.name}: {fault}' for row, f in tried if (fault := fault_of(row, f))]
+        once = [f'{row.name}: at fault before' for row, f in tried if f.get('before')]
+        told = f'{len(again)} rows again beside two busy loops: {len(faults)} faults.'
+        yield from ('', f'{told} {where(again)}', *faults, *once)
 
 
 def main() -> None:
@@ -256,6 +257,8 @@ def main() -> None:
             figures = {'code': -1, 'message': traceback.format_exc()[-700:], 'took': 0.0}
             bench.close()
             bench = Bench(PARAMETERS)
+        # It is tried again because it was at fault.
+        figures['before'] = held[row.name].get('before', 0) + 1 if row.name in held else 0
         save(section, row.name, {'pressed': (), 'told': (), 'next': (-1, ''), **figures})
         print(row.name, figures, flush=True)
     bench.close()

@@ -102,6 +102,9 @@ def refuse_existing(path: Path) -> None:
         raise InterpError(f'{path} is there already; name a new folder for the bag')
 
 
+LOST_AT_MOST = 1_000_000_000  #: What a recorder that is killed has not stored yet [ns].
+
+
 class BagWriter:
     """A bag being written; ``close`` makes it complete."""
 
@@ -110,6 +113,7 @@ class BagWriter:
         self.count = 0
         self._path, self._noted = path, dict[str, str]()
         self._fault: OSError | None = None
+        self._stored_at = 0  # stamp [ns] up to which all is in the file
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._writer.open()
@@ -141,6 +145,11 @@ class BagWriter:
             try:
                 self._writer.write(self._connections[topic], stamp, data)
                 self.count += 1
+                if stamp - self._stored_at > LOST_AT_MOST:
+                    storage: Any = self._writer.storage
+                    storage.close_chunk()
+                    storage.bio.flush()
+                    self._stored_at = stamp
             except OSError as fault:  # no reason to stop a machine
                 self._fault = fault
 

@@ -23,7 +23,7 @@ from record import PARAMETERS, record
 from rosbags.rosbag2 import Reader
 from tiers import few_of
 
-from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages
+from cnc_interp.client.bag import TOPICS, Bag, BagWriter, SpooledMessages, repair
 from cnc_interp.client.recorded_feedback import recorded_lesson
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
@@ -101,6 +101,14 @@ def test_the_bag_of_a_killed_recorder_is_repaired(tmp_path, capsys):
     file.write_bytes(file.read_bytes()[:1000])
     assert main(['repair', str(killed), '--out', str(tmp_path / 'none')]) == 2
     assert 'no whole message is left' in capsys.readouterr().err
+
+
+def test_a_killed_recorder_loses_a_second_at_most(tmp_path):
+    writer = BagWriter(tmp_path / 'killed')
+    for k in range(10, 41):
+        writer.write('blocks', b'', k * 100_000_000)
+    count, span = repair(tmp_path / 'killed', tmp_path / 'sound')
+    assert count < 31 and span > 2.0
 
 
 def without_executed(lost, path, spoil=lambda message: None):

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 
 from cnc_interp_msgs.msg import (
     AxisFeedback,
+    FollowedSpindle,
     G1Block,
     G1BlockBatch,
     LoadedProgram,
@@ -54,6 +55,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'setpoints': (SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (SetpointChunk, qos.STREAM),
     'axis_feedback': (AxisFeedback, qos.STREAM),
+    'followed_spindle': (FollowedSpindle, qos.STREAM),
     'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
     'machine_signals': (MachineSignals, qos.LOADED),

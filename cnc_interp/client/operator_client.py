@@ -39,8 +39,8 @@ __all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorC
 TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
 #: Stop at the end of each line; stop at M1. Each is a service of that name.
 SWITCHES = ('single_block', 'optional_stop')
-#: Factors on the programmed feed and on the speed of rapids. Each is a topic of that name.
-OVERRIDES = ('feed_override', 'rapid_override')
+#: Factors on the programmed feed, on rapids and on the spindle. Each is a topic of that name.
+OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
@@ -181,11 +181,10 @@ class OperatorClient:
 
     @property
     def override(self) -> float:
-        return self._overrides['feed_override'].at(time.monotonic())
+        return self.override_of('feed_override')
 
-    @property
-    def rapid_override(self) -> float:
-        return self._overrides['rapid_override'].at(time.monotonic())
+    def override_of(self, topic: str) -> float:
+        return self._overrides[topic].at(time.monotonic())
 
     def _see_state(self, state: MachineState) -> None:
         for topic, override in self._overrides.items():

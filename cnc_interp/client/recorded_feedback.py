@@ -136,7 +136,8 @@ def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
     for state in bag.messages('machine_state'):
         if state.program_id == run.program_id and state.sequence > 0:
             whole = whole and state.state in ON_ITS_WAY
-            whole = whole and state.feed_override == 1.0 and state.rapid_override == 1.0
+            shares = {state.feed_override, state.rapid_override, state.spindle_override}
+            whole = whole and shares == {1.0}
     if not whole:
         raise InterpError(
             f'{bag.path}: the run was held, stopped, or had an override; record one without'

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import FollowedSpindle, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray, IntArray
@@ -56,6 +56,7 @@ class RecordedRun:
     largest_override: float  #: Largest feed override of the run, at least 1 [-].
     #: Offsets and tools that it started with, as the text of a setup file; empty for none.
     setup: str = ''
+    followed: Sequence[FollowedSpindle] = ()  #: What was in step with the spindle.
     probed: int = 0  #: Source line that ended where the probe answered; 0: none.
 
     @property
@@ -217,7 +218,10 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
         blocks=stream_of(bag, 'blocks', last),
         segments=stream_of(bag, 'segments', last),
         chunks=executed.where(lambda message: message.program_id == last.program_id),
-        largest_override=max(chain([1.0], (m.feed_override for m in states))),
+        largest_override=max(
+            chain([1.0], (m.feed_override * max(1.0, m.spindle_override) for m in states))
+        ),
+        followed=[m for m in bag.messages('followed_spindle') if m.program_id == last.program_id],
         probed=probed.get(last.program_id, 0),
     )
 
@@ -286,6 +290,9 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             writer.path(fine, way.feed(fine.s[:-1]))
         for samples in run.setpoints(machine):
             writer.setpoints(finder.setpoints(samples))
+        for one in run.followed:
+            position = np.reshape(one.positions, (len(one.angles), -1))
+            writer.followed(one.sequence, one.ramp, np.array(one.angles), position)
         functions, writer.acted = run.functions(machine)
         writer.functions = finder.functions(functions) if row > 1 else functions
         if row > 1:

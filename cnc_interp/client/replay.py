@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import takewhile
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -146,6 +147,11 @@ def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
     return Setpoints.concatenate(parts)
 
 
+def _settings(state: Any) -> OperatorSettings:
+    shares = state.rapid_override, state.spindle_override
+    return OperatorSettings(state.feed_override, False, *shares)
+
+
 def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
     """Return the overrides at the start of a run, and all that followed during it."""
     found, running = [OperatorSettings()], False
@@ -154,9 +160,9 @@ def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
         if topic == 'setpoints':
             running = running or run_id_of(message).same_attempt(run_id)
         elif running and run_id_of(message).same_attempt(run_id):
-            found.append(OperatorSettings(message.feed_override, rapid=message.rapid_override))
+            found.append(_settings(message))
         elif not running:
-            found = [OperatorSettings(message.feed_override, rapid=message.rapid_override)]
+            found = [_settings(message)]
     return found
 
 

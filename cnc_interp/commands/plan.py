@@ -92,11 +92,11 @@ def plan_command(options: argparse.Namespace) -> int:
 
 
 def _compile(machine: Machine) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
     from cnc_interp.feedrate.feed_planner import plan_path
     from cnc_interp.nodes.kernel_warmup import path_without_kernels
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)
     plan_path(path_without_kernels(machine), machine)
 
 

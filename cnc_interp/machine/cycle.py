@@ -26,6 +26,7 @@ from cnc_interp.machine.cycle_kernels import (
     COLUMNS,
     COUNT,
     FIRST,
+    FOLLOW,
     FORGET,
     HALT,
     LEAVE,
@@ -50,6 +51,7 @@ from cnc_interp.machine.cycle_kernels import (
     run_periods,
 )
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
+from cnc_interp.machine.spindle import Spindle
 from cnc_interp.run.setpoints import Chunk
 
 NO_SWITCHES, NO_SIGNALS = np.zeros((0, 3)), np.zeros(0)
@@ -67,6 +69,8 @@ class Records(NamedTuple):
     position: FloatArray
     velocity: FloatArray
     answered: FloatArray  #: (K, n_axes): Setpoint that it answers: of a FIFO an earlier one.
+    setpoint: FloatArray  #: (K, n_axes).
+    angle: FloatArray  #: (K,): Angle of the spindle then [rev].
 
     def part(self, first: int, last: int) -> Records:
         return Records(*(column[first:last] for column in self))  # type: ignore[arg-type]
@@ -78,7 +82,7 @@ class Cycle:
     def __init__(
         self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
         drives: FloatArray, outputs: FloatArray = NO_SIGNALS, inputs: FloatArray = NO_SIGNALS,
-        probe: tuple[int, ...] = (), together: float = 0.0,
+        probe: tuple[int, ...] = (), together: float = 0.0, spindle: Spindle | None = None,
     ):  # fmt: skip
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
@@ -89,8 +93,9 @@ class Cycle:
             travel=np.ascontiguousarray(travel, dtype=float),
             jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
             feedback=np.zeros((4, n)), drives=drives, outputs=outputs, inputs=inputs,
-            probe=np.array(probe, dtype=np.int64),
-            records=np.zeros((kept, 4), dtype=np.int64), measured=np.zeros((kept, 3, n)),
+            probe=np.array(probe, dtype=np.int64), stands=np.zeros(n),
+            spindle=spindle or Spindle.without(outputs),
+            records=np.zeros((kept, 4), dtype=np.int64), measured=np.zeros((kept, 5, n)),
             late=np.zeros(RECORD, dtype=np.int64),
         )  # fmt: skip
         self._control = self._memory.control
@@ -183,7 +188,14 @@ class Cycle:
         while len(played) and self._kept and self._kept[0][0] < played[-1]:
             self._kept.popleft()
         source, serial, row, events = records.T
-        return Records(source, serial, row, events, *measured.transpose(1, 0, 2))
+        x, v, answered, setpoint, angle = measured.transpose(1, 0, 2)
+        rows = x, v, answered, setpoint, angle[:, 0]
+        return Records(source, serial, row, events, *rows)
+
+    @property
+    def follows(self) -> bool:
+        """Tell whether it moves in step with the spindle."""
+        return bool(self._control[SOURCE] == FOLLOW)
 
     def has_news(self, count: int) -> bool:
         """Tell whether it has done more than to go on along its chunks by less than ``count``."""

@@ -9,11 +9,13 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.native import NANOSECONDS, call_drives, fence, pointer, sleep_until, time_now
+from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.realtime import note_catching_up, note_lateness
+from cnc_interp.machine.spindle import Spindle
 
-REST, CHUNK, TAIL = 0, 1, 2  #: What the cycle plays.
+REST, CHUNK, TAIL, FOLLOW = range(4)  #: What the cycle plays; FOLLOW: the spindle's angle.
 #: What happened in a period: bits of a record.
-STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED, PROBED = 1, 2, 4, 8, 16, 32, 64
+STARVED, ENDED, WAITED, REFUSED, FAILED, ALARMED, PROBED, ASTRAY = (1 << k for k in range(8))
 ALARM_SHIFT = 8  #: The events of an ALARMED record have the number of the alarm above this bit.
 #: Words that Python writes and the cycle reads ...
 QUIT, LEAVE, HALT, START, FIRST, READ, FORGET, MUTE = range(8)
@@ -42,11 +44,14 @@ class Memory(NamedTuple):
     #: which the drives ask to be called later; see ``drives.CycleDrives`` [m, rad, per s].
     feedback: FloatArray
     drives: FloatArray  #: Memory of the drives.
-    outputs: FloatArray  #: (n_outputs,): What the outputs are set to; the drives read it.
+    outputs: FloatArray  #: (n_outputs,): What drives get; written here, of commanded values.
     inputs: FloatArray  #: (n_inputs,): The inputs, which the drives write.
     probe: IntArray  #: The numbers of the output ``ARMED`` and of the input ``PROBE``; or (0,).
+    spindle: Spindle
+    stands: FloatArray  #: (n_axes,): Where a line in step with the spindle began [m, rad].
     records: IntArray  #: (count, 4): Source, serial, row of a period; what happened.
-    measured: FloatArray  #: (count, 3, n_axes): Actual position, velocity; setpoint answered.
+    #: (count, 5, n_axes): Actual position, velocity; setpoint answered; setpoint; the angle first.
+    measured: FloatArray
     late: IntArray  #: (RECORD,): Histogram of the clock, see ``realtime.Lateness``.
 
 
@@ -61,7 +66,9 @@ def _choose(memory: Memory) -> int:
     if source == REST and control[STARTED] != control[START]:
         control[STARTED] = control[START]
         source, serial, row = CHUNK, control[FIRST], 0
-    while source != REST:
+        if _begins_to_follow(memory):
+            source = FOLLOW
+    while source == CHUNK or source == TAIL:
         slot = serial % len(chunks)
         if row < chunks[slot, COUNT + (TAIL_COLUMNS if source == TAIL else 0)]:
             break
@@ -112,7 +119,39 @@ def _switch(memory: Memory) -> None:
     switches = carray(pointer(np.uintp(descriptor[SWITCHES + shift])), (count, 3))
     for i in range(count):
         if switches[i, 0] == control[ROW]:
-            memory.outputs[int(switches[i, 1])] = switches[i, 2]
+            memory.spindle.commanded[int(switches[i, 1])] = switches[i, 2]
+
+
+@njit(cache=True, nogil=True)
+def _begins_to_follow(memory: Memory) -> bool:
+    """Tell whether what begins is a line in step with the spindle; then prepare it."""
+    spindle, control = memory.spindle, memory.control
+    if len(spindle.places) == 0 or spindle.commanded[spindle.places[spin.STATE] + spin.TURNS] == 0:
+        return False
+    memory.stands[:] = memory.setpoint[0]
+    control[SOURCE], control[SERIAL], control[ROW] = CHUNK, control[FIRST], 0
+    _switch(memory)
+    spindle.words[spin.MODE], spindle.words[spin.PLACES :] = spin.SETTLES, 0.0
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _follow(memory: Memory) -> int:
+    """Make a setpoint in step with the spindle; return what happened where the line has ended."""
+    spindle, control = memory.spindle, memory.control
+    words, state = spindle.words, spindle.places[spin.STATE]
+    mode = words[spin.MODE]
+    if mode not in (spin.AT_REST, spin.DONE):
+        spin.follow(spindle, memory.setpoint, memory.stands)
+        for i in range(3):
+            if not memory.travel[i, 0] <= memory.setpoint[0, i] <= memory.travel[i, 1]:
+                spin.give_up(spindle, 4 * spin.STEPS + i)
+        return 0
+    control[SOURCE] = REST
+    spindle.commanded[state + spin.TURNS] = 0.0
+    if words[spin.CAUSE] != 0.0:
+        return ASTRAY
+    return WAITED if mode == spin.DONE else ENDED
 
 
 @njit(cache=True, nogil=True)
@@ -120,10 +159,11 @@ def _probe_answers(memory: Memory) -> bool:
     """Tell whether the watched probe is as it was waited for; then it is watched no more."""
     if len(memory.probe) == 0:
         return False
-    armed, touches = memory.outputs[memory.probe[0]], memory.inputs[memory.probe[1]] != 0.0
+    armed = memory.spindle.commanded[memory.probe[0]]
+    touches = memory.inputs[memory.probe[1]] != 0.0
     if armed == 0.0 or touches != (armed == 1.0):
         return False
-    memory.outputs[memory.probe[0]] = 0.0
+    memory.spindle.commanded[memory.probe[0]] = 0.0
     return True
 
 
@@ -132,18 +172,24 @@ def advance(memory: Memory, step: int) -> None:
     control, records = memory.control, memory.records
     events = _choose(memory)
     source = control[SOURCE]
-    if source != REST and not _take_setpoint(memory):
-        events |= REFUSED
-        control[SOURCE] = REST
+    if source == FOLLOW:
+        events |= _follow(memory)
+        source = control[SOURCE]
+    elif source != REST:
+        if _take_setpoint(memory):
+            _switch(memory)
+        else:
+            events |= REFUSED
+            control[SOURCE] = REST
     if control[SOURCE] == REST:
         memory.setpoint[1] = 0.0
-    else:
-        _switch(memory)
+    spin.set_outputs(memory.spindle, memory.outputs, memory.setpoint[0, 0])
     memory.feedback[2], memory.feedback[3] = memory.setpoint[0], 0.0
     fault = call_drives(
         np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,
         memory.feedback.ctypes.data, memory.setpoint.shape[1],
     )  # fmt: skip
+    spin.see_angle(memory.spindle, memory.inputs)
     if fault > 0 and source != REST:
         events |= FAILED
         control[SOURCE], control[ROW] = REST, fault
@@ -151,7 +197,7 @@ def advance(memory: Memory, step: int) -> None:
         events |= ALARMED | (-fault << ALARM_SHIFT)
         control[LEAVE] = 1  # takes the stop tail of this chunk
     control[ALARM] = min(fault, 0)
-    if control[SOURCE] != REST and _probe_answers(memory):
+    if control[SOURCE] in (CHUNK, TAIL) and _probe_answers(memory):
         events |= PROBED
         control[LEAVE] = 1
     count = control[RECORDED]
@@ -160,7 +206,10 @@ def advance(memory: Memory, step: int) -> None:
     slot = count % len(records)
     records[slot, 0], records[slot, 1] = source, control[SERIAL]
     records[slot, 2], records[slot, 3] = control[ROW], events
-    memory.measured[slot] = memory.feedback[:3]
+    memory.measured[slot, :3] = memory.feedback[:3]
+    memory.measured[slot, 3] = memory.setpoint[0]
+    if len(memory.spindle.places) and memory.spindle.places[spin.INPUT] >= 0:
+        memory.measured[slot, 4, 0] = memory.inputs[memory.spindle.places[spin.INPUT]]
     fence()
     control[RECORDED] = count + 1
 

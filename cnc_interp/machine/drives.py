@@ -50,6 +50,11 @@ class Drives(Protocol):
         ...
 
     @property
+    def ahead(self) -> float:
+        """How much later than it is told a setpoint is played; 0: in its period [s]."""
+        ...
+
+    @property
     def position(self) -> FloatArray:
         """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
         ...

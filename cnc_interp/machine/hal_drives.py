@@ -166,7 +166,7 @@ class HalDrives:
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
-        self._names = machine.axis_names
+        self._names, self.ahead = machine.axis_names, depth * period
         n = len(self._names)
         self._session = HalSession()
         self._streams: list[HalStream] = []
@@ -181,12 +181,13 @@ class HalDrives:
             stream = self._attach(STREAMER_KEY, columns[0], 'streamer')
             samples = self._attach(SAMPLER_KEY, columns[1], 'sampler')
             self._check_depth(depth, stream, samples)
-            counts = len(machine.signals.outputs), len(machine.signals.inputs)
+            counts = machine.signals.wired, len(machine.signals.inputs)
             self.memory = np.zeros(hal_step.block_size(n, *counts))
             self.memory.view(np.int64)[[hal_step.OUTPUTS, hal_step.INPUTS]] = counts
             self._block = hal_step.block_at(self.memory.ctypes.data, n)
             self.outputs, self.inputs = self._block.outputs, self._block.inputs
-            self._block.is_number[:] = [s.is_number for s in machine.signals.outputs]
+            signals = *machine.signals.wires, *machine.signals.inputs
+            self._block.is_number[:] = [signal.is_number for signal in signals]
             inputs = [signal.name for signal in machine.signals.inputs]
             self._block.home[:] = [
                 inputs.index(home_input(name)) if name in machine.homing.switches else -1

@@ -23,6 +23,7 @@ POWER, STOP = 'cnc-power', 'cnc-released'
 PINS = {
     'spindle_speed': 'spindle.0.speed-out-abs', 'spindle_forward': 'spindle.0.forward',
     'spindle_reverse': 'spindle.0.reverse', 'spindle_at_speed': 'spindle.0.at-speed',
+    'spindle_angle': 'spindle.0.revs',
     'coolant_flood': 'iocontrol.0.coolant-flood', 'coolant_mist': 'iocontrol.0.coolant-mist',
     'tool_change': 'iocontrol.0.tool-change', 'tool_changed': 'iocontrol.0.tool-changed',
     'probe': 'motion.probe-input',
@@ -38,8 +39,11 @@ loadrt timedelay names=stream-late"""
 
 def columns_of(n: int, signals: Signals) -> tuple[str, str]:
     """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them."""
-    outputs = ''.join('f' if signal.is_number else 'b' for signal in signals.outputs)
-    return 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2 + len(signals.inputs))
+    outputs, inputs = (
+        ''.join('f' if signal.is_number else 'b' for signal in declared)
+        for declared in (signals.wires, signals.inputs)
+    )
+    return 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2) + inputs
 
 
 #: Functions that take the place of those of the motion controller.
@@ -118,7 +122,7 @@ def hal_file(
 
 def _places(axes: Sequence[str], joints: str, signals: Signals) -> dict[str, str]:
     found: dict[str, str] = {}
-    ways = (('streamer.0', 2 * len(axes) + 1, signals.outputs),
+    ways = (('streamer.0', 2 * len(axes) + 1, signals.wires),
             ('sampler.0', 3 * len(axes) + 2, signals.inputs))  # fmt: skip
     for name, first, declared in ways:
         for k, signal in enumerate(declared):

@@ -67,12 +67,13 @@ class Block(NamedTuple):
     sample: FloatArray
     number: FloatArray  #: (1,): Where HAL writes the number of the sample.
     outputs: FloatArray  #: (m,): What the outputs are set to.
-    is_number: FloatArray  #: (m,): Whether an output is a number; otherwise it is a bit.
+    #: (m + k,): Whether an output or an input is a number; otherwise it is a bit.
+    is_number: FloatArray
     inputs: FloatArray  #: (k,): The inputs in the last sample.
 
 
 def block_size(n: int, outputs: int, inputs: int) -> int:
-    signals = 3 * outputs + 2 * inputs
+    signals = 3 * (outputs + inputs)
     return WORDS + 9 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1 + signals
 
 
@@ -101,8 +102,8 @@ def block_at(address: int, n: int) -> Block:
         carray(pointer(np.uintp(sample)), (3 * n + 2 + k,)),
         carray(pointer(np.uintp(number)), (1,)),
         carray(pointer(np.uintp(number + 8)), (m,)),
-        carray(pointer(np.uintp(number + 8 * (1 + m))), (m,)),
-        carray(pointer(np.uintp(number + 8 * (1 + 2 * m))), (k,)),
+        carray(pointer(np.uintp(number + 8 * (1 + m))), (m + k,)),
+        carray(pointer(np.uintp(number + 8 * (1 + 2 * m + k))), (k,)),
     )
 
 
@@ -147,7 +148,8 @@ def _judge(block: Block) -> int:
         if k >= 0 and block.inputs[k] != 0.0 and not bits[n + 2 + k] & 1:
             block.released[i] = block.actual[1, i]
     for i in range(len(block.inputs)):
-        block.inputs[i] = bits[n + 2 + i] & 1
+        number = block.is_number[len(block.outputs) + i] != 0.0
+        block.inputs[i] = sample[3 * n + 2 + i] if number else bits[n + 2 + i] & 1
     if words[COUNTED] == 0:
         return 0
     words[PLAYED] += 0 if empty else 1

@@ -5,6 +5,7 @@ When a stop tail was followed, the plan is over; the next one begins where the m
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,9 +22,11 @@ from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import (
     ALARM_SHIFT,
     ALARMED,
+    ASTRAY,
     CHUNK,
     ENDED,
     FAILED,
+    FOLLOW,
     PROBED,
     REFUSED,
     REST,
@@ -39,6 +42,16 @@ from cnc_interp.machine.drives import (
     DriveFaultError,
     Drives,
     HomedDrives,
+)
+from cnc_interp.machine.spindle import (
+    ANGLE,
+    FORWARD,
+    INPUT,
+    OVERRIDE,
+    RAMP,
+    REVERSE,
+    SPEED,
+    Spindle,
 )
 from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
@@ -82,6 +95,17 @@ class Contact(NamedTuple):
     at_once: bool  #: It had answered before the line began.
 
 
+class Followed(NamedTuple):
+    """Setpoints in step with the spindle, and its angle when the drives answered them."""
+
+    run_id: RunId
+    block: int
+    line: int  #: Of the source.
+    ramp: float  #: Turns in which the axes get in step.
+    position: FloatArray  #: (K, n_axes) [m, rad].
+    angle: FloatArray  #: (K,) [rev].
+
+
 class Reached(NamedTuple):
     """Where a setpoint lies in the program: block, source line and path length [m]."""
 
@@ -101,18 +125,22 @@ class Playback:
         step, memory = int(follow_ideally.address), np.zeros(1)
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
+        ahead = -1.0 if self._delayed else max(drives.ahead, period)
+        self.spindle = Spindle.of(machine, period, ahead)
         self.cycle = Cycle(
             period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs,
-            drives.inputs, machine.signals.probe or (), drives.calm,
+            drives.inputs, machine.signals.probe or (), drives.calm, self.spindle,
         )  # fmt: skip
-        self._signals = machine.signals
+        self._signals, self._commanded = machine.signals, self.spindle.commanded
+        self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
-        self.switching = Switching(machine.signals, drives)
+        self.switching = Switching(machine.signals, drives, self._commanded)
         #: What functions have set, until it is published: the run, and the setpoint before.
         self.switched: deque[tuple[RunId, Act, int]] = deque()
         self.state = RunState()
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
+        self._follows = False  # the spindle, in what was read last
         self.executed: deque[Executed] = deque()  # until they are published
         self._place(drives.position)
         self._given_up = ''  # the run that was reset last
@@ -210,8 +238,10 @@ class Playback:
         self._off = self._finishing = False  # a stop has switched off; the last functions wait
         self._probes_from = 0  # setpoint with which the line of a probe begins
         self._answered = False  # the probe
-        self._forget_probe()
+        self._forget_states()
         self._starved_for = 0.0  # [s]
+        #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
+        self._passing = self._held_after = False
         self.last: Reached | None = None
         #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
         self.away: FloatArray = np.zeros(0)
@@ -383,6 +413,9 @@ class Playback:
     def hold(self) -> None:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
         self.read()
+        if self.cycle.follows:
+            self._held_after = True  # a thread goes on to its end
+            return
         self._handle(Event.HOLD, Reason.FEED_HOLD)
 
     def stop(self) -> None:
@@ -421,6 +454,20 @@ class Playback:
 
     # Outputs ------------------------------------------------------------------------------------
 
+    def override_spindle(self, share: float) -> None:
+        self.spindle.words[OVERRIDE] = share
+
+    @property
+    def turning(self) -> tuple[float, float]:
+        """Speed of the spindle [rev/min] and its angle [rev], by an encoder if there is one."""
+        places = self._signals.spindle
+        if places and places[INPUT] >= 0:
+            return 60.0 * float(self.spindle.words[ANGLE + 1]), self.drives.inputs[places[INPUT]]
+        if not places or places[FORWARD] < 0 or places[REVERSE] < 0:
+            return 0.0, math.nan
+        forward, reverse = self.drives.outputs[[places[FORWARD], places[REVERSE]]]
+        return float(self.drives.outputs[places[SPEED]] * (forward - reverse)), math.nan
+
     def switch(self, acts: Sequence[Act]) -> None:
         """Set outputs at rest without a program, one after the other; else StreamError."""
         self.read()
@@ -439,14 +486,19 @@ class Playback:
     def _switch_off(self, word: str) -> None:
         """Set what the machine file says for a stop; setpoints switch nothing any more."""
         self.cycle.mute(True)
-        self._forget_probe()
+        self._forget_states()
         self.switching.stop(word)
         self._off, self._queued = True, self.functions
         self.switching.work(0.0, lambda _: True)
+        self.drives.outputs[:] = self._commanded[: self._signals.wired]  # the clock may end
 
-    def _forget_probe(self) -> None:
+    def _forget_states(self) -> None:
+        """Let nothing that counts for a run alone count for the next one."""
         if self._signals.probe:
-            self.drives.outputs[self._signals.probe[0]] = 0.0
+            for outputs in (self._commanded, self.drives.outputs):
+                outputs[self._signals.probe[0]] = 0.0
+        if not self.cycle.follows:
+            self._commanded[self._signals.wired :] = 0.0
 
     def _see_answer(self, number: int) -> None:
         """Note that the probe has answered in the period of a setpoint, and come to rest."""
@@ -471,7 +523,8 @@ class Playback:
         self._starved_for = self._starved_for + seconds if starved else 0.0
         if self._starved_for >= LOST and not self._off:
             self._switch_off('lost_planner')
-        enough = self.state.may_start and self._has_enough()
+        self._pass_over()
+        enough = self.state.may_start and self._has_enough() and not self._passing
         self._queue_functions(enough)
         for act in switching.work(seconds, self._may_begin):
             self._note(act, self.played)
@@ -507,7 +560,7 @@ class Playback:
             self._off = False
             self.cycle.mute(False)
             self.switching.forget()
-            outputs = self.drives.outputs
+            outputs = self._commanded
             again = [a for a in self._wanted.values() if outputs[a.step.output] != a.value]
             self.switching.add(act._replace(number=NO_FUNCTION) for act in again)
         acts = self.buffer.chunks[0].acts
@@ -565,7 +618,7 @@ class Playback:
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
             source = REST  # delayed drives have failed in the meantime
-        if source == CHUNK:
+        if source in (CHUNK, FOLLOW):
             self._find(int(records.serial[0]))
         if events & ALARMED:
             assert isinstance(self.drives, CycleDrives)
@@ -576,11 +629,22 @@ class Playback:
             current = self._current
             self._empty()
             self._current, self._on_tail = current, True
-        if events & (ENDED | WAITED):
+        if events & WAITED and self._follows:
+            self.state = self.state.after(Event.FILL)
+            self._passing = True
+        elif events & (ENDED | WAITED):
             self._rest(bool(events & ENDED))
+        if events & ASTRAY and self.state.leaves_plan:
+            self._rest(on_tail=True)
+        elif events & ASTRAY:
+            text = f'line {self._line}: {self.spindle.cause(self.axes.machine.axis_names)}'
+            self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, text)
+        self._follows = source == FOLLOW
         if events & (REFUSED | FAILED):
             self._fail(records)
-        if source == REST or self.state.resting:
+        if self._follows:
+            self._measure_followed(records)
+        elif source == REST or self.state.resting:
             self._measure(None, records)
         else:
             first = int(records.row[0])
@@ -620,7 +684,7 @@ class Playback:
             return
         wait, self._current = current.chunk.wait, None
         if wait is Wait.END:
-            self._forget_probe()
+            self._forget_states()
         if wait is Wait.END and current.acts.end:
             self.switching.add(current.acts.end)
             self._finishing = True
@@ -645,6 +709,48 @@ class Playback:
         """Stop on the path, because of an alarm of the drives; at rest go to FAULT at once."""
         if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
+
+    @property
+    def _line(self) -> int:
+        return 0 if self._current is None else self._current.rows.lines[0]
+
+    def _measure_followed(self, records: Records) -> None:
+        wanted, answered = records.setpoint, records.answered
+        self.feedback = self.axes.measure(wanted, records.position, records.velocity, answered)
+        assert self._current is not None
+        block, ramp = int(self._current.rows.samples.block[0]), float(self.spindle.words[RAMP])
+        self.followed.append(
+            Followed(self.run_id, block, self._line, ramp, answered, records.angle)
+        )
+
+    def _pass_over(self) -> None:
+        """Count the setpoints of a line that has followed the spindle as played."""
+        while self._passing:
+            if self._current is None:
+                if not self.buffer.chunks:
+                    return
+                self._current = self.buffer.pop()
+            current = self._current
+            samples = current.rows.samples
+            for row, act in current.acts.rows:
+                self._note(act, self.played + row)
+            ends = current.chunk.wait is Wait.END
+            self.executed.append(
+                Executed(current.run_id, self.played, current.rows, samples.position, ends)
+            )
+            self.last = Reached(
+                int(samples.block[-1]), current.rows.lines[-1], float(samples.s[-1])
+            )
+            self.played += len(samples)
+            self.played_of_plan += len(samples)
+            if current.chunk.wait in (Wait.NOTHING, Wait.OVERRIDE):
+                self._current = None
+                continue
+            self._passing = False
+            self._rest(False)
+            if self._held_after and self.state.state is State.FILLING:
+                self._handle(Event.HOLD, Reason.FEED_HOLD)
+            self._held_after = False
 
     def _measure(self, samples: Setpoints | None, records: Records) -> bool:
         x, v, answered = records.position, records.velocity, records.answered

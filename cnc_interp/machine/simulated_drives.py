@@ -3,23 +3,46 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import carray, cfunc, types
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.drives.compensation import Compensation, compensate_all, compensate_once
 from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of
 from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine.axis_motion import AxisMotion, ContourErrors, Recording
 from cnc_interp.machine.drives import CycleDrives
+from cnc_interp.machine.spindle import INPUT
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
 CALM = 0.01  #: Time between two steps at rest [s].
+#: Of a simulated spindle: change of its speed without another one in the machine file [rev/s2],
+#: time in which it nears its speed [s], and words of its memory: step and memory of the axes,
+#: outputs and inputs by their addresses; their numbers; period, ramp and speed.
+RAMP, NEARS, SPIN_WORDS = 50.0, 0.03, 11
+
+
+@cfunc(types.int64(*[types.uintp] * 3, types.int64), cache=True)
+def spin_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
+    """Step the axes and turn the spindle; see ``drives.CycleDrives``."""
+    words = carray(pointer(memory), (SPIN_WORDS,))
+    head, period, ramp = words.view(np.int64), words[8], words[9]
+    fault = call_drives(np.uintp(head[0]), np.uintp(head[1]), setpoint, feedback, n)
+    outputs = carray(pointer(np.uintp(head[2])), (max(head[4], head[5], head[6]) + 1,))
+    inputs = carray(pointer(np.uintp(head[3])), (head[7] + 1,))
+    sense = outputs[head[5]] - outputs[head[6]]
+    change = (sense * outputs[head[4]] / 60.0 - words[10]) / NEARS
+    change = min(max(change, -ramp), ramp)
+    inputs[head[7]] += period * (words[10] + 0.5 * period * change)
+    words[10] += period * change
+    return int(fault)
 
 
 class SimulatedDrives:
     """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
 
-    wired, calm = False, CALM
+    wired, calm, ahead = False, CALM, 0.0
 
     def __init__(self, machine: Machine, period: float, position: FloatArray):
         self.lag, self.step = lag_of(machine), int(follow_once.address)
@@ -27,9 +50,24 @@ class SimulatedDrives:
         self.memory = np.concatenate([[float(words.shape[1])], words.ravel()])
         self._words = self.memory[1:].reshape(words.shape)
         self._signals = machine.signals
-        self.outputs = np.zeros(len(machine.signals.outputs))
+        self.outputs = np.zeros(machine.signals.wired)
         self.inputs = np.zeros(len(machine.signals.inputs))
+        self._spin(machine, period)
         self._before, self._unchanged = self.outputs.copy(), np.full(len(self.outputs), np.inf)
+
+    def _spin(self, machine: Machine, period: float) -> None:
+        """Let a spindle with an encoder turn in each period."""
+        if not machine.signals.spindle or machine.signals.spindle[INPUT] < 0:
+            return
+        self._axes = self.memory  # must stay where it is
+        places = machine.signals.spindle
+        self.memory = np.zeros(SPIN_WORDS)
+        head = self.memory.view(np.int64)
+        head[:4] = self.step, *(x.ctypes.data for x in (self._axes, self.outputs, self.inputs))
+        head[4:8] = places[: INPUT + 1]
+        ramp = machine.signals.inputs[places[INPUT]].ramp
+        self.memory[8:10] = period, ramp if np.isfinite(ramp) else RAMP
+        self.step = int(spin_once.address)
 
     @property
     def position(self) -> FloatArray:
@@ -93,7 +131,7 @@ def simulate(
 class CompensatedDrives:
     """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
 
-    wired, calm = False, CALM
+    wired, calm, ahead = False, CALM, 0.0
 
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None

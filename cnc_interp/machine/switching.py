@@ -55,8 +55,8 @@ class ActsOfChunk(NamedTuple):
         rows = [(row, act) for row, act in zip(at, acts, strict=True) if row < count]
         later = [(row, act) for row, act in zip(on_tail, acts, strict=True)][len(rows) :]
         tail = [(row, act) for row, act in later if row < len(chunk.tail)]
-        if any(act.step.wait != NO_WAIT for row, act in rows if row) or any(
-            act.step.wait != NO_WAIT for _, act in tail
+        if any(act.step.rests for row, act in rows if row) or any(
+            act.step.rests for _, act in tail
         ):
             raise StreamError('a function that waits must stand where the path rests')
         end = [act for _, act in later] if chunk.wait is Wait.END else []
@@ -83,12 +83,12 @@ class ActsOfChunk(NamedTuple):
     def waiting(self) -> int:
         """How many of those of row 0 come before the path may go on, the last one waits."""
         first = [act for row, act in self.rows if row == 0]
-        return max((k + 1 for k, act in enumerate(first) if act.step.wait != NO_WAIT), default=0)
+        return max((k + 1 for k, act in enumerate(first) if act.step.rests), default=0)
 
 
 class Switching:
-    def __init__(self, signals: Signals, drives: Drives):
-        self._signals, self._drives = signals, drives
+    def __init__(self, signals: Signals, drives: Drives, commanded: FloatArray):
+        self._signals, self._drives, self._commanded = signals, drives, commanded
         self._queue: deque[Act] = deque()
         self._is_set = self._answered = False  # the first one of the queue
         self._waited = 0.0  # since it was set [s]
@@ -150,7 +150,7 @@ class Switching:
             if not self._is_set:
                 if not may_begin(act):
                     break
-                self._drives.outputs[act.step.output] = act.value
+                self._commanded[act.step.output] = act.value
                 self._is_set, self._answered, self._waited = True, False, 0.0
                 done.append(act)
             if not self._is_answered(act.step):

@@ -78,6 +78,7 @@ class TrajectoryDrives:
     """
 
     wired, calm = False, 0.0
+    ahead = 0.0
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(
@@ -85,7 +86,7 @@ class TrajectoryDrives:
         limits: tuple[float, float], silence: float,
     ):  # fmt: skip
         self._names, self._controller = machine.axis_names, controller
-        self.outputs = np.zeros(len(machine.signals.outputs))
+        self.outputs = np.zeros(machine.signals.wired)
         self.inputs = np.zeros(len(machine.signals.inputs))
         self._period = round(period * 1e9)
         self._delay = round(delay * 1e9)

@@ -1,9 +1,13 @@
-"""Outputs and inputs of a machine, and what each function of a program does with them."""
+"""Outputs and inputs of a machine, and what each function of a program does with them.
+
+A machine with an output ``SPEED`` has ``STATES``, too. Words set them like outputs, but no drive
+gets them: the cycle (``machine/spindle.py``) and the planner of the feed read them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,30 @@ PROBE, ARMED = 'probe', 'probe_armed'
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Inputs of reference switches, as home_x.
 NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
+#: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
+SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
+ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
+FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
+PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
+SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
+THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
+#: Name and unit. G95; overrides that do not count (M49); G96: X of the centre, D and S; a line in
+#: step with the spindle: way of each axis in a turn, and turns, below 0 to come back as well.
+STATES: Mapping[str, str] = {
+    **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
+    **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
+    **dict.fromkeys(THREAD[:3], 'mm'), THREAD[3]: '',
+}  # fmt: skip
+#: Words that set states; a name stands for a value that the reader gives.
+OF_STATES: Mapping[str, Mapping[str, float | str]] = {
+    'G94': {PER_TURN: 0.0}, 'G95': {PER_TURN: 1.0},
+    'G96': {name: name for name in SURFACE}, 'G97': {SURFACE[2]: 0.0},
+    'M48': {FEED_FIXED: 0.0, SPINDLE_FIXED: 0.0}, 'M49': {FEED_FIXED: 1.0, SPINDLE_FIXED: 1.0},
+    'M50': {FEED_FIXED: FIXED}, 'M51': {SPINDLE_FIXED: FIXED},
+}  # fmt: skip
+#: The same with an encoder. The path rests before both, and follows the spindle between them.
+FOLLOWS, FREE = 'G33', 'G33 ends'
+LONGEST_START = 20.0  #: Longest wait for the speed before a thread [s].
 
 
 def home_input(axis: str) -> str:
@@ -44,6 +72,7 @@ class Signal:
     #: for a time [s].
     follows: tuple[int, ...] = ()
     after: float = 0.0
+    ramp: float = inf  #: How fast a spindle changes its speed, for its ``ANGLE`` [rev/s2].
 
     def fault_of(self, value: float) -> str:
         """Return why the signal cannot have a value; empty if it can."""
@@ -68,6 +97,11 @@ class Step:
     wait: int = NO_WAIT
     limit: float = inf  #: Longest wait [s].
     delay: float = 0.0  #: The input is looked at after so long, and the next step comes then [s].
+    ends: bool = False  #: Whether a line in step with the spindle ends there.
+
+    @property
+    def rests(self) -> bool:
+        return self.wait != NO_WAIT or self.ends
 
 
 @dataclass(frozen=True)
@@ -77,6 +111,21 @@ class Signals:
     steps: tuple[Step, ...] = ()  #: Of all functions; those of one are together.
     words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
+    wired: int = 0  #: Outputs that drives get; ``STATES`` come after them.
+
+    @property
+    def wires(self) -> tuple[Signal, ...]:
+        return self.outputs[: self.wired]
+
+    @property
+    def spindle(self) -> tuple[int, ...]:
+        """Numbers of ``SPEED``, ``FORWARD``, ``REVERSE``, ``ANGLE``, first state; () without."""
+        if self.wired == len(self.outputs):
+            return ()
+        names = [signal.name for signal in self.outputs]
+        found = [names.index(name) if name in names else -1 for name in (SPEED, FORWARD, REVERSE)]
+        angles = [k for k, signal in enumerate(self.inputs) if signal.name == ANGLE]
+        return (*found, angles[0] if angles else -1, self.wired)
 
     @property
     def probe(self) -> tuple[int, int] | None:
@@ -135,16 +184,41 @@ def signals(content: Mapping[str, Any]) -> Signals:
         each = listed if isinstance(listed, list) else [listed]
         steps += [_step(word, values, where, outputs, inputs) for values in each]
         words[word] = range(first, len(steps))
+    wired = len(outputs)
+    if SPEED in [signal.name for signal in outputs]:
+        outputs += tuple(Signal(name, True, unit, -1e9, 1e9) for name, unit in STATES.items())
+        _add_states(outputs, inputs, steps, words)
     after = given.get('after', [word for word in AFTER if word in words])
     if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
         raise MachineError('must list words of functions', 'signals.after')
-    found = Signals(outputs, inputs, tuple(steps), words, frozenset(after))
+    found = Signals(outputs, inputs, tuple(steps), words, frozenset(after), wired)
     for word, armed in ((TOWARD, 1.0), (AWAY, 2.0)):
         last = steps[words[word][-1]] if words.get(word) else None
         if last and (not found.probe or (last.output, last.value) != (found.probe[0], armed)):
             text = f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input'
             raise MachineError(text, f'signals.functions.{word}')
     return found
+
+
+def _add_states(
+    outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], steps: list[Step],
+    words: dict[str, range],
+) -> None:  # fmt: skip
+    names, known = ([signal.name for signal in signals] for signals in (outputs, inputs))
+    found = dict(OF_STATES)
+    if ANGLE in known and {FORWARD, REVERSE} <= set(names):
+        found |= {FOLLOWS: {name: name for name in THREAD}, FREE: {THREAD[3]: 0.0}}
+    wait = known.index(AT_SPEED) + 1 if AT_SPEED in known else NO_WAIT
+    for word, values in found.items():
+        if word not in words:
+            first = len(steps)
+            steps += [Step(word, names.index(name), value) for name, value in values.items()]
+            words[word] = range(first, len(steps))
+    if FOLLOWS in words:
+        k = words[FOLLOWS][-1]
+        steps[k] = replace(steps[k], wait=wait, limit=LONGEST_START, ends=True)
+        k = words[FREE][0]
+        steps[k] = replace(steps[k], ends=True)
 
 
 def _mapping(given: Mapping[str, Any], section: str) -> dict[str, Any]:
@@ -158,13 +232,22 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
     for name, values in _mapping(given, section).items():
         where, values = f'signals.{section}.{name}', values or {}
         known = {'unit', 'range'} if section == 'outputs' else {'follows', 'after_s'}
-        if not isinstance(values, dict) or set(values) - known or name == OPERATOR:
+        turns = name == ANGLE and section == 'inputs'
+        known = {'ramp_rpm_per_s'} if turns else known
+        taken = name == OPERATOR or name in STATES
+        if not isinstance(values, dict) or set(values) - known or taken:
             raise MachineError(f'may have {" and ".join(sorted(known))}', where)
         follows = values.get('follows', [])
         follows = follows if isinstance(follows, list) else [follows]
         if not set(follows) <= set(outputs):
             raise MachineError('must name outputs', f'{where}.follows')
         low, high = _range(values['range'], where) if 'range' in values else (0.0, 1.0)
+        if turns:
+            ramp = values.get('ramp_rpm_per_s', inf)
+            if not (_is_number(ramp) and ramp > 0.0) and ramp is not inf:
+                raise MachineError('must be above 0', f'{where}.ramp_rpm_per_s')
+            yield Signal(name, True, 'rev', -1e12, 1e12, ramp=ramp / 60.0)
+            continue
         yield Signal(
             name, 'range' in values, str(values.get('unit', '')), low, high,
             tuple(outputs.index(each) for each in follows), _time(values, 'after_s', where, 0.0),

@@ -124,7 +124,7 @@ class Controls:
             Act(signals.steps[f.step], f.value, k, f.step, 0, f.line_number)
             for k, f in enumerate(request.functions)
         ]
-        outputs = [signal.name for signal in signals.outputs]
+        outputs = [signal.name for signal in signals.wires]
         for name, value in zip(request.names, request.values, strict=True):
             if name not in outputs:
                 raise StreamError(f'{name!r} is no output; choose {", ".join(outputs)}')
@@ -167,14 +167,19 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 
 
 #: Smallest and largest value of each override, by its topic [-].
-RANGES = {'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0)}
+RANGES = {
+    'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0), 'spindle_override': (0.5, 1.2)
+}  # fmt: skip
 
 
 class Overrides:
-    """Both overrides. Only the machine node listens: a second listener might be found first."""
+    """The overrides. Only the machine node listens: a second listener might be found first."""
 
-    def __init__(self, node: Any, diagnostics: Diagnostics, wake: Callable[[], None]):
-        self.feed = self.rapid = 1.0
+    def __init__(
+        self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
+    ):
+        self.feed = self.rapid = self.spindle = 1.0
+        self._playback = playback
         self._diagnostics, self._wake = diagnostics, wake
         for topic in RANGES:
             node.create_subscription(Float64, topic, partial(self._take, topic), OVERRIDE)
@@ -185,6 +190,7 @@ class Overrides:
         sound = least <= value <= most
         if sound:
             setattr(self, topic.removesuffix('_override'), value)
+            self._playback.override_spindle(self.spindle)
         wrong = f'{value:g} refused: it must lie between {least:g} and {most:g}'
         self._diagnostics.say(topic, OK if sound else WARN, f'{value:g}' if sound else wrong)
 
@@ -199,7 +205,7 @@ class OperatorInputs:
     def see(self, state: MachineState) -> bool:
         before = self.settings
         self.settings = OperatorSettings(
-            state.feed_override, state.single_block, state.rapid_override
+            state.feed_override, state.single_block, state.rapid_override, state.spindle_override
         )
         return self.settings != before
 

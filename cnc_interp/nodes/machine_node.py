@@ -70,7 +70,7 @@ class MachineNode(LifecycleNode):
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
         self._pace = Pace(self, WORK_PERIOD, self._work)
-        self._overrides = Overrides(self, self._diagnostics, self._pace.wake)
+        self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
         self._controls = Controls(
             self, self._playback, self._diagnostics, self._give_up, self._pace.wake
         )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import (
     AxisFeedback,
+    FollowedSpindle,
     MachineSignals,
     MachineState,
     ProbeContact,
@@ -23,7 +24,12 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM
-from cnc_interp.wire.machine_messages import executed_setpoints, joint_state, machine_state
+from cnc_interp.wire.machine_messages import (
+    executed_setpoints,
+    followed_spindle,
+    joint_state,
+    machine_state,
+)
 from cnc_interp.wire.path_messages import signals_message
 
 EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
@@ -62,6 +68,7 @@ class MachineTopics:
         self._told_signals: MachineSignals | None = None
         self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
         self._contacts = node.create_publisher(ProbeContact, 'probe_contact', CONTACTS)
+        self._followed = node.create_publisher(FollowedSpindle, 'followed_spindle', STREAM)
         self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
         self._rates = (
             Rate(EXECUTED_RATE, self.publish_executed),
@@ -83,6 +90,7 @@ class MachineTopics:
         message.header.stamp = self._now()
         message.feed_override = self._overrides.feed
         message.rapid_override = self._overrides.rapid
+        message.spindle_override = self._overrides.spindle
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
         if self._homing.active and message.state == MachineState.IDLE:
             message.state = MachineState.JOGGING  # between two groups all axes rest
@@ -116,6 +124,9 @@ class MachineTopics:
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)
             self._compare(setpoints)
+        for followed in followed_spindle(self._playback):
+            followed.header.stamp = self._now()
+            self._followed.publish(followed)
 
     def _compare(self, executed: SetpointChunk) -> None:
         if self._uncompensated is None:

@@ -21,7 +21,8 @@ def listening_to(profile: QoSProfile) -> QoSProfile:
 
 
 #: ``blocks``, ``block_batches``, ``segments``: deeper than any window, so nothing is overwritten.
-#: ``executed_setpoints``, ``axis_feedback``: the record of a run must be complete.
+#: ``executed_setpoints``, ``axis_feedback``, ``followed_spindle``: the record
+#: of a run must be complete.
 STREAM = _last(DEPTH)
 #: ``setpoints``: 5 s with chunks of 5 ms; a stop tail may have 100 kB, and a slow recorder keeps
 #: all of them in memory.
@@ -38,5 +39,5 @@ DIAGNOSTICS = _last(64)  #: ``/diagnostics``: what aggregators ask for.
 #: ``loaded_program``, ``setup_table``, ``modal_state``, ``active_modes``: for who joins later.
 LOADED = _last(1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CONTACTS = _last(64)  #: ``probe_contact``: every one must arrive.
-OVERRIDE = _last(10)  #: ``feed_override``, ``rapid_override``: what ``ros2 topic pub`` offers.
+OVERRIDE = _last(10)  #: Overrides: what ``ros2 topic pub`` offers.
 BEATS = _last(1, BEST_EFFORT)  #: ``jog``: a beat that is lost must not come late.

@@ -1,4 +1,4 @@
-"""The keys of a page: stops, start and reset, switches, feed override and rapid override."""
+"""The keys of a page: stops, start and reset, switches, overrides, outputs."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -13,7 +13,7 @@ from cnc_interp.page.contact import Command, asked, key, pressing
 from cnc_interp.page.desk import Desk
 from cnc_interp.settings.options import Settings
 
-MOST, STEP = 150, 5  #: Largest override, and the step of its keys [%].
+STEP = 5  #: Of the keys of an override [%].
 RAPIDS = (25, 50, 100)  #: Keys of the rapid override [%].
 
 large = partial(key, look='unelevated')
@@ -26,26 +26,33 @@ class HeldSlider(ui.slider):
 
 
 class OverrideSlider:
-    """The feed override in one page: a slider, and keys that move it by a step or to 100 %."""
+    """An override in one page: a slider, and keys that move it by a step or to 100 %."""
 
-    def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
-        self._nodes, self._may_set = nodes, may_set
+    def __init__(
+        self, nodes: OperatorClient, may_set: Callable[[], bool], topic: str, name: str,
+        least: int, most: int,
+    ):  # fmt: skip
+        self._nodes, self._may_set, self._topic = nodes, may_set, topic
+        self._least, self._most = least, most
+        of = '' if name == 'override' else f'{name} '
         self._shown: float | None = None
         with ui.element('div').classes('slide'):
-            ui.label('override')
-            self._slider = HeldSlider(min=0, max=MOST, step=STEP, value=100, on_change=self._set)
-            self._slider.props('dense data-mark="override slider"')
+            ui.label(name)
+            self._slider = HeldSlider(
+                min=least, max=most, step=STEP, value=100, on_change=self._set
+            )
+            self._slider.props(f'dense data-mark="{of}override slider"')
             self._text = ui.label('100%').classes('value')
         with ui.element('div').classes('steps'):
             keys = [
-                key('−', 'slower', lambda: self._move(self._slider.value - STEP)),
-                key('+', 'faster', lambda: self._move(self._slider.value + STEP)),
-                key('100%', act=lambda: self._move(100)),
+                key('−', f'{of}slower', lambda: self._move(self._slider.value - STEP)),
+                key('+', f'{of}faster', lambda: self._move(self._slider.value + STEP)),
+                key('100%', f'{of}100%' if of else '', act=lambda: self._move(100)),
             ]
         self.elements = (self._slider, *keys)
 
     def _move(self, percent: float) -> None:
-        self._slider.set_value(min(max(percent, 0), MOST))
+        self._slider.set_value(min(max(percent, self._least), self._most))
         self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
@@ -55,12 +62,12 @@ class OverrideSlider:
         if self._may_set():
             self._shown = event.value / 100
             self._text.set_text(f'{event.value:.0f}%')
-            self._nodes.set_override(event.value / 100)
+            self._nodes.set_override(event.value / 100, self._topic)
         else:
             self.show_again()
 
     def show(self) -> None:
-        value = self._nodes.override
+        value = self._nodes.override_of(self._topic)
         if self._shown != value:
             self._shown = value
             self._slider.set_value(round(100 * value))
@@ -92,7 +99,7 @@ class RapidKeys:
             self._nodes.set_override(percent / 100, 'rapid_override')
 
     def show(self) -> None:
-        value = self._nodes.rapid_override
+        value = self._nodes.override_of('rapid_override')
         if self._shown == value:
             return
         self._shown = value
@@ -184,12 +191,16 @@ class Keys:
             *(self._switch(name) for name in SWITCHES),
             Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
         ]
-        self._override = OverrideSlider(desk.nodes, may_set)
+        nodes = desk.nodes
+        self._override = OverrideSlider(nodes, may_set, 'feed_override', 'override', 0, 150)
+        self._spindle = OverrideSlider(nodes, may_set, 'spindle_override', 'spindle', 50, 120)
         self._rapids = RapidKeys(desk.nodes, may_set)
         self._signals = SignalKeys(desk.nodes, in_sight)
         switches = (one.key for one in self._switches)
-        self._elements = (*keys, *switches, *self._override.elements, *self._rapids.keys.values())
-        ui.context.client.on_connect(self._override.show_again)
+        sliders = *self._override.elements, *self._spindle.elements
+        self._elements = (*keys, *switches, *sliders, *self._rapids.keys.values())
+        for slider in (self._override, self._spindle):
+            ui.context.client.on_connect(slider.show_again)
 
     def _switch(self, name: str) -> Switch:
         async def turn(on: bool) -> None:
@@ -210,5 +221,6 @@ class Keys:
         for switch in self._switches:
             switch.show()
         self._override.show()
+        self._spindle.show()
         self._rapids.show()
         self._signals.show()

@@ -112,6 +112,7 @@ class Page:
         self._pair('actual', 'feed', 'mm/min', 'pair feed')
         self._pair('programmed', 'programmed', 'mm/min')
         self._pair('override', 'override', '')
+        self._pair('spindle', 'spindle', '')
         ui.label('run').classes('heading')
         self._pair('distance to go', 'to go', 'mm')
         with ui.element('div').classes('two'):

@@ -78,7 +78,18 @@ def feed_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, s
         'feed': unit.feed(state.feedrate),
         'programmed': unit.feed(programmed) if math.isfinite(programmed) else NOTHING,
         'override': f'{desk.nodes.override:.0%}',
+        'spindle': spindle_text(state),
     }
+
+
+def spindle_text(state: MachineState) -> str:
+    """Return the speed of the spindle, and where in its turn it stands with an encoder."""
+    if not state.spindle_speed and math.isnan(state.spindle_angle):
+        return NOTHING
+    angle = (
+        '' if math.isnan(state.spindle_angle) else f', {360.0 * (state.spindle_angle % 1):.0f}°'
+    )
+    return f'{state.spindle_speed:.0f} rev/min{angle}'
 
 
 def progress_words(

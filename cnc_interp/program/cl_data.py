@@ -17,7 +17,6 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
-from cnc_interp.machine_model.signals import NO_WAIT
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, modes_without_motion
@@ -346,7 +345,7 @@ class ClReader:
             return False
         for steps in acting(self._signals, words, given, self._fault):
             for number, value in steps:
-                if self._signals.steps[number].wait != NO_WAIT and not self.targets.stands:
+                if self._signals.steps[number].rests and not self.targets.stands:
                     self.targets.stop_here()
                 self.targets.change((number, value), self.line_number)
         return True

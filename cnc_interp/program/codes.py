@@ -98,7 +98,7 @@ REFUSED_G: dict[str, str] = {
     **dict.fromkeys(('G5', 'G5.1', 'G5.2', 'G5.3'), f'spline moves are not supported; {_LINEAR}'),
     'G7': 'diameter programming is not supported; post with radii',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
-    'G32': 'a thread follows the spindle, which is not measured; leave it out',
+    'G32': 'post threads as G33, with the way per turn as K',
     'G51': 'scaling is not supported; post at full size',
     'G66': 'modal macro calls are not supported; call with G65',
     'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',

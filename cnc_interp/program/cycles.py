@@ -1,7 +1,7 @@
 """Holes, as the cycles of all dialects describe them; and the canned cycles of G-code.
 
 G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
-G84 and G74 tap: in and out at feed, without spindle synchronisation. G85 and G89 bore. G76 and G87
+G84 and G74 tap: in step with the spindle, or for a floating holder. G85 and G89 bore. G76 and G87
 of Fanuc shift the tool by I and J at the bottom, G88 waits there. Z, R, Q and P stay valid for the
 next holes. G98 retracts to the start level of the cycle, G99 to R.
 
@@ -54,6 +54,7 @@ class Hole:
     #: Feeds into the hole and out of it [m/s]; None: that of the program, and that into it.
     feed: float | None = None
     feed_out: float | None = None
+    reverse: str = ''  #: How the spindle leaves a tapped hole: M4, or M3 for a left-hand thread.
 
     def strokes(self) -> Iterator[tuple[float, int, bool, float]]:
         """Yield the level, kind, whether it is moved aside, and the stop at the end of strokes."""
@@ -101,6 +102,19 @@ def make_hole(
 ) -> None:
     kept = mover.feedrate
     feed = hole.feed or kept
+    if hole.reverse and mover.follows:
+        mover.feedrate = feed
+        pitch = mover.feed(feed_given)[0] * MINUTE / (mover.spindle_speed or np.inf)
+        for level in (*hole.pecks, hole.bottom):
+            target = place[:3].copy()
+            target[axis] = level
+            mover.targets.stop_here()
+            mover.in_step('tapping', mover.frames.point(target), pitch, True)
+        mover.feedrate = kept
+        go_along(mover, place, axis, hole.clear, feed_given)
+        return
+    signals = mover.geometry.machine.signals
+    turns = hole.reverse if {'M3', 'M4'} <= signals.words.keys() else ''
     beside = place.copy()
     beside[:3] += np.zeros(3) if hole.shift is None else hole.shift
     for level, kind, aside, stop in hole.strokes():
@@ -108,6 +122,9 @@ def make_hole(
         go_along(mover, beside if aside else place, axis, level, feed_given, kind == RAPID)
         if stop:
             mover.targets.stop_here(stop)
+        if turns and kind != RAPID:
+            mover.targets.stop_here()
+            mover.act(turns if level < hole.retract else _OTHER[turns], {})
     mover.feedrate = kept
 
 
@@ -115,7 +132,9 @@ def make_hole(
 _CLEARANCE = {MM: 0.254 * MM, INCH: 0.01 * INCH}
 _MOST_REPEATS = 10_000
 _PECKING = {'G73', 'G83'}
-TAPPING = {'G74', 'G84', 'G84.2', 'G84.3'}
+_REVERSES = {'G74': 'M3', 'G84': 'M4', 'G84.2': 'M4', 'G84.3': 'M3'}
+TAPPING = set(_REVERSES)
+_OTHER = {'M3': 'M4', 'M4': 'M3'}
 _FEED_OUT = {*TAPPING, 'G85', 'G89'}
 _RESTING = {'G76', 'G82', 'G86', 'G87', 'G89'}
 _SHIFTING = {'G76', 'G87'}
@@ -158,8 +177,10 @@ class CannedCycle:
             raise mover.fault('LinuxCNC takes no rotary words in a canned cycle; turn in a block '
                               'before, or choose --dialect fanuc', self.code)  # fmt: skip
         if self.code in (*_SHIFTING, 'G88') and mover.dialect is LINUXCNC:
-            threads = 'G76 cuts threads on LinuxCNC' if self.code == 'G76' else 'LinuxCNC has none'
-            raise mover.fault(f'{threads}; post the cycle as G0 and G1 moves', self.code)
+            why = 'LinuxCNC has none; post it as G0 and G1 moves'
+            if self.code == 'G76':
+                why = 'it cuts threads on LinuxCNC; post its passes as G33'
+            raise mover.fault(why, self.code)
         if self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17':
             raise mover.fault('LinuxCNC taps along the wrong axis here; tap in G17, or choose '
                               '--dialect fanuc', self.code)  # fmt: skip
@@ -186,7 +207,7 @@ class CannedCycle:
         hole = Hole(
             retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
             _CLEARANCE[mover.unit], self.code in TAPPING, self.code in _RESTING,
-            self.code == 'G88', out, self._shift(mover),
+            self.code == 'G88', out, self._shift(mover), reverse=_REVERSES.get(self.code, ''),
         )  # fmt: skip
         if self.code in _RESTING and self._sticky.get('P'):
             mover.notice(self.code, DWELL)
@@ -276,7 +297,7 @@ class SiemensCycle:
             for index, place in zip((7, 8), PLANES[mover.plane][:2], strict=True):
                 shift[place] = self._value(index) * unit
         if self.name in _SIEMENS_TAPPING:
-            mover.notice(self.name, 'feed in, feed out; the spindle is not synchronised')
+            mover.tell_tapping(self.name)
         rests = self.name in ('CYCLE82', 'CYCLE86', 'CYCLE88', 'CYCLE89') or self._value(5) > 0.0
         if rests and self._value(5):
             mover.notice(self.name, DWELL)
@@ -292,7 +313,7 @@ class SiemensCycle:
         hole = Hole(
             retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
             waits=waits, out=retract if self.name in _SIEMENS_FEED_OUT else None, shift=shift,
-            feed=self._feed(), feed_out=self._feed_out(),
+            feed=self._feed(), feed_out=self._feed_out(), reverse=self._reverse,
         )  # fmt: skip
         make_hole(mover, hole, here, axis)
 
@@ -304,6 +325,12 @@ class SiemensCycle:
         if self.name == 'CYCLE84':
             return abs(self._value(8)) * MM * (self._value(10) or speed) / MINUTE
         return abs(self._value(10)) * MM * speed / MINUTE if self.name == 'CYCLE840' else None
+
+    @property
+    def _reverse(self) -> str:
+        if self.name not in _SIEMENS_TAPPING:
+            return ''
+        return 'M3' if self._value(8 if self.name == 'CYCLE84' else 10) < 0.0 else 'M4'
 
     def _feed_out(self) -> float | None:
         """Return the feed out of the hole [m/s]; None: that into it."""

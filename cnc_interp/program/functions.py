@@ -13,7 +13,7 @@ from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine_entries import Standstill
-from cnc_interp.machine_model.signals import NO_WAIT, Signals
+from cnc_interp.machine_model.signals import FOLLOWS, FREE, Signals
 
 STOP_SPINDLE = ('M5', 'M6', 'M2', 'M30')  #: Words after which it rests.
 Acting = tuple[int, float]  #: A step of a function, and the value of its output.
@@ -58,7 +58,7 @@ class Functions(Table):
         return dict(Counter(first[k] for k in self.step.tolist() if k in first))
 
     def waits(self, signals: Signals) -> IntArray:
-        waiting = np.array([step.wait != NO_WAIT for step in signals.steps], dtype=np.bool_)
+        waiting = np.array([step.rests for step in signals.steps], dtype=np.bool_)
         return np.unique(self.block[waiting[self.step]]) if len(self) else self.block
 
     def standstill(self, signals: Signals, times: Standstill) -> FloatArray:
@@ -83,8 +83,13 @@ class Functions(Table):
         """Return the functions of a run from a row on; what still counts acts before it."""
         after = self.until(row)
         starts = {words.start for words in signals.words.values()}
+        threads = [k for word in (FOLLOWS, FREE) for k in signals.words.get(word, ())]
+        thread = np.isin(self.step[:after], threads)
+        here = self[:after][thread & (self.block[:after] == row)]  # a thread that begins there
         calls: list[list[int]] = []  # the rows of each word
         for k, step in enumerate(self.step[:after].tolist()):
+            if thread[k]:
+                continue
             if step in starts or not calls:
                 calls.append([])
             calls[-1].append(k)
@@ -99,5 +104,5 @@ class Functions(Table):
         rows = [k for at in sorted(places, key=lambda at: places[at]) for k in calls[at]]
         before = self[np.array(rows, dtype=np.int64)]
         return Functions.concatenate(
-            [replace(before, block=np.zeros_like(before.block)), self[after:]]
+            [replace(before, block=np.zeros_like(before.block)), here, self[after:]]
         )

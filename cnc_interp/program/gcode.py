@@ -14,8 +14,8 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import INCH, MINUTE
-from cnc_interp.machine_model.signals import NO_WAIT
+from cnc_interp.core.units import INCH, MM
+from cnc_interp.machine_model import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, cycles, probing, scan
 from cnc_interp.program.active_modes import NONE, ActiveModes
@@ -71,6 +71,8 @@ class GcodeReader:
         self._tool = self._chosen_tool = setup.tool
         self._called: SiemensCycle | None = None  # by MCALL
         self._outputs: dict[str, str] = {}  # the last M code of each output
+        #: What functions have set last: G94 or G95, and what ``SURFACE`` names with G96.
+        self._states: tuple[str, tuple[float, ...]] = 'G94', ()
         self._signals = geometry.machine.signals
         self._percent_seen = False
         self._leader = leader_lines(source)
@@ -202,6 +204,7 @@ class GcodeReader:
             and not self.mover.radius_code
             and not self.splines.open
             and not self._plane.parts
+            and not self.mover.by_surface_speed
             and self.settings.numbers != 'increments'
         )
         if len(rows) >= SHORTEST and in_main and free:
@@ -303,10 +306,9 @@ class GcodeReader:
             if not changes:
                 raise self.fault('T is written twice in one block; keep one of them', 'T')
             self._chosen_tool = round(min(abs(words.second_tool), 1e6))
-        if 'S' in values:
-            mover.spindle_speed = values['S']
         unit = mover.unit
         self._settings(words)
+        self._set_speed(words)
         for code in words.m:
             self._machine_function(code)
         before, after = self._functions(words)
@@ -421,7 +423,7 @@ class GcodeReader:
                     self._cycle = CannedCycle(code, self._level())
                 self._cycle.code = code
                 if code in TAPPING:
-                    self.notice(code, 'feed in, feed out; the spindle is not synchronised')
+                    self.mover.tell_tapping(code)
             elif code == 'G80':
                 self._cycle = None
             elif code == 'G69':
@@ -445,7 +447,8 @@ class GcodeReader:
                 mover.by_surface_speed = code == 'G96' or (
                     mover.by_surface_speed and code != 'G97'
                 )
-                self.notice(code, codes.HARMLESS_G[code])
+                if code not in self._signals.words:
+                    self.notice(code, codes.HARMLESS_G[code])
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; post without it', code)
         if (
@@ -480,19 +483,55 @@ class GcodeReader:
                 self.notice(code, 'no effect, it does not move the tool')
 
     def _functions(self, words: BlockWords) -> tuple[list[Acting], list[Acting]]:
-        values = words.values
+        values, mover = words.values, self.mover
         found = [letter for letter in 'ST' if letter in values]
+        of_feed = 'G95' if mover.feed_mode == 'G95' else 'G94'
+        states = of_feed, (*self._surface(), mover.surface_speed) * mover.by_surface_speed
+        if states[0] != self._states[0]:
+            found.insert(0, of_feed)
+        if states[1] != self._states[1]:
+            found.insert(0, 'G96' if states[1] else 'G97')
+        if states[1] and 'S' in found:
+            found.remove('S')
+        self._states = states
+        found = [word for word in found if word in self._signals.words]
         found += sorted(words.m, key=lambda code: codes.FIRST_M.get(code, len(codes.FIRST_M)))
         tool = self._tool if 'M6' in words.m else self._chosen_tool
-        given = {**values, 'S': self.mover.spindle_speed, 'T': float(tool)}
+        given = {**values, 'S': mover.spindle_speed, 'T': float(tool)}
+        given |= zip(signals.SURFACE, states[1], strict=False)
+        if {'M50', 'M51'} & set(words.m):
+            given[signals.FIXED] = float(values.pop('P', 1.0) == 0.0)
         moments = acting(self._signals, found, given, self.fault)
         for letter in self._signals.letters(found) & {'P', 'Q'}:
             values.pop(letter, None)
         return moments
 
+    def _set_speed(self, words: BlockWords) -> None:
+        """Take S, a speed of the surface with G96, whose D is the largest speed."""
+        mover, speed = self.mover, words.values.get('S')
+        by_surface = mover.by_surface_speed and 'G96' in self._signals.words
+        if 'G96' in words.g and by_surface:
+            mover.surface_limit = abs(words.values.pop('D', 0.0))
+            if speed is None:
+                raise self.fault('needs S, the speed of the surface', 'G96')
+            if mover.tcp or (mover.rotary_letters and mover.rotary.any()):
+                raise self.fault('the rotary axes must be at 0, without tool-tip programming',
+                                 'G96')  # fmt: skip
+        if by_surface and speed is not None:
+            mover.surface_speed = speed * (1.0 if mover.unit == MM else 0.3048)
+        elif speed is not None:
+            mover.spindle_speed = speed
+        elif self._states[1] and not by_surface:
+            raise self.fault('needs S, the speed in rev/min', 'G97')
+
+    def _surface(self) -> tuple[float, float]:
+        """Return X of the axis where that of the program is 0 [mm], and the largest speed."""
+        mover = self.mover
+        return float((mover.frames.point(np.zeros(3)) + mover.zero)[0] / MM), mover.surface_limit
+
     def _act(self, steps: list[Acting]) -> None:
         for number, value in steps:
-            if self._signals.steps[number].wait != NO_WAIT:
+            if self._signals.steps[number].rests:
                 self.mover.end_corner()
                 if not self.targets.stands or self.splines.open:
                     self.splines.stop_here()
@@ -562,18 +601,16 @@ class GcodeReader:
 
     def _thread(self, code: str, words: BlockWords) -> None:
         """Process G33, and G33.1 which comes back: K is the way per turn of the spindle."""
-        mover = self.mover
-        pitch, speed = words.values.pop('K', 0.0), mover.spindle_speed
-        if not pitch * speed > 0.0:
-            raise self.fault('needs K, the way per turn, and S', code)
-        self.notice(code, 'at the feed of K and S; the spindle is not synchronised')
-        start, target = mover.here(), mover.target(words)
-        kept = mover.feed_mode, mover.feedrate
-        mover.feed_mode, mover.feedrate = 'G94', pitch * speed * mover.unit / MINUTE
-        for place in (target, start)[: 2 if code == 'G33.1' else 1]:
-            mover.go(mover.frames.point(place[:3]), mover.rotary, rapid=False)
-            self.splines.stop_here()
-        mover.feed_mode, mover.feedrate = kept
+        mover, pitch = self.mover, words.values.pop('K', 0.0)
+        if not mover.follows:
+            raise self.fault('the spindle has no encoder; name the input spindle_angle in the '
+                             'machine file', code)  # fmt: skip
+        if not pitch > 0.0:
+            raise self.fault('needs K, the way per turn', code)
+        mover.end_corner()
+        self.splines.stop_here()
+        target = mover.frames.point(mover.target(words)[:3])
+        mover.in_step(code, target, pitch * mover.unit, code == 'G33.1')
 
     def _probe(self, code: str, words: BlockWords) -> None:
         """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""

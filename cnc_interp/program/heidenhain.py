@@ -466,8 +466,7 @@ class HeidenhainReader(GcodeReader):
             )  # fmt: skip
         taps = self.cycle in (2, 206, 207)
         if taps:
-            mover.notice(f'CYCL DEF {self.cycle}',
-                         'feed in, feed out; the spindle is not synchronised')  # fmt: skip
+            mover.tell_tapping(f'CYCL DEF {self.cycle}')
         reams = self.cycle == 201 and of('Q208') < np.inf
         breaks = self.cycle in (203, 205) and (of('Q213') > 0.0 or of('Q257') > 0.0)
         here = mover.here()
@@ -480,6 +479,7 @@ class HeidenhainReader(GcodeReader):
             of('Q256') * unit or _BREAK if breaks else _NEAR, rests=of('Q211') > 0.0 or taps,
             out=retract if taps or reams else None, feed=feed,
             feed_out=of('Q208') * unit / MINUTE if reams else None,
+            reverse=('M3' if of('Q239') < 0.0 else 'M4') if taps else '',
         )  # fmt: skip
         make_hole(mover, hole, here, axis)
 

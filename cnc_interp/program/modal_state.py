@@ -11,6 +11,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
 from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
@@ -45,7 +46,8 @@ NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write
 _SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_mode',
              'retract_to_start', 'stop_always')  # fmt: skip
 _VALUES = ('great_circle', 'tcp', 'oriented', 'feedrate', 'turn_rate', 'blocks_per_minute',
-           'feed_changed', 'spindle_speed', 'contour', 'orientation', 'polar')  # fmt: skip
+           'feed_changed', 'spindle_speed', 'contour', 'orientation', 'polar', 'by_surface_speed',
+           'surface_speed', 'surface_limit')  # fmt: skip
 _COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation',
              'polar')  # fmt: skip
 
@@ -131,6 +133,7 @@ class ModalState:
         self.feed_changed = False  # whether the feed mode changed after the last F
         self.spindle_speed = 0.0
         self.by_surface_speed = False  # whether S is a speed of the surface (G96)
+        self.surface_speed = self.surface_limit = 0.0  # [m/min], and the largest [rev/min]
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
         # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
@@ -364,6 +367,19 @@ class ModalState:
         else:  # with G95 the unit is m per rev/min; the spindle speed converts it to m/s
             self.feedrate, self.turn_rate = value * unit / MINUTE, value * DEG / MINUTE
 
+    @property
+    def follows(self) -> bool:
+        return FOLLOWS in self.geometry.machine.signals.words
+
+    def tell_tapping(self, code: str) -> None:
+        words = self.geometry.machine.signals.words
+        told = 'feed in, feed out; the spindle is not synchronised'
+        if self.follows:
+            told = 'in step with the spindle; R must leave the way that it needs to get there'
+        elif {'M3', 'M4'} <= words.keys():
+            told = 'for a floating holder: feed in, the spindle is reversed, feed out'
+        self.notice(code, told)
+
     def system_variables(self, tool: int) -> dict[int, float]:
         """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
         setup = self.setup
@@ -410,7 +426,8 @@ class ModalState:
             'TOOL_OFFSET': bool(self.frames.length), 'RETRACT_OLD_Z': self.retract_to_start,
             'RETRACT_R_PLANE': not self.retract_to_start,
             'IJK_ABSOLUTE_MODE': self.centre_absolute, 'LATHE_DIAMETER_MODE': False,
-            'LATHE_RADIUS_MODE': True, 'SPINDLE_RPM_MODE': True, 'SPINDLE_CSS_MODE': False,
+            'LATHE_RADIUS_MODE': True, 'SPINDLE_RPM_MODE': not self.by_surface_speed,
+            'SPINDLE_CSS_MODE': self.by_surface_speed,
             'SPINDLE_ON': outputs.get('spindle') in ('M3', 'M4'),
             'SPINDLE_CW': outputs.get('spindle') == 'M3',
             'MIST': outputs.get('mist') == 'M7', 'FLOOD': outputs.get('coolant') == 'M8',

@@ -5,17 +5,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf, nan, pi
 
 import numpy as np
 
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG
+from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.machine_model.signals import FOLLOWS, FREE, THREAD
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of
 from cnc_interp.program.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.functions import acting
 from cnc_interp.program.modal_state import FARTHEST, ModalState
 from cnc_interp.program.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.words import BlockWords
@@ -172,6 +175,37 @@ class Mover(ModalState):
             self._check_aim()
         else:
             self.go(point, rotary, rapid=True)
+
+    def act(self, word: str, given: Mapping[str, float]) -> None:
+        """Let a function act before the next motion."""
+        signals = self.geometry.machine.signals
+        for moment in acting(signals, [word], given, self.fault):
+            for step in moment:
+                self.targets.change(step, self.flow.main_line)
+
+    def in_step(self, code: str, point: FloatArray, pitch: float, comes_back: bool) -> None:
+        """Go to a point in step with the spindle, by ``pitch`` in a turn [m], and maybe back."""
+        if self.by_surface_speed or not self.spindle_speed > 0.0:
+            raise self.fault('needs S, the speed in rev/min', code)
+        if self.vector is not None:
+            raise self.fault('needs rotary words before, not directions', code)
+        start, rotary = self.point, self.rotary
+        way = point - start
+        if self.tcp:
+            ends = np.stack([start, point]), np.tile(rotary, (2, 1))
+            way = np.diff(self.geometry.linear(*ends), axis=0)[0]
+        turns = float(np.linalg.norm(way)) / pitch
+        if not turns > 0.0:
+            raise self.fault('needs a motion', code)
+        told = *way / turns / MM, -turns if comes_back else turns
+        self.act(FOLLOWS, dict(zip(THREAD, told, strict=True)))
+        kept = self.feed_mode, self.feedrate
+        self.feed_mode, self.feedrate = 'G94', pitch * self.spindle_speed / MINUTE
+        for place in (point, start)[: 1 + comes_back]:
+            self.go(place, rotary, rapid=False)
+            self.targets.stop_here()
+        self.feed_mode, self.feedrate = kept
+        self.act(FREE, {})
 
     def _check_aim(self) -> None:
         frames = self.frames

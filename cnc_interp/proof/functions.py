@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core.arrays import BoolArray
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import AWAY, NO_WAIT, TOWARD, Signals
+from cnc_interp.machine_model.signals import AWAY, TOWARD, Signals
 from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MISSING = -1  #: In place of the setpoint of a function that did not come out.
 _COMMENT = re.compile(r'\([^()]*\)|;.*')
-_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(31|38\.[2-5])(?![\d.])')
+_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(31|38\.[2-5]|9[67])(?![\d.])')
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
@@ -50,7 +50,7 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     demand(~came | (here >= block) | at_end, 'came out before its block')
     late = np.where(at_end, here >= block, (sample > 0) & (before >= block))
     demand(~came | ~late, 'came out after the begin of its block')
-    waiting = np.array([each.wait != NO_WAIT for each in signals.steps], dtype=np.bool_)[step]
+    waiting = np.array([each.rests for each in signals.steps], dtype=np.bool_)[step]
     ahead = (block > 1) & (block < len(plan.blocks['tip'])) & waiting
     rests = plan.blocks['exact_stop'][np.clip(block - 1, 0, len(plan.blocks['tip']) - 1)]
     demand(~ahead | rests, 'is waited for, but the path does not rest there')
@@ -69,11 +69,15 @@ def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
 
 def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
     read: Counter[tuple[int, str, float]] = Counter()
+    by_surface = False  # S is no speed of the spindle then (G96)
     for number, line in enumerate(text.upper().splitlines(), start=1):
-        for letter, value, probe in _WORD.findall(_COMMENT.sub(' ', line)):
+        found = _WORD.findall(_COMMENT.sub(' ', line))
+        modes = [code for *_, code in found if code in ('96', '97')]
+        by_surface = modes[-1] == '96' if modes else by_surface
+        for letter, value, code in found:
             word = f'M{float(value):g}' if letter == 'M' else letter
-            if probe:
-                word = AWAY if probe in ('38.4', '38.5') else TOWARD
+            if code or (by_surface and letter == 'S'):
+                word = {'38.4': AWAY, '38.5': AWAY, '96': '', '97': '', '': ''}.get(code, TOWARD)
             if word in machine.signals.words:
                 read[number, word, float(value) if letter in 'ST' else 0.0] += 1
     planned = Counter(_words(plan.functions, machine.signals))

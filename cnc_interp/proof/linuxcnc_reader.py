@@ -174,6 +174,8 @@ class _Printed:
             self.plane = _PLANES[text[-2:]]
         elif name == 'SET_FEED_RATE':
             self.feed = numbers[0] * self.unit / 60.0
+        elif name in ('START_SPEED_FEED_SYNC', 'RIGID_TAP'):
+            raise LinuxCNCError("threads of LinuxCNC's rs274 are not compared")
         elif name == 'SET_FEED_MODE':
             self.mode = 'G95' if numbers[-1] else self.mode
         elif name == 'COMMENT' and 'feed mode set to' in text:

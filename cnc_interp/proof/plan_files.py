@@ -50,11 +50,16 @@ FUNCTION_COLUMNS = {
     'block': WHOLE, 'line_number': WHOLE, 'step': WHOLE, 'value': REAL, 'before_stop': LOGICAL,
     'sample': WHOLE,
 }  # fmt: skip
+#: Files that only some plans have: what the program switches, and lines in step with the spindle.
+SELDOM = {
+    'functions': FUNCTION_COLUMNS,
+    'followed': {'block': WHOLE, 'ramp': REAL, 'angle': REAL, 'position': AXES},
+}
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
 MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
-# Largest feed override that the nodes accept, and the periods that can be chosen [s].
-LARGEST_OVERRIDE, PERIODS = 1.5, (1e-5, 0.1)
+# Largest feed and spindle override together, and the periods that can be chosen [s].
+LARGEST_OVERRIDE, PERIODS = 1.8, (1e-5, 0.1)
 # Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
 # What the readers of archives and arrays raise for files that are not sound.
@@ -158,6 +163,9 @@ class PlanFiles:
     functions: Columns = field(
         default_factory=lambda: {name: of.filled(0) for name, of in FUNCTION_COLUMNS.items()}
     )
+    #: Setpoints of lines in step with the spindle, by ``block``, and its ``angle`` [rev]; of a
+    #: record only.
+    followed: Columns = field(default_factory=dict)
 
     def in_memory(self) -> PlanFiles:
         setpoints, path = (
@@ -237,11 +245,13 @@ def read_plan(directory: Path) -> PlanFiles:
     fault = _nonsense(blocks)
     if fault:
         raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
-    switches = directory / 'functions.npz'  # only where the program has some
-    if not switches.exists():
-        return PlanFiles(setpoints, path, blocks, summary)
-    functions = _read_columns(switches, FUNCTION_COLUMNS)
-    return PlanFiles(setpoints, path, blocks, summary, functions)
+    plan = PlanFiles(setpoints, path, blocks, summary)
+    seldom = {
+        name: _read_columns(file, columns)
+        for name, columns in SELDOM.items()
+        if (file := directory / f'{name}.npz').exists()
+    }
+    return replace(plan, **seldom)
 
 
 def _nonsense(blocks: Columns) -> str:
@@ -308,7 +318,7 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
                 raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
-            whole = declared in (BLOCK_COLUMNS, FUNCTION_COLUMNS)
+            whole = declared in (BLOCK_COLUMNS, *SELDOM.values())
             stored = {} if whole else _stored(file)
             columns = {
                 name: stored[name] if name in stored else archive[name] for name in archive.files

@@ -9,6 +9,7 @@ computes the forward kinematics, and simulates the drives where the error at the
 - Order: the motion follows the program from vertex to vertex (``order.py``).
 - Completeness: the motion passes every vertex, and every axis its words (``completeness.py``).
 - Functions: each came out once, in order, at the begin of its block (``functions.py``).
+- Lines in step with the spindle: pitch, depth, limits (``followed.py``).
 - The error that simulated drives leave at the tool, if the plan limits it (``beside.py``).
 - The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
 """
@@ -27,6 +28,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.beside import with_tool_error
 from cnc_interp.proof.completeness import prove_completeness
+from cnc_interp.proof.followed import prove_followed
 from cnc_interp.proof.functions import prove_functions
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
@@ -65,6 +67,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     _prove_order(ledger, plan)
     _prove_summary(ledger, plan)
     prove_functions(ledger, plan, machine)
+    prove_followed(ledger, plan, machine)
     if plan.path:
         prove_grid(ledger)
     ledger.plan = plan = with_chords(plan, machine)

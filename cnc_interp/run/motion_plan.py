@@ -18,10 +18,17 @@ from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.run.stop_tails import ChunkCutter, FunctionQueue, StopSearch, way_down
+from cnc_interp.run.stop_tails import (
+    NO_SIGNALS,
+    ChunkCutter,
+    FunctionQueue,
+    StopSearch,
+    way_down,
+)
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
+    from cnc_interp.machine_model.signals import Signals
 
 #: No revision begins within this time before rest [s]. It waits, because the jerk stage cannot
 #: resolve the path of a few periods.
@@ -34,6 +41,8 @@ class OperatorSettings:
     override: float = 1.0
     single_block: bool = False  #: Rest at the end of each source line until cycle_start.
     rapid: float = 1.0  #: Factor on the speed of rapids, up to 1 [-].
+    #: Factor on the speed of the spindle, 0.5 to 1.2, and on the feed in a turn of it (G95) [-].
+    spindle: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +121,9 @@ class MotionPlan:
     def _scaled(self, path: AxisPath) -> FloatArray:
         """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
         settings = self.settings
-        feed: FloatArray = path.cell_feed * settings.override
+        feed = path.cell_feed * self._context.functions.feed_share(
+            path.cell_block, settings.override, settings.spindle
+        )
         rapids = np.isinf(path.cell_feed)
         # No line of the program commands the ways by block 0: they follow the feed override, too.
         ways = np.where(path.cell_block[rapids] == 0, min(1.0, settings.override), 1.0)
@@ -216,9 +227,12 @@ class MotionStream:
     def __init__(
         self, limits: AxisLimits, period: float, chunk_size: int = 10,
         line_of: Callable[[int], int] = int, settings: OperatorSettings | None = None,
-        tool: ToolLimit | None = None,
+        tool: ToolLimit | None = None, signals: Signals = NO_SIGNALS,
     ):  # fmt: skip
-        self._context = PlanContext(limits, period, chunk_size, line_of, tool=tool)
+        functions = FunctionQueue(signals)
+        self._context = PlanContext(
+            limits, period, chunk_size, line_of, tool=tool, functions=functions
+        )
         self.course, self.functions = self._context.course, self._context.functions
         self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
 

@@ -38,6 +38,7 @@ _AS_IN_BLOCKS = (
     'interpolation', 'duration', 'exact_stop', 'top', 'knot_interval',
 )  # fmt: skip
 #: Path cells, and setpoints, that are gathered before they are measured and written.
+SELDOM = 'functions', 'followed'  #: Files that only some plans have.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 
@@ -54,7 +55,7 @@ class PlanWriter:
         self._spool = tempfile.TemporaryDirectory(prefix='.plan-', dir=directory)
         self._archives = {
             name: _Archive(Path(self._spool.name), name)
-            for name in ('blocks', 'segments', 'path', 'setpoints', 'functions')
+            for name in ('blocks', 'segments', 'path', 'setpoints', *SELDOM)
         }
         self.functions = Functions.none()
         #: Numbers of the setpoints with which they acted; of a plan, those of the program.
@@ -147,6 +148,11 @@ class PlanWriter:
         if sum(map(len, self._samples)) >= SETPOINTS_AT_ONCE:
             self._write_setpoints()
 
+    def followed(self, block: int, ramp: float, angle: FloatArray, position: FloatArray) -> None:
+        """Take setpoints that a recorded line had in step with the spindle."""
+        columns = {'block': np.full(len(angle), block), 'ramp': np.full(len(angle), ramp)}
+        self._archives['followed'].append(columns | {'angle': angle, 'position': position})
+
     def _write_setpoints(self) -> None:
         if not self._samples:
             return
@@ -172,9 +178,10 @@ class PlanWriter:
                 blocks = self._archives['setpoints'].rows('block')
                 acted = np.searchsorted(blocks, self.functions.block)
             self._archives['functions'].append(self.functions.columns() | {'sample': acted})
-        else:  # those of another plan may be there
-            del self._archives['functions']
-            (self._directory / 'functions.npz').unlink(missing_ok=True)
+        for name in SELDOM:
+            if not self._archives[name].used:  # those of another plan may be there
+                del self._archives[name]
+                (self._directory / f'{name}.npz').unlink(missing_ok=True)
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
         summary = self.figures.summary(source, seconds, largest_override, setup)
@@ -193,6 +200,10 @@ class _Archive:
             if name not in self._columns:
                 self._columns[name] = _Column(self._folder / f'{self._name}.{name}', rows, name)
             self._columns[name].append(rows)
+
+    @property
+    def used(self) -> bool:
+        return bool(self._columns)
 
     def rows(self, name: str) -> NDArray[Any]:
         column, lane = self._columns[name], self._columns[name].lanes[0]

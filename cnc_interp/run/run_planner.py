@@ -56,7 +56,10 @@ class RunPlanner:
         self._builder = AxisPathBuilder(transform, flank_height, period)
         limits = limits_at(transform.machine, period)
         chunk_size = max(1, round(chunk_time / period))
-        self.stream = MotionStream(limits, period, chunk_size, self.line_of, settings, tool)
+        signals = transform.machine.signals
+        self.stream = MotionStream(
+            limits, period, chunk_size, self.line_of, settings, tool, signals
+        )
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)

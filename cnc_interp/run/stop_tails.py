@@ -10,11 +10,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.signals import (
+    FEED_FIXED,
+    PER_TURN,
+    SPEED,
+    SPINDLE_FIXED,
+    Signals,
+)
 from cnc_interp.program.functions import Functions
 from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
@@ -24,6 +31,7 @@ STOP_EVERY = 0.005  #: Time between setpoints at which a stop is looked for [s].
 HASTE, HASTY_EVERY = 0.3, 0.02
 #: Part of every limit that the way down leaves free, so that a law beside it exists [-].
 LEEWAY = 6e-3
+NO_SIGNALS = Signals()
 
 
 class StopSearch:
@@ -59,11 +67,36 @@ class StopSearch:
 
 
 class FunctionQueue:
-    def __init__(self) -> None:
+    def __init__(self, signals: Signals = NO_SIGNALS) -> None:
+        self._output = np.array([step.output for step in signals.steps], dtype=np.int64)
+        self._signals, self._set = signals, dict[str, float]()  # by those that were dropped
         self._kept, self._first, self.done = NO_FUNCTIONS, 0, 0  # done: by the machine
+
+    def feed_share(self, block: IntArray, feed: float, spindle: float) -> FloatArray:
+        """Return the factor of overrides on the feed of blocks: M49 and G95 change it."""
+        if not self._signals.spindle or not (self._set or len(self._kept)):
+            return np.full(len(block), feed)
+        signals = self._signals
+        names = [signal.name for signal in signals.outputs]
+
+        def value(name: str) -> FloatArray:
+            mine = self._output[self._kept.step] == names.index(name)
+            values = np.concatenate([[self._set.get(name, 0.0)], self._kept.value[mine]])
+            return values[np.searchsorted(self._kept.block[mine], block, side='right')]
+
+        turns = np.where(value(SPINDLE_FIXED) == 0.0, spindle, 1.0)
+        most = signals.outputs[names.index(SPEED)].high
+        turns = np.minimum(turns, most / np.maximum(value(SPEED), 1e-9))
+        share = np.where(value(FEED_FIXED) == 0.0, feed, 1.0)
+        return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
     def push(self, functions: Functions) -> None:
         drop = min(max(self.done - self._first, 0), len(self._kept))
+        gone = self._kept[:drop]
+        if len(self._output):
+            outputs = self._output[gone.step].tolist()
+            for output, value in zip(outputs, gone.value.tolist(), strict=True):
+                self._set[self._signals.outputs[output].name] = value
         self._first += drop
         self._kept = Functions.concatenate([self._kept[drop:], functions])
 

@@ -1,10 +1,11 @@
 """The state of the machine, its joints and what it executed as messages."""
 
+from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import AxisFeedback, MachineState, SetpointChunk
+from cnc_interp_msgs.msg import AxisFeedback, FollowedSpindle, MachineState, SetpointChunk
 from sensor_msgs.msg import JointState
 
 from cnc_interp.machine.axis_motion import Recording
@@ -49,6 +50,18 @@ def executed_setpoints(
     return found
 
 
+def followed_spindle(playback: Playback) -> Iterator[FollowedSpindle]:
+    """Yield what was in step with the spindle since the last call, one message for each line."""
+    found = [playback.followed.popleft() for _ in range(len(playback.followed))]
+    for (run_id, block), parts in groupby(found, lambda each: (each.run_id, each.block)):
+        each = list(parts)
+        yield FollowedSpindle(
+            program_id=run_id.program_id, sequence=block, line_number=each[-1].line,
+            ramp=each[-1].ramp, angles=np.concatenate([part.angle for part in each]).tolist(),
+            positions=packed(np.concatenate([part.position for part in each])),
+        )  # fmt: skip
+
+
 def _executed_of_plan(
     executed: list[Executed], period: float
 ) -> tuple[SetpointChunk, AxisFeedback]:
@@ -84,6 +97,7 @@ def machine_state(playback: Playback, period: float) -> MachineState:
     last = playback.last
     least = playback.least_buffered
     recent = axes.take_recent_use()
+    speed, angle = playback.turning
     message = MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
         **{name: getattr(playback, name) for name in OF_PLAYBACK},
@@ -111,6 +125,8 @@ def machine_state(playback: Playback, period: float) -> MachineState:
         recent_jerk_use=recent[2].tolist(),
         buffered_time=playback.buffer.count * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
+        spindle_speed=speed,
+        spindle_angle=angle,
         message=run.text,
     )
     message.header.frame_id = 'workpiece'

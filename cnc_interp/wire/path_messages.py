@@ -234,8 +234,10 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
 def signals_message(
     signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
 ) -> MachineSignals:
+    """Return outputs and inputs, without those that change all the time: numbers."""
+    told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
     return MachineSignals(
-        outputs=[signal.name for signal in signals.outputs], output_values=list(outputs),
-        output_is_number=[signal.is_number for signal in signals.outputs],
-        inputs=[signal.name for signal in signals.inputs], input_values=list(inputs),
+        outputs=[signal.name for signal in signals.wires], output_values=list(outputs),
+        output_is_number=[signal.is_number for signal in signals.wires],
+        inputs=[signals.inputs[k].name for k in told], input_values=[inputs[k] for k in told],
     )  # fmt: skip

@@ -321,7 +321,7 @@ def lit(tab, key):
 
 
 @pytest.mark.thorough
-def test_rapid_override_by_key_and_keyboard(panel):
+def test_rapid_and_spindle_override_by_key_and_keyboard(panel):
     tab = panel.open_in_charge()
     tab.wait(lambda: lit(tab, 'rapid 100%'))
     panel.press_key(tab, 'rapid 25%', lambda: panel.peers.state.rapid_override == 0.25)
@@ -336,6 +336,8 @@ def test_rapid_override_by_key_and_keyboard(panel):
     tab.wait(lambda: tab.text('rapids') == 'rapids 40%' and not lit(tab, 'rapid 25%'))
     panel.press_key(tab, '9', lambda: panel.peers.state.rapid_override == 1.0, Tab.type_key)
     tab.wait(lambda: tab.text('rapids') == 'rapids' and lit(tab, 'rapid 100%'))
+    panel.press_key(tab, 'spindle faster', lambda: panel.peers.state.spindle_override == 1.05)
+    panel.press_key(tab, 'spindle 100%', lambda: panel.peers.state.spindle_override == 1.0)
     assert panel.peers.state.feed_override == 1.0
 
 

@@ -4,12 +4,17 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.client.bag import Bag
+from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.commands.cli import main
+from cnc_interp.core.units import MM
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.proof.verify import verify_plan
 
 PROGRAM = """G21 G90 G17
 T5 M6
@@ -53,3 +58,43 @@ def test_a_part_from_tool_change_to_the_end_is_recorded_and_proven(tmp_path, cap
         assert asked and answered and asked[0] <= answered[0]
     assert {o['spindle_speed'] for o in outputs} >= {8000.0, 9000.0}
     assert not any(outputs[-1][name] for name in ('spindle_forward', 'coolant_flood'))
+
+
+TAPPED = """G21 G90 G17
+S600 M3
+G0 X0 Y0 Z20
+G84 Z-6 R4 F750
+X12
+G80 M5
+G0 Z20
+M30
+"""
+
+
+def test_tapped_holes_are_recorded_in_step_with_the_spindle_and_proven(tmp_path, capsys):
+    program, bag, plan = tmp_path / 'tap.ngc', tmp_path / 'bag', tmp_path / 'plan'
+    program.write_text(TAPPED)
+    words = ['run', str(program), '--machine', 'vmc', '--record', str(bag)]
+    done = subprocess.run(
+        [sys.executable, '-m', 'cnc_interp', *words], capture_output=True, text=True, timeout=280
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert main(['check', str(bag), '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    (thread,) = (each for each in found['findings'] if each['what'] == 'thread')
+    assert found['ok'] and 0.0 < thread['value'] < 10e-6
+    machine = Machine.load('vmc')
+    with Bag(bag) as recorded:
+        write_run(recorded_run(recorded), machine, plan)
+        lines = recorded.read('followed_spindle')
+    depth = dict[int, float]()
+    for m in lines:
+        depth[m.line_number] = min(depth.get(m.line_number, 0.0), *m.positions[2::3])
+    # The workpiece zero of the machine file lies at Z -400.
+    assert list(depth) == [4, 5] and all(abs(z + 406 * MM) < 0.05 * MM for z in depth.values())
+    assert verify_plan(plan, machine).ok
+    # Whatever is out of step is found.
+    columns = dict(np.load(plan / 'followed.npz'))
+    columns['angle'] = columns['angle'] * 1.01
+    np.savez(plan / 'followed.npz', **columns)
+    assert any('thread' in fault for fault in verify_plan(plan, machine).failures)

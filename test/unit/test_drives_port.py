@@ -24,7 +24,7 @@ START, TARGET = np.array([0.01, 0.0, 0.0, 0.0, 0.5]), np.array([0.03, 0.01, 0.0,
 class RecordingDrives:
     """Ideal axes that stand somewhere and write down what they are told."""
 
-    lag, wired, calm = 0.0, False, 0.0
+    lag, wired, calm, ahead = 0.0, False, 0.0, 0.0
     outputs = inputs = np.zeros(0)
     alarm = ''
 

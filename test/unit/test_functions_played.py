@@ -33,7 +33,7 @@ from cnc_interp.wire.path_messages import (
 
 T = 1e-3
 MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))
-NAMES = [signal.name for signal in MACHINE.signals.outputs]
+NAMES = [signal.name for signal in MACHINE.signals.wires]
 ANSWERED = 'G21 G90\nT3 M6\nS5000 M3\nM8\nG0 X0 Y0 Z0\nG1 X10 F3000\nM9 X20\nM5\nX30\nM30\n'
 #: One function without an answer in each of many short blocks.
 MANY = 'G0 X0 Y0 Z0\n' + ''.join(

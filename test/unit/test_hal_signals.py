@@ -11,7 +11,8 @@ from cnc_interp.machine.hal_file import columns_of
 from cnc_interp.machine_model.signals import signals
 
 SIGNALS = signals({'signals': 'milling'})
-N, OUTPUTS, INPUTS = 3, len(SIGNALS.outputs), len(SIGNALS.inputs)
+N, OUTPUTS, INPUTS = 3, SIGNALS.wired, len(SIGNALS.inputs)
+ANGLE = [signal.name for signal in SIGNALS.inputs].index('spindle_angle')
 ROW, SAMPLE = 2 * N + 1 + OUTPUTS, 3 * N + 2 + INPUTS
 C_CALL = types.int32(types.uintp, types.uintp, types.uintp)
 
@@ -48,7 +49,8 @@ class Stand:
         self.words[[hal_step.OUTPUTS, hal_step.INPUTS]] = OUTPUTS, INPUTS
         self.block = hal_step.block_at(self.memory.ctypes.data, N)
         self.block.units[:], self.block.limits[:], self.block.home[:] = 1.0, np.inf, -1
-        self.block.is_number[:] = [signal.is_number for signal in SIGNALS.outputs]
+        both = *SIGNALS.wires, *SIGNALS.inputs
+        self.block.is_number[:] = [signal.is_number for signal in both]
         self.sent, self.sampled = np.zeros(40), np.zeros(40)
         for word, function in (
             (hal_step.WRITE, write), (hal_step.READ, read), (hal_step.DEPTH, zero),
@@ -77,34 +79,35 @@ def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sam
     stand = Stand()
     block, bits = stand.block, stand.bits
     for values, answers in (
-        ([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0]),
-        ([100, 0, 1, 0, 0, 6, 1, 0], [0, 1, 1]),
+        ([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0, 0]),
+        ([100, 0, 1, 0, 0, 6, 1, 0], [0, 7.25, 1, 1]),
     ):
         block.outputs[:] = values
         bits[N + 2 : N + 2 + INPUTS] = answers
+        stand.sampled[1 + 3 * N + 2 + ANGLE] = answers[ANGLE]
         stand.sampled[0] = 1.0
         for _ in range(2):  # the first step begins to count rows
             stand.step()
         told = stand.sent[2 * N + 1 : ROW]
-        for k, (signal, value) in enumerate(zip(SIGNALS.outputs, values, strict=True)):
+        for k, (signal, value) in enumerate(zip(SIGNALS.wires, values, strict=True)):
             found = told[k] if signal.is_number else told[k : k + 1].view(np.int64)[0]
             assert found == value, signal.name
         assert block.inputs.tolist() == answers
-    assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfbf', 'ffffff' + 'b' * (N + 2 + INPUTS))
+    assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfbf', 'ffffff' + 'b' * (N + 2) + 'bfbb')
 
 
 def test_axes_that_are_counted_anew_stay_where_they_are_until_the_machine_knows():
     stand = Stand()
     block, bits, here = stand.block, stand.bits, np.array([1.0, 2.0, 3.0])
-    block.home[0] = 1
+    block.home[0] = 2
     for _ in range(2):
         stand.step(here)
     bits[N], bits[N + 1], stand.words[hal_step.POWER] = 1, 0, hal_step.HOLD
     stand.setpoint[0] = here
-    bits[N + 2 + 1] = 1
+    bits[N + 2 + 2] = 1
     for actual in ([1.25, 2, 3], [1.5, 2, 3]):
         assert stand.step(np.array(actual)) == 0
-    bits[N + 2 + 1] = 0
+    bits[N + 2 + 2] = 0
     for actual in ([1.125, 2, 3], here):
         assert stand.step(np.array(actual)) == 0
     assert block.released.tolist() == [1.125, 0.0, 0.0]

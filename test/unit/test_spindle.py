@@ -1,0 +1,202 @@
+"""The spindle: axes in step with its angle, the speed that goes out, the feed in a turn."""
+
+from dataclasses import replace
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
+
+from test_functions_played import MACHINE, Bench, T
+
+from cnc_interp.core.errors import ProgramError
+from cnc_interp.core.units import MM
+from cnc_interp.machine_model.signals import Signals
+from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.run_state import Reason, State
+
+NAMES = [signal.name for signal in MACHINE.signals.wires]
+SPEED, FORWARD, REVERSE = (
+    NAMES.index(f'spindle_{name}') for name in ('speed', 'forward', 'reverse')
+)
+ANGLE = [signal.name for signal in MACHINE.signals.inputs].index('spindle_angle')
+START, LEAD = 'G0 X0 Y0 Z5\nS900 M3\n', 1.5
+TAP, THREAD = (f'{START}{code} Z-10 K{LEAD}\nG0 X10\nM30' for code in ('G33.1', 'G33'))
+
+
+def finished(bench, each=lambda: None, most=9000):
+    """Run to the end, or to a fault; ``each`` is called after every period."""
+    for _ in range(most):
+        bench.step()
+        each()
+        if bench.play.state.completed or bench.play.state.state in (State.FAULT, State.HELD):
+            return bench.play.state.state
+    raise AssertionError(f'not executed: {bench.play.state}')
+
+
+def lines(bench):
+    """Yield place [turns of the lead] and angle [rev] in each period of every line in step."""
+    for _, parts in groupby(bench.play.followed, key=lambda part: part.block):
+        each = list(parts)
+        z = np.concatenate([part.position[:, 2] for part in each])
+        held = np.pad(z, 3, mode='edge')
+        for order, limit in enumerate(MACHINE.limits[:, 2], start=1):
+            assert np.abs(np.diff(held, order)).max() <= limit * T**order * (1 + 1e-6)
+        yield (z[0] - z) / (LEAD * MM), np.concatenate([part.angle for part in each])
+
+
+def drooping(bench, share=0.06):
+    """Let the load slow the spindle down while the tool is below Z 0, within some 0.1 s."""
+    droop = [0.0]
+
+    def each():
+        deep = bench.play.axes.setpoints[-1][2] < 0.0
+        droop[0] += (share * deep - droop[0]) * T / 0.1
+        speed = bench.drives.memory[10]  # of the simulated spindle [rev/s]
+        bench.drives.inputs[ANGLE] -= droop[0] * speed * T
+
+    return each
+
+
+@pytest.mark.parametrize('reverse', [False, True])
+def test_a_tapped_hole_is_in_step_in_and_out_with_a_spindle_that_droops(reverse):
+    bench = Bench(TAP.replace('M3', 'M4') if reverse else TAP)
+    assert finished(bench, drooping(bench)) is State.IDLE
+    ((place, angle),) = lines(bench)
+    deep = place > 3.0
+    off = (-angle if reverse else angle)[deep] - place[deep]
+    # The thread begins at an index, and no place of it is off by more, on the way out as well.
+    assert np.abs(off - np.round(off[0])).max() * LEAD < 6e-3
+    assert abs(place.max() - 10.0) < 0.15 and place[-1] == 0.0
+    turning = [(NAMES[k], v) for _, k, v in ((b, NAMES.index(n), v) for b, n, v in bench.set)]
+    back, forth = ('forward', 'reverse') if reverse else ('reverse', 'forward')
+    switched = [(n.removeprefix('spindle_'), v) for n, v in turning if 'speed' not in n]
+    assert switched[1:5] == [
+        *sorted([(forth, 0.0), (back, 1.0)]), *sorted([(forth, 1.0), (back, 0.0)])
+    ]  # fmt: skip
+
+
+def test_passes_of_a_thread_meet_at_every_speed_and_a_hold_waits_for_their_end():
+    again = f'{START}G33 Z-10 K{LEAD}\nG0 Z5\nG33 Z-10 K{LEAD}\nG0 X10\nM30'
+    bench, held = Bench(again), []
+
+    def each():
+        if bench.play.cycle.follows and not held:
+            bench.play.hold()
+            held.append(True)
+
+    assert finished(bench, each) is State.HELD
+    assert bench.play.axes.setpoints[-1][2] == pytest.approx(-10 * MM, abs=1e-12)
+    bench.play.override_spindle(0.7)
+    bench.play.start()
+    assert finished(bench, drooping(bench)) is State.IDLE
+    phases = []
+    for place, angle in lines(bench):
+        in_step = (place > 2.0) & (place < 8.0)
+        assert in_step.sum() > 300 and place[-1] == pytest.approx(10.0, abs=1e-9)
+        off = (angle - place)[in_step]
+        assert np.ptp(off) * LEAD < 6e-3
+        phases.append(off.mean() % 1.0)
+    assert abs((phases[1] - phases[0] + 0.5) % 1.0 - 0.5) * LEAD < 3e-3
+
+
+def test_what_the_axis_cannot_follow_stops_within_its_limits_and_says_so():
+    bench, jam = Bench(TAP), []
+
+    def each():
+        if bench.play.axes.setpoints[-1][2] < 0.0:
+            jam.append(bench.drives.inputs[ANGLE] if not jam else jam[0])
+            bench.drives.inputs[ANGLE] = jam[0] - bench.drives.memory[10] * T
+
+    assert finished(bench, each) is State.FAULT
+    list(lines(bench))
+    assert 'Z cannot follow the spindle within its' in bench.play.state.text
+    assert not bench.play._commanded[[FORWARD, REVERSE]].any()
+
+
+@pytest.mark.parametrize(('change', 'why'), [
+    (('S900 M3', 'S5000 M3'), 'too short'), (('S900 M3', 'S900'), 'does not turn'),
+])  # fmt: skip
+def test_a_thread_that_cannot_begin_does_not_move(change, why):
+    bench = Bench(THREAD.replace(*change))
+    assert finished(bench) is State.FAULT and why in bench.play.state.text
+    assert bench.play.axes.setpoints[-1][2] == 5 * MM
+
+
+def test_an_emergency_stop_follows_the_spindle_until_it_stands():
+    bench = Bench(TAP)
+
+    def each():
+        if bench.play.axes.setpoints[-1][2] < 0.0 and bench.play.state.state is State.RUNNING:
+            bench.play.stop()
+
+    assert finished(bench, each) is State.FAULT
+    assert bench.play.state.reason is Reason.EMERGENCY_STOP
+    ((place, angle),) = lines(bench)
+    off = (angle - place)[place > 3.0]
+    assert np.ptp(off) * LEAD < 10e-3 and abs(bench.drives.memory[10]) < 0.1
+
+
+def test_without_an_encoder_a_tap_has_a_floating_holder_and_a_thread_is_refused():
+    inputs = tuple(s for s in MACHINE.signals.inputs if s.name != 'spindle_angle')
+    words = {w: steps for w, steps in MACHINE.signals.words.items() if not w.startswith('G33')}
+    plain = replace(MACHINE, signals=replace(MACHINE.signals, inputs=inputs, words=words))
+    with pytest.raises(ProgramError, match='the spindle has no encoder'):
+        Bench(THREAD, plain)
+    bench = Bench(f'{START}G84 Z-10 R2 F1350\nG80\nM30', plain)
+    bench.run()
+    turned = [(b, n) for b, n, value in bench.set if value and n != 'spindle_speed']
+    # Forward for the start, in reverse at the bottom, and forward again above.
+    assert [n for _, n in turned] == ['spindle_forward', 'spindle_reverse', 'spindle_forward']
+    none = replace(MACHINE, signals=Signals())
+    with pytest.raises(ProgramError, match='the spindle has no encoder'):
+        Bench(THREAD, none)
+
+
+def test_surface_speed_follows_x_and_the_override_up_to_the_largest_speed():
+    text = 'G0 X60 Y0 Z0\nG96 S120 D1500 M3\nG1 X2 F2000\nG97 S700\nX30\nM30'
+    bench, seen = Bench(text), []
+    bench.play.override_spindle(1.1)
+
+    def each():
+        block = bench.play.last.block if bench.play.last else 0
+        seen.append((block, bench.play.axes.setpoints[-1][0], bench.drives.outputs[SPEED]))
+
+    assert finished(bench, each) is State.IDLE
+    block, x, speed = np.array(seen).T
+    turning = (block == 1) & (x < 59 * MM)
+    expected = np.minimum(1.1 * 120.0 / (2 * np.pi * x[turning]), 1500.0)
+    assert turning.sum() > 500 and (expected == 1500.0).any()
+    # X of the period before is known when the outputs of a period are set.
+    assert np.abs(speed[turning] - expected).max() < 1e-6 * 1500
+    assert speed[(block == 2) & (x > 4 * MM)] == pytest.approx(770.0)
+
+
+@pytest.mark.parametrize(('words', 'spindle', 'feed'), [
+    ('', 1.2, 1.0), ('', 0.5, 0.5), ('M51 P0', 1.2, 1.0), ('M50 P0', 1.0, 0.5), ('M49', 0.5, 0.5),
+    ('S60000 F0.02', 1.2, 1.0),
+])  # fmt: skip
+def test_feed_in_a_turn_holds_at_every_override_unless_the_program_keeps_it(words, spindle, feed):
+    bench = Bench(f'G0 X0 Y0 Z0\nS1000 M3\nG95 F0.5\n{words}\nG1 X8\nM48 G94 F300 X12\nM30')
+    bench.settings = OperatorSettings(feed, spindle=spindle)
+    bench.begin_planner(np.zeros(3), 0.0)
+    bench.play.override_spindle(spindle)
+    seen = []
+
+    def each():
+        block = bench.play.last.block if bench.play.last else 0
+        seen.append((block, *bench.play.axes.setpoints[-1], bench.drives.outputs[SPEED]))
+
+    assert finished(bench, each, 60_000) is State.IDLE
+    rows = np.array(seen)
+    x, speed = rows[:, 1], rows[:, 4]
+    rate = np.diff(x, prepend=0.0) / T / MM * 60.0  # [mm/min]
+    middle = (x > 4 * MM) & (x < 6 * MM)
+    kept, fixed = 'M49' in words or 'M50' in words, 'M49' in words or 'M51' in words
+    wanted = (60000 if 'S6' in words else 1000) * (1.0 if fixed else spindle)
+    assert speed[middle] == pytest.approx(min(wanted, 60000))
+    turn = (0.02 if 'S6' in words else 0.5) * (1.0 if kept else feed)
+    assert rate[middle] / speed[middle] == pytest.approx(turn, rel=1e-3)
+    after = (x > 9.5 * MM) & (x < 10.5 * MM)
+    assert rate[after] == pytest.approx(300.0 * feed, rel=1e-3)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
@@ -36,7 +36,9 @@ from cnc_interp.settings.options import Settings
 SPAN = 3.0  #: Least length of a window [s].
 START = BlockPace(3e-3, 1e-3, 1.0, True)  #: Where the search begins.
 SLOPE_STEP, LARGEST_STEP, ENOUGH = 0.15, 0.7, 0.02  #: Of a logarithm.
-STEPS = 5
+STEPS = 4
+#: Rows of a part that a fit plans, of how many, and lines at its ends that do not count.
+CHUNK, EVERY, MARGIN = 1200, 6000, 12
 PRIOR = 0.5  #: Standard deviation of a logarithm that no window shows.
 ROBUST = 0.3  #: Beyond this residual a window counts less [s].
 CLUSTER = 10  #: Windows whose residuals may be correlated.
@@ -123,24 +125,44 @@ class TimedProgram:
         blocks = replace(self.blocks, feedrate=share * self.blocks.feedrate)
         return replace(self, blocks=blocks, override=override)
 
-    def pieces(self, machine: Machine) -> Iterator[PlannedPiece]:
+    def sample(self) -> list[slice]:
+        """Return the rows that a fit plans: all, or of a long program one part in five."""
+        rows = len(self.blocks)
+        if rows <= EVERY:
+            return [slice(0, rows)]
+        return [slice(max(0, a - 1), a + CHUNK) for a in range(0, rows, EVERY)]
+
+    def covers(self, lines: IntArray) -> BoolArray:
+        """Tell which windows of lines, (w, 2), that sample holds, away from its ends."""
+        covered = np.zeros(len(lines), dtype=np.bool_)
+        for rows in self.sample():
+            part = self.lines[rows]
+            low, high = (
+                part[0] + (MARGIN if rows.start else 0),
+                part[-1] - (MARGIN if part[-1] < self.lines[-1] else -1),
+            )
+            covered |= (lines[:, 0] >= low) & (lines[:, 1] <= high)
+        return covered
+
+    def _pieces(self, machine: Machine, rows: slice) -> Iterator[PlannedPiece]:
         chain = PathChain(Transform.of(machine), self.settings)
         limits = limits_at(machine, self.settings.interpolation_period)
         planner = Planning(limits, PlanOptions(bound=False), None).planner()
-        for part in batches(self.blocks):
+        for part in batches(self.blocks[rows]):
             if (path := chain.push(part).path) is not None:
                 yield from planner.push(path)
         if (path := chain.finish().path) is not None:
             yield from planner.push(path)
         yield from planner.finish()
 
-    def motion(self, machine: Machine) -> Motion:
-        """Plan the program on a machine."""
-        parts = [
-            (p.path.cell_block[p.law.cell], p.law.duration, p.law.s_dot)
-            for p in self.pieces(machine)
+    def motion(self, machine: Machine, parts: Sequence[slice] = (slice(0, None),)) -> Motion:
+        """Plan the program on a machine, or parts of its rows, each from rest."""
+        planned = [
+            (rows.start + p.path.cell_block[p.law.cell], p.law.duration, p.law.s_dot)
+            for rows in parts
+            for p in self._pieces(machine, rows)
         ]
-        row, duration, speed = map(np.concatenate, zip(*parts, strict=True))
+        row, duration, speed = map(np.concatenate, zip(*planned, strict=True))
         return Motion(self.lines[row], duration, speed, int(self.lines[-1]))
 
 
@@ -288,44 +310,45 @@ class TimeFit:
         velocity[:3] = np.where(seen > 0.0, seen, velocity[:3])
         self._machine = replace(machine, max_velocity=velocity)
         self._runs, self._tell = runs, tell
-        self._measured = np.concatenate([run.measured for run in runs])
+        self._kept = [run.program.covers(run.trace.line[run.windows]) for run in runs]
+        self._measured = np.concatenate(
+            [run.measured[kept] for run, kept in zip(runs, self._kept, strict=True)]
+        )
 
-    def motions(self, x: FloatArray) -> list[Motion]:
+    def motions(self, x: FloatArray, whole: bool = False) -> list[Motion]:
+        """Plan the programs of the runs, each once; their samples, or all of them."""
         machine = with_parameters(self._machine, x)
-        made = {id(run.program): run.program for run in self._runs}
-        planned = {key: program.motion(machine) for key, program in made.items()}
+        planned: dict[int, Motion] = {}
+        for program in (run.program for run in self._runs):
+            if id(program) not in planned:
+                parts = [slice(0, None)] if whole else program.sample()
+                planned[id(program)] = program.motion(machine, parts)
         return [planned[id(run.program)] for run in self._runs]
 
-    def _off(self, motions: Sequence[Motion]) -> FloatArray:
-        planned = [run.planned(m) for run, m in zip(self._runs, motions, strict=True)]
-        return self._measured - np.concatenate(planned)
+    def _off(self, x: FloatArray) -> FloatArray:
+        """Return measured minus planned times of the windows [s]."""
+        triples = zip(self._runs, self._kept, self.motions(x), strict=True)
+        return self._measured - np.concatenate([run.planned(m)[kept] for run, kept, m in triples])
 
     def solve(self) -> Fitted:
         x = np.zeros(6)
-        motions = self.motions(x)
-        off = self._off(motions)
+        off = self._off(x)
         slopes = np.empty((len(off), len(x)))
         for k in range(len(x)):
             self._tell(f'planning with another value, {k + 1} of {len(x)}')
-            slopes[:, k] = self._off(self.motions(x + SLOPE_STEP * np.eye(6)[k])) - off
-        slopes /= SLOPE_STEP
-        best = (np.inf, x, off, motions, slopes)
-        for number in range(STEPS):
-            cost = self._cost(off)
+            slopes[:, k] = (self._off(x + SLOPE_STEP * np.eye(6)[k]) - off) / SLOPE_STEP
+        best = (np.inf, x, off, slopes)
+        for number in range(STEPS + 1):
             self._tell(f'step {number}: off by {np.sqrt(np.mean(off**2)):.3f} s in a window')
-            if cost < best[0]:
-                best = (cost, x, off, motions, slopes)
+            best = min(best, (self._cost(off), x, off, slopes), key=lambda one: one[0])
             step = self._step(x, off, slopes)
-            if np.abs(step).max() < ENOUGH:
+            if number == STEPS or np.abs(step).max() < ENOUGH:
                 break
             x = x + step
-            motions = self.motions(x)
-            change = self._off(motions) - off
+            change = self._off(x) - off
             off = off + change
             slopes = slopes + np.outer(change - slopes @ step, step) / (step @ step)
-        last = (self._cost(off), x, off, motions, slopes)
-        _, x, off, motions, slopes = min(best, last, key=lambda one: one[0])
-        return self._fitted(x, off, motions, slopes)
+        return self._fitted(*best[1:])
 
     @staticmethod
     def _cost(off: FloatArray) -> float:
@@ -343,18 +366,16 @@ class TimeFit:
         step = -np.linalg.solve(normal, slopes.T @ (weight * off) + prior * x)
         return np.asarray(step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-9)))
 
-    def _fitted(
-        self, x: FloatArray, off: FloatArray, motions: list[Motion], slopes: FloatArray
-    ) -> Fitted:
+    def _fitted(self, x: FloatArray, off: FloatArray, slopes: FloatArray) -> Fitted:
         weight, prior = self._weights(off)
         inverse = np.linalg.inv(slopes.T @ (weight[:, None] * slopes) + prior * np.eye(6))
         # Residuals of neighbouring windows are alike, so they are summed before they are squared.
         score = np.add.reduceat(
             slopes * (weight * off)[:, None], np.arange(0, len(off), CLUSTER), axis=0
         )
-        spread = inverse @ (score.T @ score + prior * np.eye(6)) @ inverse
+        spread = inverse @ (score.T @ score + (prior * PRIOR) ** 2 * np.eye(6)) @ inverse
         width = SIGMAS * np.sqrt(np.diag(spread))
-        machine = with_parameters(self._machine, x)
+        machine, motions = with_parameters(self._machine, x), self.motions(x, whole=True)
         rests: tuple[list[float], ...] = ([], [], [])
         for run, motion in zip(self._runs, motions, strict=True):
             for number, value in run.rests(machine, motion):

@@ -10,6 +10,7 @@ import yaml
 
 from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.run import time_fit
 from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
 from cnc_interp.settings.options import Settings
 
@@ -139,6 +140,24 @@ def test_a_trace_that_cannot_be_used_is_one_line(tmp_path, capsys, text, told):
     assert main(['fit-limits', *words, '--machine', 'xyz', '--out', str(tmp_path / 'm')]) == 2
     line = capsys.readouterr().err
     assert told in line and line.count('\n') == 1
+
+
+def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(time_fit, 'EVERY', 120)
+    monkeypatch.setattr(time_fit, 'CHUNK', 60)
+    lines = [f'X{k % 9} Y{0.7 * k:.3f}' for k in range(300)]
+    (tmp_path / 'long.ngc').write_text('\n'.join(['G21 G90', 'G0 X0 Y0 Z0', 'G1 F3000', *lines]))
+    machine = Machine.load('xyz')
+    program = TimedProgram.load(tmp_path / 'long.ngc', machine, Settings())
+    starts = np.arange(5, 295, 10)
+    windows = np.column_stack([starts, starts + 10])
+    covered = program.covers(windows)
+    assert 0.2 < covered.mean() < 0.5
+    whole, parts = (
+        np.diff(program.motion(machine, rows).until(windows), axis=1)[covered]
+        for rows in ([slice(0, None)], program.sample())
+    )
+    assert parts == pytest.approx(whole, rel=1e-3)
 
 
 @pytest.mark.thorough

@@ -6,7 +6,9 @@ predicted from all of them, section by section.
     python benchmarks/run_times.py --suite ../shared/suites/nist-box --op5 FILE
 
 Start and stop of the spindle are taken as proportional to its speed, which is 12,000 rev/min in
-all that was measured. A section ends where its next tool change, or M30, begins.
+all that was measured. A section ends where its next tool change, or M30, begins: so the last one
+has no stop of the spindle. Where the machine stands first is not known: its first rapid takes no
+time.
 """
 
 from __future__ import annotations
@@ -50,12 +52,10 @@ def section_times(
     ends = [*changes[1:].tolist(), int(functions.line_number[word == 'M30'][0])]
     for first, last in zip((changes + 1).tolist(), ends, strict=True):
         inside = (functions.line_number >= first) & (functions.line_number < last)
-        yield (
-            first,
-            last,
-            float(np.diff(motion.until(np.array([first, last])))[0]),
-            float(rests[inside].sum()),
-        )
+        if last == ends[-1]:
+            inside &= word != 'M5'
+        planned = float(np.diff(motion.until(np.array([first, last])))[0])
+        yield first, last, planned, float(rests[inside].sum())
 
 
 def fit(traces: list[tuple[TimedProgram, Trace]], machine: Machine) -> Fitted:

@@ -146,7 +146,7 @@ class PathSmoother:
         parts = [part for part in found if part is not None and len(part)]
         if not parts:
             return PathSegments.none()
-        segments = PathSegments.concatenate(parts)
+        segments = self._upright.counted(PathSegments.concatenate(parts))
         if self._start is not None and segments.interpolation[0] == POSES:
             # A spline has no rotary words. Those of the start pose choose branch and turns.
             rotary = segments.rotary.copy()

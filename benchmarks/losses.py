@@ -254,7 +254,7 @@ def main() -> None:
         try:
             figures = try_row(bench, row)
         except AssertionError:
-            figures = {'code': -1, 'message': traceback.format_exc()[-700:], 'took': 0.0}
+            figures = {'code': -1, 'message': traceback.format_exc()[-9000:], 'took': 0.0}
             bench.close()
             bench = Bench(PARAMETERS)
         # It is tried again because it was at fault.

@@ -154,7 +154,9 @@ class Bench(NodesUnderTest):
         late = cut and told[0].first_sample > 0
         q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
         s = np.concatenate([m.path_positions for m in told])
-        assert limit_use(q, LIMITS, cut=cut, late=late) <= 1.001
+        use = limit_use(q, LIMITS, cut=cut, late=late)
+        heard = [(m.attempt, m.plan, m.first_sample, len(m.sequences)) for m in told]
+        assert use <= 1.001, (use, heard, s[-1], self.last_words()[0])
         on = s >= 0.0
         assert np.abs(q[on] - evaluate(path, s[on])[0]).max(initial=0.0) < 1e-9
         assert (np.diff(s) >= -1e-12).all()

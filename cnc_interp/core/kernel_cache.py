@@ -13,7 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, MutableMapping
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -96,12 +96,14 @@ def _load_what_runs() -> None:
     """Let a kernel be loaded without what only compiling needs, which takes half a second.
 
     That are numba's registries, which a compiler loads itself; the bitcode of the kernel, which is
-    read when another one is compiled with it; the modules of numba's own functions inside.
+    read when another one is compiled with it; the modules of numba's own functions inside; the
+    files of kernels that are not called; and extensions of numba, for which the metadata of all
+    installed packages are read.
     """
     from functools import wraps
 
     from llvmlite.binding import parse_bitcode
-    from numba.core import caching, codegen, environment
+    from numba.core import caching, codegen, dispatcher, environment
     from numba.core.runtime import rtsys
 
     class Library(codegen.JITCodeLibrary):  # type: ignore[misc]
@@ -144,6 +146,33 @@ def _load_what_runs() -> None:
         environment.Environment._memo[name] = made
         return made
 
+    class Later:
+        """The files of a kernel, sought when it is called; its sources count as imported."""
+
+        def __init__(self, function: Callable[..., Any]):
+            self._function = function
+            _stamp(_resolved(function.__code__.co_filename))
+
+        @cached_property
+        def _files(self) -> Any:
+            return caching.FunctionCache(self._function)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._files, name)
+
+    def is_ours(function: Callable[..., Any]) -> bool:
+        return function.__module__.startswith(f'{PACKAGE.name}.')
+
+    def files(function: Callable[..., Any]) -> Any:
+        return (Later if is_ours(function) else caching.FunctionCache)(function)
+
+    def begin(kernel: Any) -> None:
+        if not is_ours(kernel.py_func):
+            usual_begin(kernel)
+
+    untyped: Any = dispatcher
+    usual_begin = untyped.Dispatcher._compilation_chain_init_hook
+    untyped.Dispatcher._compilation_chain_init_hook, untyped.FunctionCache = begin, files
     usual = codegen.JITCPUCodegen.unserialize_library
     codegen.JITCPUCodegen.unserialize_library = library
     caching.Cache.load_overload, environment._rebuild_env = overload, constants

@@ -61,11 +61,11 @@ def environment(package):
     return found
 
 
-def outer(package):
+def outer(package, first=''):
     """What the outer kernel says in a fresh process, and whether its code was there."""
     done = subprocess.run(
-        [sys.executable, '-c', ASK], env=environment(package), capture_output=True, text=True,
-        check=True,
+        [sys.executable, '-c', first + ASK], env=environment(package), capture_output=True,
+        text=True, check=True,
     )  # fmt: skip
     said, found = done.stdout.split()
     return int(said), found == '1'
@@ -84,6 +84,10 @@ def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package
     (package / 'outer.py').write_text(OUTER.replace('inner()\n', 'inner() + 1\n'))
     assert outer(package) == (21, False)  # compiled with the inner kernel's code from its file
     assert outer(package) == (21, True)
+    later = OUTER.replace('inner()\n', 'inner() + 2\n')
+    change = f'import pack.outer; open(pack.outer.__file__, "w").write({later!r}); '
+    assert outer(package, change) == (21, True)  # its sources count as they were imported
+    assert outer(package) == (22, False)
 
 
 @pytest.mark.thorough

@@ -67,7 +67,7 @@ def witnessed_file(name: str, signals: Signals) -> str:
     added = f'{"f" * 2 * count}b{stream[2 * count + 1 :]}'
     text = re.sub(r'depth=4000 cfg=\w+', f'depth=4000,{WITNESSED} cfg={samples},{added}', text)
     nets = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
-    for k, signal in enumerate(signals.outputs, 2 * count + 1):
+    for k, signal in enumerate(signals.wires, 2 * count + 1):
         nets.append(f'{signal.name} streamer.0.pin.{k}')
     nets = [f'net {net} => sampler.1.pin.{k}' for k, net in enumerate(nets)]
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])

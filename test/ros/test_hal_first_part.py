@@ -78,7 +78,7 @@ def test_all_functions_come_out_in_order_and_in_place(hal, tmp_path, capsys):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
     periods = hal.periods()
-    names = [signal.name for signal in SIGNALS.outputs]
+    names = [signal.name for signal in SIGNALS.wires]
     out = {name: periods.outputs[:, k] for k, name in enumerate(names)}
 
     def changes(name):

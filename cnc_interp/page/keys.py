@@ -45,8 +45,8 @@ class OverrideSlider:
             self._text = ui.label('100%').classes('value')
         with ui.element('div').classes('steps'):
             keys = [
-                key('−', f'{of}slower', lambda: self._move(self._slider.value - STEP)),
-                key('+', f'{of}faster', lambda: self._move(self._slider.value + STEP)),
+                key('−', of + 'slower', lambda: self._move(self._slider.value - STEP)),
+                key('+', of + 'faster', lambda: self._move(self._slider.value + STEP)),
                 key('100%', f'{of}100%' if of else '', act=lambda: self._move(100)),
             ]
         self.elements = (self._slider, *keys)

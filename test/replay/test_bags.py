@@ -128,7 +128,7 @@ def without_executed(lost, path, spoil=lambda message: None):
 @pytest.mark.parametrize(
     ('lost', 'end'),
     [
-        (range(15, 1000), 'the record ends in motion, in line 5; nothing is known after 0.591 s'),
+        (range(15, 1000), 'the record ends in motion, in line 4; nothing is known after 0.494 s'),
         (range(20, 21), r'the record lacks executed setpoints \d+ to \d+, after line'),
     ],
 )

@@ -11,9 +11,9 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
@@ -27,13 +27,14 @@ from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.papers.parametrization import STEP as PAPER_STEP
 from cnc_interp.program import Program, read_program
+from cnc_interp.report.dense_blocks import lengths
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import top_parameters
 from cnc_interp.smoothing.segments import CORNER
@@ -57,6 +58,12 @@ CURVES = (('tolerance', 1.4), ('in_step', None))
 PAPER_CURVES: dict[str, Any] = {'top': 'tolerance', 'corner_ratio': 1.4}
 
 
+class Part(NamedTuple):
+    s: FloatArray  #: (N,): Path positions [m].
+    cell_left: FloatArray  #: (4, N - 1, n_axes): As in ``AxisPath``.
+    cell_right: FloatArray
+
+
 @dataclass(frozen=True)
 class Run:
     """One way to make the corners, planned."""
@@ -74,16 +81,18 @@ class Run:
         return Transform.of(self.plan.machine)
 
     @cached_property
-    def parts(self) -> list[AxisPath]:
+    def parts(self) -> list[Part]:
         """Return the axes of each segment by itself, with its own one-sided derivatives."""
-        segments = self.plan.segments
-        builder = AxisPathBuilder(
-            self.transform,
-            self.plan.settings.flank_height,
-            self.plan.settings.interpolation_period,
-        )
-        paths = [builder.push(segments[i : i + 1]) for i in range(len(segments))]
-        return [path for path in paths if path is not None]
+        segments, settings = self.plan.segments, self.plan.settings
+        height = settings.flank_height
+        builder = AxisPathBuilder(self.transform, height, settings.interpolation_period)
+        path = builder.push(segments)
+        assert path is not None
+        ends = np.abs(path.s[:, None] - np.append(0.0, np.cumsum(lengths(segments, height))))
+        return [
+            Part(path.s[a : b + 1], path.cell_left[:, a:b], path.cell_right[:, a:b])
+            for a, b in pairwise(ends.argmin(axis=0))
+        ]
 
     @property
     def cycle_time(self) -> float:
@@ -208,7 +217,8 @@ def first_point(run: Run, step: float) -> dict[str, Any]:
     i = int(np.argmax(segments.kind == CORNER))
     bottom, top = segments.bottom[i], segments.top[i]
     u_bottom = step / run.entry_speed
-    ds = float(arc_length(CORNER, shapes_of(segments)[i], 0.0, 0.0, u_bottom))
+    beside = np.zeros((10, 0))  # moved by the tip and the tool alone
+    ds = float(arc_length(CORNER, 0, shapes_of(segments)[i], beside, 0.0, 0.0, 0.0, u_bottom))
     q = list(evaluate(run.whole.path, run.corner[0] - ds * np.arange(3.0))[0][:, None])
     o = [run.transform.forward(x)[1] for x in q]
     tip = corner_spline_points(bottom, u_bottom)

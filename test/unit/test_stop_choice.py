@@ -34,9 +34,9 @@ def tools(*tilt_and_heading):
 
 
 def beside_the_pole():
-    """Two corners where the tool rests 0.001 deg beside the pole, and turns away from it."""
+    """Two corners where the tool rests farther beside the pole than it may wander."""
     tips = [[0, 0, 0], [3, 1, 0.5], [3.02, 1.02, 0.5], [2.0, 3.2, 0.7], [4, 4, 0.7]]
-    axes = tools((3.5, 20), (1e-3, 200), (1e-3, 200), (0.3, 100), (0.3, 100))
+    axes = tools((3.5, 20), (0.04, 200), (0.04, 200), (0.3, 100), (0.3, 100))
     return blocks_of(np.array(tips) * MM, axes, feed=10000 * MM_PER_MIN)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import math
 import threading
 import time
@@ -45,6 +46,7 @@ OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
+LAST_WAIT = 20.0  #: For the end of ROS in this process [s].
 ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
 SPIN = 0.1  #: Longest wait for an event [s].
 
@@ -382,10 +384,13 @@ class OperatorClient:
         self._ended.set()
         if self._thread is not None:
             self._thread.join()
+        # Fast DDS may stand here for ever, and with it the interpreter (``run_console.DEAF``).
+        faulthandler.dump_traceback_later(LAST_WAIT, exit=True, file=2)
         self._executor.shutdown()
         self._action.destroy()
         self.node.destroy_node()
         rclpy.shutdown(context=self._context)
+        faulthandler.cancel_dump_traceback_later()
 
     def __enter__(self) -> OperatorClient:
         return self

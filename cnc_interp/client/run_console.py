@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
 import signal
@@ -47,6 +48,9 @@ STOP_TEXTS = {
 }
 OPERATORS_STOPS = (*STOP_TEXTS, MachineState.REASON_FEED_HOLD, MachineState.REASON_AWAY)
 SILENCE = 1.0  #: Silence after which a node counts as lost [s].
+#: Silence of all nodes, which live, after which ROS stands in this process: threads of Fast DDS
+#: 2.14 may wait for each other where a participant leaves while its lease is checked [s].
+DEAF = 30.0
 RECORD_TIMEOUT = 10.0  #: Longest wait for the answers of the nodes to a recorder [s].
 SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
@@ -75,6 +79,7 @@ class RunConsole:
         self._restarted = False  # a node, and the run has not gone on since
         self._forgotten = False  # the programs, because program_node was lost
         self._stop_told = False
+        self._listened = -math.inf  # when it was last looked for what was heard [s]
         self._warned = ''  # the run whose warnings were told last
         self._pressed: Future[Answer] | None = None  # cycle_start after a restart
         self._passed: Future[Answer] | None = None  # cycle_start after a program stop
@@ -171,6 +176,7 @@ class RunConsole:
                     'press Ctrl-C again to end at once',
                     file=sys.stderr,
                 )
+            self._demand_to_hear()
             self._see_motion()
             self._tell_warnings()
             self._bring_back_lost_nodes()
@@ -188,6 +194,17 @@ class RunConsole:
             told = warnings_of(result.notices)
             tell([notice for notice in result.notices if notice not in told])
         return result
+
+    def _demand_to_hear(self) -> None:
+        now, peers = time.monotonic(), self._client.peers
+        if now - self._listened > SILENCE:
+            peers.trust(now)  # this process itself stood
+        self._listened = now
+        if now - peers.heard > DEAF:
+            raise InterpError(
+                f'nothing was heard of the nodes for {DEAF:g} s, so they are ended: the machine '
+                'stops on its path; run the program again'
+            )
 
     def _tell_warnings(self) -> None:
         program = self._client.program

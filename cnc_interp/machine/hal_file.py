@@ -9,6 +9,7 @@ from cnc_interp.core.errors import InterpError
 from cnc_interp.machine_model.signals import Signals, home_input
 
 NO_SIGNALS = Signals()
+MOST = 21  #: Columns of a stream of HAL.
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|\w+kins|\[(KINS|EMCMOT|TRAJ)\].*')
 #: Pins of programs that do not run beside cnc_interp.
@@ -38,12 +39,22 @@ loadrt timedelay names=stream-late"""
 
 
 def columns_of(n: int, signals: Signals) -> tuple[str, str]:
-    """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them."""
+    """Return the columns of ``streamer`` and ``sampler`` for n axes, as their cfg names them.
+
+    InterpError where HAL has fewer.
+    """
     outputs, inputs = (
         ''.join('f' if signal.is_number else 'b' for signal in declared)
         for declared in (signals.wires, signals.inputs)
     )
-    return 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2) + inputs
+    stream, samples = 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2) + inputs
+    for what, columns in (('streamer', stream), ('sampler', samples)):
+        if len(columns) > MOST:
+            raise InterpError(
+                f"{what} of LinuxCNC's HAL has at most {MOST} columns, this machine needs "
+                f'{len(columns)}: name fewer signals in its file'
+            )
+    return stream, samples
 
 
 #: Functions that take the place of those of the motion controller.

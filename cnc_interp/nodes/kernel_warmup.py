@@ -58,14 +58,17 @@ def tiny_program(transform: Transform) -> Blocks:
 
 
 def dense_program(transform: Transform) -> Blocks:
+    """Return a helix of short blocks between two lines, which its curve takes over in part."""
     count = 400
     u = np.linspace(0.0, 6.0, count)
     rotary = np.stack([0.3 + 0.01 * np.sin(u), 0.2 + 0.05 * u], axis=1)
     rotating = transform.machine.has_rotary
     pose = tiny_program(transform)[:1]
+    tip = np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM
+    tip[[0, -1]] += 50.0 * (tip[[0, -1]] - tip[[1, -2]])
     return replace(
         Blocks.concatenate([pose] * count),
-        tip=np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM,
+        tip=tip,
         axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
         line_number=np.arange(count),
     )

@@ -84,6 +84,11 @@ class Peers:
         self.state = state
         self._state_seen = time.monotonic()
 
+    @property
+    def heard(self) -> float:
+        """When any other node was heard last, in monotonic time [s]."""
+        return max(self._state_seen, *self._seen.values(), -math.inf)
+
     def trust(self, now: float) -> None:
         """Reset the silence of the other nodes, because this node was not listening."""
         self._seen = dict.fromkeys(self._seen, now)

@@ -4,7 +4,7 @@ import pytest
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core.errors import InterpError
-from cnc_interp.machine.hal_file import hal_file
+from cnc_interp.machine.hal_file import columns_of, hal_file
 from cnc_interp.machine_model.signals import signals as signals_of
 
 HAL = """loadrt [KINS]KINEMATICS
@@ -108,3 +108,10 @@ def test_inputs_of_reference_switches_take_over_their_pins():
     assert {'parport.0.pin-12-in', 'sampler.0.pin.12'} in signals(made)
     assert 'z-home' not in ' '.join(left_out)
     assert switch.strip() in hal_file(HAL + switch, 'XYZ', 'XYZ')[1]
+
+
+def test_more_columns_than_hal_has_are_refused():
+    few, many = ({f'home_{name}': None for name in 'xyzab'[:count]} for count in (4, 5))
+    columns_of(5, signals_of({'signals': {'inputs': few}}))
+    with pytest.raises(InterpError, match=r'sampler .* at most 21 columns, this machine needs 22'):
+        columns_of(5, signals_of({'signals': {'inputs': many}}))

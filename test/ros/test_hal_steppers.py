@@ -1,5 +1,6 @@
 """Stepper motors on the step generator of LinuxCNC's HAL follow the setpoints."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -26,6 +27,8 @@ LATE = 50
 
 def test_steppers_follow_within_a_step(tmp_path):
     reason = hal_session.why_not()
+    if not reason and os.getloadavg()[0] > 1.0:
+        reason = 'needs a computer that does nothing else: its programs make the pulses'
     if reason:
         pytest.skip(reason)
     with hal_session.Session('stepper_axes') as session:

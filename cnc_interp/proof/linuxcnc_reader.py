@@ -185,7 +185,7 @@ class _Printed:
         elif name in ('SET_G5X_OFFSET', 'SET_G92_OFFSET', 'USE_TOOL_LENGTH_OFFSET'):
             kind = name.removesuffix('_OFFSET').split('_')[-1].replace('LENGTH', 'TOOL')
             self.offsets[kind] = self.sized(numbers[name == 'SET_G5X_OFFSET' :][:6])
-            self.lengthened = self.lengthened or kind == 'TOOL'
+            self.lengthened = self.lengthened or bool(self.offsets['TOOL'].any())
         elif name == 'CHANGE_TOOL' and self.lengthened:
             raise LinuxCNCError("LinuxCNC's rs274 forgets a length at a tool change before motion")
         elif name == 'SET_MOTION_CONTROL_MODE' and numbers:

@@ -228,9 +228,10 @@ def test_revisions_in_motion_hold_it():
     stream = MotionStream(TIRED, T, tool=tool)
     stream.push(path)
     stream.end_leg(Wait.END)
-    sent, revised, wanted = [], 0, iter([0.7, 1.0, 0.5, 1.2])
+    sent, revised, wanted = [], 0, [(100, 0.7), (200, 1.0), (300, 0.5), (400, 1.2)]
     while not sent or sent[-1].wait is not Wait.END:
-        if len(sent) % 25 == 24 and (override := next(wanted, None)) is not None:
+        if wanted and len(sent) >= wanted[0][0]:  # chunks may come several at a time
+            override = wanted.pop(0)[1]
             count = sum(len(chunk.samples) for chunk in sent)
             revision = stream.revision(count - 1, OperatorSettings(override))
             if revision is not None:
@@ -239,7 +240,7 @@ def test_revisions_in_motion_hold_it():
         while not stream.current.can_sample and stream.current.can_plan:
             stream.current.plan()
         sent += stream.current.sample() if stream.current.can_sample else []
-    assert revised > 1
+    assert revised == 4
     run = Setpoints.concatenate([chunk.samples for chunk in sent])
     # The drives at a revision are taken as in steady motion, so a little more is possible.
     assert error_of(run, TIRED) <= 1.15 * 150 * UM

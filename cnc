@@ -105,7 +105,7 @@ main() {
     test)
       shift
       parts+=(test panel step batch tiles)
-      case " $* " in *' --all '*) parts+=(docs warp) ;; esac
+      case " $* " in *' --all '*) parts+=(docs warp) ;; *' --share '*) parts+=(docs) ;; esac
       ensure "${parts[@]}"
       cd "$root"
       case " $* " in *' --all '*) try_everything_else ;; esac

@@ -93,10 +93,12 @@ def laws() -> None:
             except PlanningError:
                 cells.append('refused')
                 continue
-            ratios[law].append(found.time / by)
+            if not math.isnan(times.optimum):
+                ratios[law].append(found.time / by)
             over = '' if found.kept else f', use {found.use:.2f}'
             cells.append(f'{found.time / by:.4f}{over}')
-        ratios['bound without jerk'].append(times.bound / by)
+        if not math.isnan(times.optimum):
+            ratios['bound without jerk'].append(times.bound / by)
         print(f'| {" | ".join([*cells, f"{times.bound / by:.3f}"])} |', flush=True)
     for law, of_paths in ratios.items():
         middle, most = statistics.median(of_paths), max(of_paths)

@@ -386,11 +386,13 @@ class OperatorClient:
             self._thread.join()
         # Fast DDS may stand here for ever, and with it the interpreter (``run_console.DEAF``).
         faulthandler.dump_traceback_later(LAST_WAIT, exit=True, file=2)
-        self._executor.shutdown()
-        self._action.destroy()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self._context)
-        faulthandler.cancel_dump_traceback_later()
+        try:
+            self._executor.shutdown()
+            self._action.destroy()
+            self.node.destroy_node()
+            rclpy.shutdown(context=self._context)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
     def __enter__(self) -> OperatorClient:
         return self

@@ -86,7 +86,7 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
         )
         if not jerk_known:
             notes.append(
-                f'jerk of {letter}: not in the INI, taken as acceleration times {JERK:g}/s'
+                f'jerk of {letter}: none in the INI, taken as acceleration times {JERK:g}/s'
             )
     content: dict[str, Any] = {
         'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')), 'signals': 'milling',
@@ -119,8 +119,8 @@ def _limits(
     velocity, acceleration = (
         min(values(key)) * unit for key in ('MAX_VELOCITY', 'MAX_ACCELERATION')
     )
-    told = values('MAX_JERK', need=False)
-    jerk = min(told) * unit if told and min(told) > 0.0 else JERK * acceleration
+    told = [jerk for jerk in values('MAX_JERK', need=False) if jerk > 0.0]  # 0: no limit there
+    jerk = min(told) * unit if told else JERK * acceleration
     kind, per = ('m', 'm') if straight else ('rev', 'rev')
     row: dict[str, Any] = {
         f'velocity_{kind}_per_min': _rounded(velocity / speed),

@@ -20,7 +20,7 @@ class PlanOptions:
     passes: int = 6  #: Largest number of corrections of one stretch.
     cell_time: tuple[float, float] = (2e-4, 6e-3)  #: Shortest and longest wanted cell time [s].
     share: float = 1 / 64  #: Wanted cell time as a part of the duration of the stretch [-].
-    bend: float = 0.00125  #: Largest nonlinearity of a limit inside a cell, over the limit [-].
+    bend: float = 0.0025  #: Largest nonlinearity of a limit inside a cell, over the limit [-].
     gap: float = 5e-5  #: Accepted gap to the optimum, relative to the time [-].
     points: int = 7  #: Number of instants per cell at which the limits are checked.
     window_ratio: float = 2.5  #: Length of a window in horizons; one is committed later [-].

@@ -13,7 +13,8 @@ from cnc_interp.page.contact import Command, asked, key, pressing
 from cnc_interp.page.desk import Desk
 from cnc_interp.settings.options import Settings
 
-STEP = 5  #: Of the keys of an override [%].
+MOST, STEP = 150, 5  #: Largest feed override, and the step of the keys [%].
+SPINDLE = (50, 120)  #: Least and largest spindle override [%].
 RAPIDS = (25, 50, 100)  #: Keys of the rapid override [%].
 
 large = partial(key, look='unelevated')
@@ -26,33 +27,26 @@ class HeldSlider(ui.slider):
 
 
 class OverrideSlider:
-    """An override in one page: a slider, and keys that move it by a step or to 100 %."""
+    """The feed override in one page: a slider, and keys that move it by a step or to 100 %."""
 
-    def __init__(
-        self, nodes: OperatorClient, may_set: Callable[[], bool], topic: str, name: str,
-        least: int, most: int,
-    ):  # fmt: skip
-        self._nodes, self._may_set, self._topic = nodes, may_set, topic
-        self._least, self._most = least, most
-        of = '' if name == 'override' else f'{name} '
+    def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
+        self._nodes, self._may_set = nodes, may_set
         self._shown: float | None = None
         with ui.element('div').classes('slide'):
-            ui.label(name)
-            self._slider = HeldSlider(
-                min=least, max=most, step=STEP, value=100, on_change=self._set
-            )
-            self._slider.props(f'dense data-mark="{of}override slider"')
+            ui.label('override')
+            self._slider = HeldSlider(min=0, max=MOST, step=STEP, value=100, on_change=self._set)
+            self._slider.props('dense data-mark="override slider"')
             self._text = ui.label('100%').classes('value')
         with ui.element('div').classes('steps'):
             keys = [
-                key('−', of + 'slower', lambda: self._move(self._slider.value - STEP)),
-                key('+', of + 'faster', lambda: self._move(self._slider.value + STEP)),
-                key('100%', f'{of}100%' if of else '', act=lambda: self._move(100)),
+                key('−', 'slower', lambda: self._move(self._slider.value - STEP)),
+                key('+', 'faster', lambda: self._move(self._slider.value + STEP)),
+                key('100%', act=lambda: self._move(100)),
             ]
         self.elements = (self._slider, *keys)
 
     def _move(self, percent: float) -> None:
-        self._slider.set_value(min(max(percent, self._least), self._most))
+        self._slider.set_value(min(max(percent, 0), MOST))
         self._slider.update()
 
     def _set(self, event: events.ValueChangeEventArguments) -> None:
@@ -62,12 +56,12 @@ class OverrideSlider:
         if self._may_set():
             self._shown = event.value / 100
             self._text.set_text(f'{event.value:.0f}%')
-            self._nodes.set_override(event.value / 100, self._topic)
+            self._nodes.set_override(event.value / 100)
         else:
             self.show_again()
 
     def show(self) -> None:
-        value = self._nodes.override_of(self._topic)
+        value = self._nodes.override_of('feed_override')
         if self._shown != value:
             self._shown = value
             self._slider.set_value(round(100 * value))
@@ -109,6 +103,33 @@ class RapidKeys:
             on = percent == lit
             colour, pressed = ('primary', 'true') if on else ('blue-grey-9', 'false')
             one.props(f'color={colour} aria-pressed={pressed}')
+
+
+class SpindleKeys:
+    """The spindle override in one page: a row of keys that move it by a step or to 100 %."""
+
+    def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
+        self._nodes, self._may_set = nodes, may_set
+        with ui.element('div').classes('steps rapids'):
+            self._text = ui.label('spindle 100%').props('data-mark="spindle override"')
+            self.keys = [
+                key('−', 'spindle slower', partial(self._move, -STEP)),
+                key('+', 'spindle faster', partial(self._move, STEP)),
+                key('100%', 'spindle 100%', partial(self._set, 100)),
+            ]
+
+    def _percent(self) -> int:
+        return round(100 * self._nodes.override_of('spindle_override'))
+
+    def _move(self, step: int) -> None:
+        self._set(min(max(self._percent() + step, SPINDLE[0]), SPINDLE[1]))
+
+    def _set(self, percent: int) -> None:
+        if self._may_set():
+            self._nodes.set_override(percent / 100, 'spindle_override')
+
+    def show(self) -> None:
+        self._text.set_text(f'spindle {self._percent()}%')
 
 
 class Switch:
@@ -191,16 +212,14 @@ class Keys:
             *(self._switch(name) for name in SWITCHES),
             Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
         ]
-        nodes = desk.nodes
-        self._override = OverrideSlider(nodes, may_set, 'feed_override', 'override', 0, 150)
-        self._spindle = OverrideSlider(nodes, may_set, 'spindle_override', 'spindle', 50, 120)
+        self._override = OverrideSlider(desk.nodes, may_set)
+        self._spindle = SpindleKeys(desk.nodes, may_set)
         self._rapids = RapidKeys(desk.nodes, may_set)
         self._signals = SignalKeys(desk.nodes, in_sight)
         switches = (one.key for one in self._switches)
-        sliders = *self._override.elements, *self._spindle.elements
-        self._elements = (*keys, *switches, *sliders, *self._rapids.keys.values())
-        for slider in (self._override, self._spindle):
-            ui.context.client.on_connect(slider.show_again)
+        rows = *self._rapids.keys.values(), *self._spindle.keys
+        self._elements = (*keys, *switches, *self._override.elements, *rows)
+        ui.context.client.on_connect(self._override.show_again)
 
     def _switch(self, name: str) -> Switch:
         async def turn(on: bool) -> None:

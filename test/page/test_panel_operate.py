@@ -42,7 +42,7 @@ LINE, PASSES = 7, 3
 @pytest.fixture
 def part(request, tmp_path):
     """A program with a name of its own, by which the page tells that it is loaded."""
-    path = tmp_path / f'{request.node.name}.ngc'
+    path = tmp_path / f'{request.node.name[-40:]}.ngc'  # Longer names lose their beginning.
     path.write_text(PART)
     return path
 
@@ -337,6 +337,7 @@ def test_rapid_and_spindle_override_by_key_and_keyboard(panel):
     panel.press_key(tab, '9', lambda: panel.peers.state.rapid_override == 1.0, Tab.type_key)
     tab.wait(lambda: tab.text('rapids') == 'rapids' and lit(tab, 'rapid 100%'))
     panel.press_key(tab, 'spindle faster', lambda: panel.peers.state.spindle_override == 1.05)
+    tab.wait(lambda: tab.text('spindle override') == 'spindle 105%')
     panel.press_key(tab, 'spindle 100%', lambda: panel.peers.state.spindle_override == 1.0)
     assert panel.peers.state.feed_override == 1.0
 

@@ -73,6 +73,6 @@ def test_the_executed_setpoints_are_those_of_the_full_run(shared_nodes):
         speed, full = np.gradient(place), np.gradient(s)
         joined = place > place[0] + 0.02
         there = np.interp(place[joined], s, full)
-        assert np.abs(speed[joined] - there).max() < 5e-3 * full.max()
+        assert np.abs(speed[joined] - there).max() < 1e-3 * full.max()
         count = int((s > place[joined][0]).sum())
         assert abs(int(joined.sum()) - count) <= 1e-3 * count + 2

@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from cnc_interp.machine.hal_drives import (
     HalStream,
     shared_memories,
 )
-from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of
+from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of, pins_of
 from cnc_interp.machine_model.signals import Signals
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'hal'
@@ -54,21 +55,32 @@ class Periods(NamedTuple):
     actual: np.ndarray
     empty: np.ndarray  #: (K,): Periods in which the FIFO was empty.
     outputs: np.ndarray  #: (K, n_outputs)
+    more: np.ndarray  #: (K, m): Further numbers.
 
 
-def witnessed_file(name: str, signals: Signals) -> str:
-    """Return a bundled file with the signals of a machine file, and with the second sampler.
+def witnessed_columns(signals: Signals, more: Sequence[str]) -> str:
+    kinds = ('f' if signal.is_number else 'b' for signal in signals.wires)
+    return f'{"f" * 2 * len(AXES)}b{"".join(kinds)}{"f" * len(more)}'
+
+
+def witnessed_file(text: str, signals: Signals, more: Sequence[str]) -> str:
+    """Return a HAL file with the signals of a machine file, and with the second sampler.
 
     A net of its name begins at each output.
     """
-    text, count = (FOLDER / f'{name}.hal').read_text(encoding='utf-8'), len(AXES)
+    count = len(AXES)
     stream, samples = columns_of(count, signals)
     text = re.sub(r'(depth=1000 cfg=)\w+', rf'\1{stream}', text)
-    added = f'{"f" * 2 * count}b{stream[2 * count + 1 :]}'
-    text = re.sub(r'depth=4000 cfg=\w+', f'depth=4000,{WITNESSED} cfg={samples},{added}', text)
+    for net, columns in (
+        ('sent-bits streamer.0', stream),
+        ('seen-bits wsum.0.sum => sampler.0', samples),
+    ):
+        text = text.replace(f'net {net}.pin.{2 * count}', f'net {net}.pin.{len(columns) - 1}')
+    given = f'depth=4000,{WITNESSED} cfg={samples},{witnessed_columns(signals, more)}'
+    text = re.sub(r'depth=4000 cfg=\w+', given, text)
     nets = [*(f'{axis}-{kind}' for kind in ('cmd', 'fb') for axis in AXES), 'empty']
-    for k, signal in enumerate(signals.wires, 2 * count + 1):
-        nets.append(f'{signal.name} streamer.0.pin.{k}')
+    nets += [f'{name} {pin}' for name, pin in pins_of(count, signals)[0].items()]
+    nets += more
     nets = [f'net {net} => sampler.1.pin.{k}' for k, net in enumerate(nets)]
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
     return re.sub(r'^start$', added, text, flags=re.MULTILINE)
@@ -81,30 +93,42 @@ class Session:
     Parameters
     ----------
     name : str
-        A file of ``config/hal``, without its suffix.
+        A file of ``config/hal``, without its suffix; or the lines of a file.
     signals : Signals
         Those of the machine file.
+    more : Sequence[str]
+        Nets of further numbers for the witness.
 
     """
 
-    def __init__(self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS):
-        self._name, self._signals = name, signals
+    def __init__(
+        self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS, more: Sequence[str] = ()
+    ):
+        self._name, self._signals, self._more = name, signals, more
 
     def __enter__(self) -> Session:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
         if os.geteuid() == 0:
             os.chown(self._folder.name, NOBODY, NOBODY)
         path = Path(self._folder.name) / 'witnessed.hal'
-        path.write_text(witnessed_file(self._name, self._signals), encoding='utf-8')
+        text, file = self._name, FOLDER / f'{self._name}.hal'
+        text = text if '\n' in text else file.read_text(encoding='utf-8')
+        path.write_text(witnessed_file(text, self._signals, self._more), encoding='utf-8')
         path.chmod(0o644)  # read by the other user
+        try:
+            self._begin(path)
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def _begin(self, path: Path) -> None:
         self._run('halcmd', '-f', str(path))
         self._session = HalSession()
-        outputs = columns_of(len(AXES), self._signals)[0][2 * len(AXES) + 1 :]
-        self._is_number = np.array([letter == 'f' for letter in outputs], dtype=bool)
-        columns = 'f' * 2 * len(AXES) + 'b' + outputs
+        columns = witnessed_columns(self._signals, self._more)
+        self._is_number = np.array([s.is_number for s in self._signals.wires], dtype=bool)
         self._witness = HalStream(self._session, SAMPLER_KEY + 1, columns, 'sampler.1')
         self.forget()
-        return self
 
     def _run(self, *command: str) -> str:
         """Run a command of LinuxCNC as an ordinary user; what it leaves running has no pipe."""
@@ -140,20 +164,24 @@ class Session:
     def periods(self) -> Periods:
         """Read the periods since the last call."""
         library, width = self._session.library, 2 * len(AXES)
-        row, found = np.zeros(width + 1 + len(self._is_number)), []
+        end = width + 1 + len(self._is_number)
+        row, found = np.zeros(end + len(self._more)), []
         number, place = ctypes.c_uint(), row.ctypes.data_as(ctypes.c_void_p)
         while library.hal_stream_read(self._witness.reference, place, ctypes.byref(number)) == 0:
             found.append(row.copy())
         rows = np.array(found).reshape(-1, len(row))
         assert library.hal_stream_num_overruns(self._witness.reference) == self._lost
         bits = rows.view(np.int64)[:, width:] & 1
-        outputs = np.where(self._is_number, rows[:, width + 1 :], bits[:, 1:])
+        outputs = np.where(self._is_number, rows[:, width + 1 : end], bits[:, 1 : end - width])
         place = rows[:, : len(AXES)], rows[:, len(AXES) : width]
-        return Periods(*place, bits[:, 0].astype(bool), outputs)
+        return Periods(*place, bits[:, 0].astype(bool), outputs, rows[:, end:])
 
     def __exit__(self, *_: object) -> None:
         self._witness.detach()
         self._session.end()
+        self._end()
+
+    def _end(self) -> None:
         self._run('halcmd', 'stop')
         self._run('halcmd', 'unload', 'all')
         self._run('rtapi_app', 'exit')

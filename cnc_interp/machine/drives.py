@@ -133,7 +133,11 @@ class HomedDrives(CycleDrives, Protocol):
 
     @property
     def released(self) -> FloatArray:
-        """Where each axis was in the period in which its switch released last [m, rad]."""
+        """Where each axis was when its watched input went off, an index exactly [m, rad]."""
+        ...
+
+    def watch(self, axis: int, number: int) -> None:
+        """Watch an input for an axis; until it goes off, ``released`` is NaN."""
         ...
 
     def shift(self, by: FloatArray) -> None:

@@ -17,9 +17,9 @@ from cnc_interp.core.native import publish
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
-from cnc_interp.machine.hal_file import columns_of
+from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import home_input
+from cnc_interp.machine_model.signals import home_input, index_signals
 
 LIBRARY = 'liblinuxcnchal.so.0'
 #: Keys of the shared memory of HAL itself, of the first streamer and of the first sampler.
@@ -136,7 +136,6 @@ def thread_period(functions: tuple[str, ...]) -> float:
     )
 
 
-STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
 PERIOD_SLACK = 0.01  #: HAL's period may differ by so much from the interpolation period [-].
 POWER_UP = 5.0  #: Longest wait for HAL and for the power of the drives [s].
 
@@ -193,6 +192,9 @@ class HalDrives:
                 inputs.index(home_input(name)) if name in machine.homing.switches else -1
                 for name in self._names
             ]
+            offsets = [index_signals(name)[2] for name in self._names]
+            self._indexed = np.isin(offsets, inputs)
+            self._offsets = [inputs.index(each) if each in inputs else 0 for each in offsets]
             self._fill(machine, period, depth, limits, stream, samples)
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
@@ -255,7 +257,13 @@ class HalDrives:
 
     @property
     def released(self) -> FloatArray:
-        return self._block.released.copy()
+        block = self._block
+        by_index = self._indexed & np.isfinite(block.released)
+        place = block.offset - self.inputs[self._offsets] * block.units
+        return np.where(by_index, place, block.released)
+
+    def watch(self, axis: int, number: int) -> None:
+        self._block.released[axis], self._block.home[axis] = np.nan, number
 
     def shift(self, by: FloatArray) -> None:
         words = self._block.words

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.machine_model.signals import Signals, home_input
+from cnc_interp.machine_model.signals import Signals, home_input, index_signals
 
 NO_SIGNALS = Signals()
+STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
 MOST = 21  #: Columns of a stream of HAL.
+BITS = 16  #: In a column: as many as ``weighted_sum`` of HAL adds up.
 #: Modules of the motion controller, by name or as the INI file names them.
 MOTION = re.compile(r'motmod|tpmod|homemod|\w+kins|\[(KINS|EMCMOT|TRAJ)\].*')
 #: Pins of programs that do not run beside cnc_interp.
@@ -31,11 +34,35 @@ PINS = {
 }  # fmt: skip
 
 LOADED = """loadrt threads {threads}
-loadrt streamer depth=1000 cfg={stream}
-loadrt sampler depth=4000 cfg={samples}
-loadrt not names=stream-alive
-loadrt and2 names=power-wanted,power-given
-loadrt timedelay names=stream-late"""
+loadrt streamer depth=1000 cfg={columns[0]}
+loadrt sampler depth=4000 cfg={columns[1]}
+loadrt bitslice names={slices} personality={sizes}
+loadrt weighted_sum wsum_sizes={sums}"""
+#: What else is loaded, by module; HAL loads each module once.
+NAMES = {
+    'not': ['stream-alive'], 'and2': ['power-wanted', 'power-given'], 'timedelay': ['stream-late'],
+}  # fmt: skip
+#: Functions that take the place of those of the motion controller, with those of ``INDEXED``.
+HANDLER, CONTROLLER = 'motion-command-handler', 'motion-controller'
+LAST = 'stream-late', 'stream-alive', 'power-wanted', 'power-given'
+MODULES = {
+    'edge': ('found', 'asks'), 'tristate_bit': ('ask',), 'sum2': ('jump',), 'mux2': ('off',),
+    'offset': ('index',),
+}  # fmt: skip
+IN_ORDER = 'found', 'jump', 'off', 'index.update-feedback', 'index.update-output', 'asks', 'ask'
+#: At its index pulse an encoder counts anew from 0. So ``index`` takes the jump off its position,
+#: and adds it to the command, in that period: the machine sees a position that goes on.
+INDEXED = """
+setp {x}-asks.in-edge 0
+setp {x}-ask.in 1
+setp {x}-jump.gain1 -1
+net cnc-{x}-asked {asked} => {x}-asks.in
+net cnc-{x}-ask {x}-asks.out => {x}-ask.enable
+net cnc-{x}-found {x}-found.out => {x}-off.sel
+net cnc-{x}-jump {x}-jump.out => {x}-off.in1
+net cnc-{x}-off {x}-off.out => {x}-off.in0 {x}-index.offset {offset}
+net cnc-{x}-cmd {command} => {x}-index.in
+net cnc-{x}-fb {x}-index.fb-out => {x}-jump.in1 {position}"""
 
 
 def columns_of(n: int, signals: Signals) -> tuple[str, str]:
@@ -43,37 +70,54 @@ def columns_of(n: int, signals: Signals) -> tuple[str, str]:
 
     InterpError where HAL has fewer.
     """
-    outputs, inputs = (
-        ''.join('f' if signal.is_number else 'b' for signal in declared)
-        for declared in (signals.wires, signals.inputs)
-    )
-    stream, samples = 'f' * 2 * n + 'b' + outputs, 'f' * 2 * n + 'b' * (n + 2) + inputs
-    for what, columns in (('streamer', stream), ('sampler', samples)):
-        if len(columns) > MOST:
+    found = []
+    for what, declared, bits, letter in (
+        ('streamer', signals.wires, 1, 'u'), ('sampler', signals.inputs, n + 2, 's')
+    ):  # fmt: skip
+        numbers = sum(signal.is_number for signal in declared)
+        packed = math.ceil((bits + len(declared) - numbers) / BITS)
+        found.append('f' * (2 * n + numbers) + letter * packed)
+        if len(found[-1]) > MOST:
             raise InterpError(
                 f"{what} of LinuxCNC's HAL has at most {MOST} columns, this machine needs "
-                f'{len(columns)}: name fewer signals in its file'
+                f'{len(found[-1])}: name fewer signals in its file'
             )
-    return stream, samples
+    return found[0], found[1]
 
 
-#: Functions that take the place of those of the motion controller.
-REPLACED = {
-    'motion-command-handler': (
-        'streamer.0', 'stream-late', 'stream-alive', 'power-wanted', 'power-given',
-    ),
-    'motion-controller': ('sampler.0',),
-}  # fmt: skip
+def sent(bit: int) -> str:
+    """Return the pin of a bit of ``streamer``: power, then those of ``signals``."""
+    return f'bits-{bit // BITS}.out-{bit % BITS:02d}'
+
+
+def seen(bit: int) -> str:
+    """Return the pin of a bit of ``sampler``: faults, power, empty, then those of ``signals``."""
+    return f'wsum.{bit // BITS}.bit.{bit % BITS}.in'
+
+
+def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the pins of outputs and inputs by name: numbers have columns after the velocities."""
+    outputs, inputs = dict[str, str](), dict[str, str]()
+    for pins, declared, name, bit, pin in (
+        (outputs, signals.wires, STREAMER, 1, sent), (inputs, signals.inputs, SAMPLER, n + 2, seen)
+    ):  # fmt: skip
+        number = 2 * n
+        for signal in declared:
+            pins[signal.name] = f'{name}.pin.{number}' if signal.is_number else pin(bit)
+            number, bit = number + signal.is_number, bit + (not signal.is_number)
+    return outputs, inputs
+
+
 POWERED = """
 # Power: cnc_interp asks for it; the emergency stop and a stream that stays empty take it away.
-net cnc-enable streamer.0.pin.{wanted} => power-wanted.in0
-net cnc-empty streamer.0.empty => sampler.0.pin.{empty} stream-late.in
+net cnc-enable {wanted} => power-wanted.in0
+net cnc-empty streamer.0.empty => {empty} stream-late.in
 setp stream-late.on-delay 0.1
 setp stream-late.off-delay 0
 net cnc-late stream-late.out => stream-alive.in
 net cnc-alive stream-alive.out => power-wanted.in1
 net cnc-wanted power-wanted.out => power-given.in0
-net cnc-power power-given.out => sampler.0.pin.{power}
+net cnc-power power-given.out => {power}
 {stop}
 
 start"""
@@ -92,7 +136,13 @@ def hal_file(
             f'--joints {joints}: name each axis of the machine once, in the order of the joints '
             f'of LinuxCNC (axes: {" ".join(axes)}); an axis with two motors cannot be converted'
         )
-    place, needed = _places(axes, joints, signals), {'motion-command-handler', 'motion-controller'}
+    place, needed = _places(axes, joints, signals), {HANDLER, CONTROLLER}
+    columns, indexed = columns_of(len(axes), signals), _indexed(axes, signals)
+    functions = {
+        HANDLER: [STREAMER, *(f'bits-{k}' for k in range(columns[0].count('u'))), *LAST],
+        CONTROLLER: ['process_wsums', SAMPLER],
+    }
+    functions[HANDLER] += [f'{x}-{name}' for x in indexed for name in IN_ORDER]
     needed |= {pin for pin in place if 'motor-pos' in pin}
     commented = [line.partition('#') for line in text.replace('\\\n', ' ').splitlines()]
     rows = [(line + mark + note, line.split()) for line, mark, note in commented]
@@ -102,12 +152,19 @@ def hal_file(
             nets.setdefault(' '.join(words[1:2]), set()).update(_pins(words))
     renamed = {name: new for name, pins in nets.items() if (new := _new_name(pins))}
     made, left_out = [], []
+    names = NAMES | {
+        module: [f'{x}-{name}' for x in indexed for name in each]
+        for module, each in MODULES.items() if indexed
+    }  # fmt: skip
+    given = {words[1] for _, words in rows if words[:1] == ['loadrt'] and len(words) > 1}
     for line, words in rows:
         needed -= set(words)
         if words[:1] == ['loadrt'] and MOTION.fullmatch(' '.join(words[1:2])):
-            made += _loaded(words, columns_of(len(axes), signals))
-        elif words[:1] == ['addf'] and ' '.join(words[1:2]) in REPLACED:
-            made += [' '.join(['addf', name, *words[2:3]]) for name in REPLACED[words[1]]]
+            made += _loaded(words, columns, {k: names[k] for k in names if k not in given})
+        elif words[:1] == ['loadrt'] and ' '.join(words[1:2]) in names:
+            made.append(_loads(words[1], [*_instances(words), *names[words[1]]]))
+        elif words[:1] == ['addf'] and ' '.join(words[1:2]) in functions:
+            made += [' '.join(['addf', name, *words[2:3]]) for name in functions[words[1]]]
         elif words[:1] == ['net']:
             pins = [place.get(pin, pin) for pin in _pins(words)]
             kept = [pin for pin in pins if not ABSENT.fullmatch(pin)]
@@ -127,29 +184,51 @@ def hal_file(
     if STOP not in renamed.values():
         left_out.append('there is no contact by which the emergency stop takes the power away')
         stop = 'setp power-given.in1 1'
-    made.append(POWERED.format(wanted=2 * n, power=3 * n, empty=3 * n + 1, stop=stop))
+    outputs, inputs = pins_of(n, signals)
+    for k, x in enumerate(name.lower() for name in axes):
+        if x in indexed:
+            asked, _, offset = index_signals(x)
+            made.append(INDEXED.format(
+                x=x, asked=outputs[asked], offset=inputs[offset],
+                command=f'{STREAMER}.pin.{k} {SAMPLER}.pin.{k}', position=f'{SAMPLER}.pin.{n + k}',
+            ))  # fmt: skip
+    sends, sees = columns[0].index('u'), columns[1].index('s')
+    made += [
+        f'net cnc-sent-{k} {STREAMER}.pin.{sends + k} => bits-{k}.in'
+        for k in range(len(columns[0]) - sends)
+    ]
+    made += [f'net cnc-seen-{k} wsum.{k}.sum => {SAMPLER}.pin.{sees + k}'
+             for k in range(len(columns[1]) - sees)]  # fmt: skip
+    made.append(POWERED.format(wanted=sent(0), power=seen(n), empty=seen(n + 1), stop=stop))
     return '\n'.join(made) + '\n', left_out
 
 
+def _indexed(axes: Sequence[str], signals: Signals) -> list[str]:
+    outputs = {signal.name for signal in signals.wires}
+    return [name.lower() for name in axes if index_signals(name)[0] in outputs]
+
+
 def _places(axes: Sequence[str], joints: str, signals: Signals) -> dict[str, str]:
-    found: dict[str, str] = {}
-    ways = (('streamer.0', 2 * len(axes) + 1, signals.wires),
-            ('sampler.0', 3 * len(axes) + 2, signals.inputs))  # fmt: skip
-    for name, first, declared in ways:
-        for k, signal in enumerate(declared):
-            if signal.name in PINS:
-                found[PINS[signal.name]] = f'{name}.pin.{first + k}'
+    n, (outputs, inputs) = len(axes), pins_of(len(axes), signals)
+    pins = outputs | inputs
+    found = {pin: pins[name] for name, pin in PINS.items() if name in pins}
     for joint, letter in enumerate(joints):
-        i, n = axes.index(letter), len(axes)
+        i, x, of = axes.index(letter), letter.lower(), f'joint.{joint}.'
         found |= {
-            f'joint.{joint}.motor-pos-cmd': f'streamer.0.pin.{i} sampler.0.pin.{i}',
-            f'joint.{joint}.vel-cmd': f'streamer.0.pin.{n + i}',
-            f'joint.{joint}.motor-pos-fb': f'sampler.0.pin.{n + i}',
-            f'joint.{joint}.amp-fault-in': f'sampler.0.pin.{2 * n + i}',
-        } | {
-            f'joint.{joint}.home-sw-in': f'sampler.0.pin.{3 * n + 2 + k}'
-            for k, signal in enumerate(signals.inputs) if signal.name == home_input(letter)
-        }  # fmt: skip
+            f'{of}motor-pos-cmd': f'{STREAMER}.pin.{i} {SAMPLER}.pin.{i}',
+            f'{of}vel-cmd': f'{STREAMER}.pin.{n + i}',
+            f'{of}motor-pos-fb': f'{SAMPLER}.pin.{n + i}',
+            f'{of}amp-fault-in': seen(i),
+        }
+        if home_input(letter) in inputs:
+            found[f'{of}home-sw-in'] = inputs[home_input(letter)]
+        if x in _indexed(axes, signals):
+            waits = inputs[index_signals(letter)[1]]
+            found |= {
+                f'{of}motor-pos-cmd': f'{x}-index.out',
+                f'{of}motor-pos-fb': f'{x}-index.fb-in {x}-jump.in0',
+                f'{of}index-enable': f'{x}-ask.out {x}-found.in {waits}',
+            }
     return found
 
 
@@ -164,7 +243,9 @@ def _new_name(pins: set[str]) -> str:
     return STOP if RELEASED in pins and pins - {RELEASED, LOOP} else ''
 
 
-def _loaded(words: Sequence[str], columns: tuple[str, str]) -> list[str]:
+def _loaded(
+    words: Sequence[str], columns: tuple[str, str], names: dict[str, list[str]]
+) -> list[str]:
     """Return what is loaded in the place of a module: its threads are those of ``motmod``."""
     given = dict(word.split('=', 1) for word in words if '=' in word)
     if 'servo_period_nsec' not in given:
@@ -175,4 +256,19 @@ def _loaded(words: Sequence[str], columns: tuple[str, str]) -> list[str]:
     threads = ' '.join(
         f'name{k}={name} period{k}={x}' for k, (name, x) in enumerate(periods.items(), 1)
     )
-    return [LOADED.format(threads=threads, stream=columns[0], samples=columns[1])]
+    packed = columns[0].count('u'), columns[1].count('s')
+    slices = ','.join(f'bits-{k}' for k in range(packed[0]))
+    sizes, sums = (','.join([str(BITS)] * count) for count in packed)
+    text = LOADED.format(threads=threads, columns=columns, slices=slices, sizes=sizes, sums=sums)
+    return [text, *(_loads(*each) for each in names.items())]
+
+
+def _loads(module: str, names: Sequence[str]) -> str:
+    return f'loadrt {module} names={",".join(names)}'
+
+
+def _instances(words: Sequence[str]) -> list[str]:
+    """Return the names that a line of ``loadrt`` gives: without names they are numbered."""
+    given = dict(word.split('=', 1) for word in words if '=' in word)
+    numbered = [f'{words[1].replace("_", "-")}.{k}' for k in range(int(given.get('count', '1')))]
+    return given['names'].split(',') if 'names' in given else numbered

@@ -15,6 +15,7 @@ from numba import carray, cfunc, njit, types
 
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.native import NANOSECONDS, call_c, pointer, publish, time_now
+from cnc_interp.machine.hal_file import BITS
 
 #: Words of the memory: addresses of HAL's functions and streams, ...
 WRITE, READ, DEPTH, OVERRUNS, STREAM, SAMPLES = range(6)
@@ -58,12 +59,14 @@ class Block(NamedTuple):
     actual: FloatArray  #: (2, n): Position in the last two samples [m, rad].
     offset: FloatArray  #: (n,): Position where HAL's is 0 [m, rad].
     shift: FloatArray  #: (n,): What the next shift adds to positions and offset [m, rad].
-    home: FloatArray  #: (n,): Number of the input of each axis' reference switch; -1: none.
-    released: FloatArray  #: (n,): Where each axis was when its switch released last [m, rad].
+    home: FloatArray  #: (n,): Number of the input that is watched for each axis; -1: none.
+    released: FloatArray  #: (n,): Where each axis was when that input went off last [m, rad].
     kept: FloatArray  #: (KEPT, 2n + FLAGS): Pushed rows: setpoint [m, rad], in HAL's units, flags.
-    row: FloatArray  #: (2n + 1 + m,): A row of the stream: positions, velocities, power, outputs.
-    #: (3n + 2 + k,): A row of the sampler: positions commanded and actual; then bits: amplifier
-    #: faults, power is on, FIFO was empty, inputs.
+    #: (2n + 1 + m,): A row of the stream: positions, velocities, outputs that are numbers; then
+    #: bits, ``BITS`` in a column: power, other outputs.
+    row: FloatArray
+    #: (3n + 2 + k,): A row of the sampler: positions commanded and actual, inputs that are
+    #: numbers; then bits: amplifier faults, power is on, FIFO was empty, other inputs.
     sample: FloatArray
     number: FloatArray  #: (1,): Where HAL writes the number of the sample.
     outputs: FloatArray  #: (m,): What the outputs are set to.
@@ -122,13 +125,16 @@ def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, move
         kept[i], kept[n + i] = wanted[i], (wanted[i] - block.offset[i]) / block.units[i]
         block.row[i], block.row[n + i] = kept[n + i], velocity[i] / block.units[i]
     kept[2 * n], kept[2 * n + 1] = on, moves
-    bits = block.row[2 * n :].view(np.int64)
-    bits[0] = on
-    for i in range(len(block.outputs)):
+    m, column, bit = len(block.outputs), 2 * n, 1
+    packed = block.row[column + int(block.is_number[:m].sum()) :].view(np.int64)
+    packed[:], packed[0] = 0, on
+    for i in range(m):
         if block.is_number[i] != 0.0:
-            block.row[2 * n + 1 + i] = block.outputs[i]
+            block.row[column] = block.outputs[i]
+            column += 1
         else:
-            bits[1 + i] = block.outputs[i] != 0.0
+            packed[bit // BITS] |= int(block.outputs[i] != 0.0) << bit % BITS
+            bit += 1
     if _call(words, WRITE, STREAM, block.row.ctypes.data) < 0:
         return False
     words[PUSHED] += 1
@@ -136,20 +142,33 @@ def _push(block: Block, wanted: FloatArray, velocity: FloatArray, on: bool, move
 
 
 @njit(cache=True, nogil=True)
+def _bit(block: Block, k: int) -> bool:
+    """Return a bit of the sample."""
+    numbers = int(block.is_number[len(block.outputs) :].sum())
+    packed = block.sample[2 * len(block.units) + numbers :].view(np.int64)
+    return bool(packed[k // BITS] >> k % BITS & 1)
+
+
+@njit(cache=True, nogil=True)
 def _judge(block: Block) -> int:
     """Compare a sample with the row that it answers; return the number of an alarm, or 0."""
     words, n, sample = block.words, len(block.units), block.sample
-    bits = sample[2 * n :].view(np.int64)
-    on, empty = (bits[n] & 1) == 1, (bits[n + 1] & 1) == 1
+    on, empty = _bit(block, n), _bit(block, n + 1)
     for i in range(n):
         block.actual[0, i] = block.actual[1, i]
         block.actual[1, i] = sample[n + i] * block.units[i] + block.offset[i]
-        k = int(block.home[i])
-        if k >= 0 and block.inputs[k] != 0.0 and not bits[n + 2 + k] & 1:
-            block.released[i] = block.actual[1, i]
+    column, bit = 2 * n, n + 2
     for i in range(len(block.inputs)):
-        number = block.is_number[len(block.outputs) + i] != 0.0
-        block.inputs[i] = sample[3 * n + 2 + i] if number else bits[n + 2 + i] & 1
+        if block.is_number[len(block.outputs) + i] != 0.0:
+            block.inputs[i] = sample[column]
+            column += 1
+            continue
+        if block.inputs[i] != 0.0 and not _bit(block, bit):
+            for k in range(n):
+                if block.home[k] == i:
+                    block.released[k] = block.actual[1, k]
+        block.inputs[i] = _bit(block, bit)
+        bit += 1
     if words[COUNTED] == 0:
         return 0
     words[PLAYED] += 0 if empty else 1
@@ -168,7 +187,7 @@ def _judge(block: Block) -> int:
         return SWITCHED_OFF
     words[CONFIRMED] = 1
     for i in range(n):
-        if bits[i] & 1:
+        if _bit(block, i):
             return AMPLIFIER + i
     for i in range(n):
         if not abs(kept[i] - block.actual[1, i]) <= block.limits[i]:
@@ -204,8 +223,7 @@ def _begin_count(block: Block) -> bool:
     words, n = block.words, len(block.units)
     drained = _call(words, DEPTH, STREAM) == 0
     _read_samples(block)
-    empty = block.sample[2 * n :].view(np.int64)[n + 1] & 1
-    if not (drained and words[SEEN] and empty):
+    if not (drained and words[SEEN] and _bit(block, n + 1)):
         return False
     words[COUNTED], words[PUSHED], words[PLAYED], words[SILENT] = 1, 0, 0, 0
     still = np.zeros(n)

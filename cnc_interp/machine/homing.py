@@ -1,4 +1,4 @@
-"""Homing: axes move to their reference switches, and slowly back until these release."""
+"""Homing: axes move to their switches, slowly back until these release, and on to an index."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cnc_interp.machine.drives import HomedDrives
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import home_input
+from cnc_interp.machine_model.signals import home_input, index_signals
 from cnc_interp.run.run_state import Reason, State
 
 SEARCH, BACK = 0.1, 0.01  #: Shares of the velocity limits towards the switch and back from it [-].
@@ -23,29 +23,42 @@ AT_END = 1e-6  #: Nearer than this to its end of travel, an axis has not found i
 class AxisHoming(Enum):
     SEARCHES = 'moves towards its switch'
     LEAVES = 'moves back until the switch releases'
+    INDEX = 'moves on to its index pulse'
     DONE = 'its position is known'
+
+
+MISSED = {
+    AxisHoming.SEARCHES: 'without a switch',
+    AxisHoming.LEAVES: 'and its switch stays pressed',
+    AxisHoming.INDEX: 'without an index pulse',
+}
 
 
 class SimulatedSwitches:
     """Reference switches that are pressed from a position to the nearer end of the travel."""
 
     def __init__(self, machine: Machine):
-        names, given = machine.axis_names, machine.homing.switches
-        self._at = np.array([given.get(name, np.nan) for name in names])
+        names, given = machine.axis_names, machine.homing
+        self._at = np.array([given.switches.get(name, np.nan) for name in names])
+        self._index = np.array([given.index.get(name, np.nan) for name in names])
         low, high = machine.travel.T
         self.towards = np.where(self._at - low >= high - self._at, 1.0, -1.0)
 
     def pressed(self, q: FloatArray) -> BoolArray:
         return np.asarray((q - self._at) * self.towards >= 0.0)
 
+    def passed(self, q: FloatArray) -> BoolArray:
+        """Tell which axes have met the index that they were asked for."""
+        return np.asarray((q - self._index) * self.towards <= 0.0)
+
     def lose(self, names: Sequence[str]) -> None:
         """Do nothing: simulated axes know where they are."""
 
-    find = lose
+    find = ask = lose
 
 
 class WiredSwitches(SimulatedSwitches):
-    """Switches on the inputs ``home_x`` ...; their axes are counted anew from where they release.
+    """Switches on the inputs ``home_x`` ...; axes count anew from their release, or their index.
 
     Until then an axis counts from the end of its travel, so that it may move all its way.
     """
@@ -54,25 +67,42 @@ class WiredSwitches(SimulatedSwitches):
         self._machine = machine = playback.axes.machine
         super().__init__(machine)
         self._playback, self._drives = playback, drives
-        inputs = [signal.name for signal in machine.signals.inputs]
-        switches = machine.homing.switches
-        self._inputs = [
-            inputs.index(home_input(name)) if name in switches else -1
-            for name in machine.axis_names
-        ]
+        inputs, outputs = (
+            {signal.name: k for k, signal in enumerate(declared)}
+            for declared in (machine.signals.inputs, machine.signals.wires)
+        )
+        wires = [(home_input(name), *index_signals(name)) for name in machine.axis_names]
+        self._inputs = [inputs.get(home, -1) for home, *_ in wires]
+        self._waits = [inputs.get(waits, -1) for _, _, waits, _ in wires]
+        self._asks = [outputs.get(asked, -1) for _, asked, _, _ in wires]
 
     def pressed(self, q: FloatArray) -> BoolArray:
         told = np.append(self._drives.inputs, 0.0)  # the last is of an axis without a switch
         return np.asarray(told[self._inputs] != 0.0)
 
+    def passed(self, q: FloatArray) -> BoolArray:
+        return np.isfinite(self._drives.released)
+
+    def ask(self, names: Sequence[str]) -> None:
+        self._watch(names, self._waits, 1.0)
+
+    def _watch(self, names: Sequence[str], inputs: list[int], asks: float) -> None:
+        for i in map(self._machine.axis_names.index, names):
+            self._drives.watch(i, inputs[i])
+            if self._asks[i] >= 0:
+                self._playback.spindle.commanded[self._asks[i]] = asks
+
     def lose(self, names: Sequence[str]) -> None:
+        self._watch(names, self._inputs, 0.0)
         q = self._playback.axes.setpoints[-1]
         low, high = self._machine.travel.T
         at_high = self.pressed(q) == (self.towards > 0.0)
         self._shift(names, np.where(at_high, high, low) - q)
 
     def find(self, names: Sequence[str]) -> None:
-        self._shift(names, self._at - self._drives.released)
+        at = np.where(np.isfinite(self._index), self._index, self._at)
+        self._shift(names, at - self._drives.released)
+        self._watch(names, self._inputs, 0.0)
 
     def _shift(self, names: Sequence[str], by: FloatArray) -> None:
         homed = np.isin(self._machine.axis_names, list(names))
@@ -160,19 +190,24 @@ class Homing:
             self.stop(now)
             raise StreamError('homing was stopped; home again')
         q = self._playback.axes.setpoints[-1]
-        pressed = self._switches.pressed(self._playback.feedback.position[-1])
+        stands = self._playback.feedback.position[-1]
+        pressed, passed = self._switches.pressed(stands), self._switches.passed(stands)
         for name, stage in self._stages.items():
             i = self._names.index(name)
             if stage is AxisHoming.SEARCHES and pressed[i]:
                 self._stages[name] = AxisHoming.LEAVES
             elif stage is AxisHoming.LEAVES and not pressed[i]:
                 self._stages[name] = AxisHoming.DONE
+                if name in self._machine.homing.index:
+                    self._switches.ask([name])
+                    self._stages[name] = AxisHoming.INDEX
+            elif stage is AxisHoming.INDEX and passed[i]:
+                self._stages[name] = AxisHoming.DONE
             searches = stage is AxisHoming.SEARCHES
             end = self._machine.travel[i][int(searches == (self._switches.towards[i] > 0.0))]
             if self._stages[name] is stage is not AxisHoming.DONE and abs(q[i] - end) < AT_END:
                 self.stop(now)
-                why = 'without a switch' if searches else 'and its switch stays pressed'
-                raise StreamError(f'{name} has reached its end of travel {why}')
+                raise StreamError(f'{name} has reached its end of travel {MISSED[stage]}')
         self._jog.beat(self._shares(), 0.0, now)
         rests = state.state is State.IDLE
         if rests and all(stage is AxisHoming.DONE for stage in self._stages.values()):
@@ -181,7 +216,7 @@ class Homing:
             self._next()
 
     def _shares(self) -> dict[str, float]:
-        share = {AxisHoming.SEARCHES: SEARCH, AxisHoming.LEAVES: -BACK}
+        share = {AxisHoming.SEARCHES: SEARCH, AxisHoming.LEAVES: -BACK, AxisHoming.INDEX: -BACK}
         return {
             name: share[stage] * float(self._switches.towards[self._names.index(name)])
             for name, stage in self._stages.items()

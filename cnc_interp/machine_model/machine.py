@@ -292,6 +292,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         for name, row, straight in zip(names, rows, linear, strict=True)
     }
     loads = drive_loads(content, names, linear, table[:, 0])
+    switches = homing(content, travel)
     return Machine(
         name=str(content.get('name', 'unnamed')),
         axis_names=tuple(names),
@@ -303,11 +304,11 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         loads=loads,
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
-        homing=homing(content, travel),
+        homing=switches,
         pace=block_pace(content, float(table[:3, 2].min())),
         standstill=standstill(content),
         control=control(content),
-        signals=signals(content),
+        signals=signals(content, switches.index),
         **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
     )
 

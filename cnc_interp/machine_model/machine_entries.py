@@ -186,6 +186,8 @@ class ReferenceSwitches:
     #: Position of the switch of each axis that has one [m, rad]. It is pressed from there to the
     #: end of the travel that is nearer.
     switches: Mapping[str, float] = field(default_factory=dict)
+    #: Position of the index pulse that comes after the release of the switch [m, rad].
+    index: Mapping[str, float] = field(default_factory=dict)
     groups: tuple[tuple[str, ...], ...] = ()  #: Axes that home together, group after group.
     required: bool = False  #: Whether no program may start before all these axes are homed.
 
@@ -196,29 +198,38 @@ def homing(
     given = content.get('homing')
     if given is None:
         return ReferenceSwitches()
-    if not isinstance(given, dict) or set(given) - {'switches', 'order', 'required'}:
-        raise MachineError('must hold switches, order, and required: true or false', 'homing')
-    switches, order = given.get('switches'), given.get('order')
-    required = given.get('required', False)
+    if not isinstance(given, dict) or set(given) - {'switches', 'index', 'order', 'required'}:
+        text = 'must hold switches, index, order, and required: true or false'
+        raise MachineError(text, 'homing')
+    order, required = given.get('order'), given.get('required', False)
     if not isinstance(required, bool):
         raise MachineError('must be true or false', 'homing.required')
-    if not isinstance(switches, dict) or not switches:
-        raise MachineError('must give axes with positions, as {Z: 480.0}', 'homing.switches')
-    found = {}
-    for name, value in switches.items():
-        key = f'homing.switches.{name}'
+    found, index = _on_travel(given, 'switches', travel), dict[str, float]()
+    if 'index' in given:
+        index = _on_travel(given, 'index', {name: travel[name] for name in found})
+    groups = [[name] for name in found] if order is None else order
+    lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
+    if not lists or sorted(str(name) for group in groups for name in group) != sorted(found):
+        why = 'must name each axis of switches once, as [[Z], [X, Y]]'
+        raise MachineError(why, 'homing.order')
+    return ReferenceSwitches(found, index, tuple(map(tuple, groups)), required)
+
+
+def _on_travel(
+    given: dict[str, Any], section: str, travel: dict[str, tuple[FloatArray, float]]
+) -> dict[str, float]:
+    found, places = {}, given.get(section)
+    if not isinstance(places, dict) or not places:
+        raise MachineError('must give axes with positions, as {Z: 480.0}', f'homing.{section}')
+    for name, value in places.items():
+        key = f'homing.{section}.{name}'
         if name not in travel or not np.isfinite(travel[name][0]).all():
             raise MachineError('no axis with a travel', key)
         (low, high), unit = travel[name]
         found[name] = numbers([value], 1, key)[0] * unit
         if not low < found[name] < high:
             raise MachineError('must lie within the travel', key)
-    groups = [[name] for name in found] if order is None else order
-    lists = isinstance(groups, list) and all(isinstance(group, list) for group in groups)
-    if not lists or sorted(str(name) for group in groups for name in group) != sorted(found):
-        why = 'must name each axis of switches once, as [[Z], [X, Y]]'
-        raise MachineError(why, 'homing.order')
-    return ReferenceSwitches(found, tuple(map(tuple, groups)), required)
+    return found
 
 
 def axis_limits(

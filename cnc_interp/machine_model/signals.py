@@ -61,6 +61,11 @@ def home_input(axis: str) -> str:
     return f'{HOME}{axis.lower()}'
 
 
+def index_signals(axis: str) -> tuple[str, str, str]:
+    """Return the output that asks for an index, and the inputs: it waits, and what it took off."""
+    return tuple(f'index{what}_{axis.lower()}' for what in ('', '_waits', '_offset'))  # type: ignore[return-value]
+
+
 @dataclass(frozen=True)
 class Signal:
     name: str
@@ -157,8 +162,11 @@ class Signals:
         return f'{signal.name} {value:g} {signal.unit}'.rstrip()
 
 
-def signals(content: Mapping[str, Any]) -> Signals:
-    """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals."""
+def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
+    """Read ``signals`` of a machine file: a mapping, or the name of a file in config/signals.
+
+    Axes with an ``index`` pulse whose switch is an input have ``index_signals``, too.
+    """
     given = content.get('signals')
     if given is None:
         return Signals()
@@ -173,6 +181,11 @@ def signals(content: Mapping[str, Any]) -> Signals:
         raise MachineError('may hold outputs, inputs, functions and after', 'signals')
     outputs = tuple(_signals(given, 'outputs', ()))
     inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
+    for axis in index:
+        if home_input(axis) in [signal.name for signal in inputs]:
+            asked, waits, offset = index_signals(axis)
+            outputs += (Signal(asked),)
+            inputs += Signal(waits), Signal(offset, True, low=-1e12, high=1e12)
     steps: list[Step] = []
     words: dict[str, range] = {}
     for word, listed in _mapping(given, 'functions').items():

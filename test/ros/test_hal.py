@@ -100,7 +100,7 @@ def prove(hal, bench):
 
     def complete():
         nonlocal seen, empty
-        more, _, gaps, _ = hal.periods()
+        more, _, gaps, *_ = hal.periods()
         seen, empty = np.concatenate([seen, more]), np.concatenate([empty, gaps])
         return len(changes(seen)) >= len(moved)
 
@@ -159,7 +159,7 @@ def test_what_the_drives_report_stops_on_the_path(hal, bench, run, breaks, mends
     assert bench.state.path_position > 0.05
     bench.result_of(run)
     prove(hal, bench)
-    bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'streamer.0.pin.10'))
+    bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'bits-0.out-00'))
     if 'gain' not in breaks:
         answer = bench.press('reset')
         assert not answer.success and text in answer.message
@@ -170,8 +170,8 @@ def test_what_the_drives_report_stops_on_the_path(hal, bench, run, breaks, mends
 
 
 def test_the_power_is_taken_when_the_node_ends(hal, bench):
-    assert 'TRUE' in hal.tell('getp', 'streamer.0.pin.10')
+    assert 'TRUE' in hal.tell('getp', 'bits-0.out-00')
     bench.watching = False
     os.kill(bench.children.nodes['machine_node'].process.pid, signal.SIGTERM)
     bench.spin_until(lambda: bench.children.nodes['machine_node'].process.exitcode == 0)
-    bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'streamer.0.pin.10'))
+    bench.spin_until(lambda: 'FALSE' in hal.tell('getp', 'bits-0.out-00'))

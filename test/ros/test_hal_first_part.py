@@ -16,13 +16,14 @@ import hal_session
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.commands.cli import main
+from cnc_interp.machine.hal_file import pins_of
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.machine_model.signals import signals
 
 pytestmark = pytest.mark.thorough
 
 SIGNALS = signals({'signals': 'milling'})
-INPUTS = {signal.name: 17 + k for k, signal in enumerate(SIGNALS.inputs)}
+INPUTS = pins_of(5, SIGNALS)[1]
 SURFACE = 138.391  #: Place of Z where the probe touches, at 3 mm below the zero of the part [mm].
 SPEED, LATE = 6000, 0.25  #: Of the spindle [rev/min], and what it takes to get there [s].
 PROGRAM = """G21 G90
@@ -56,13 +57,12 @@ def hal():
             session.tell('setp', name, str(value))
         for name in ('spindle', 'touches', 'speeds'):
             session.tell('addf', name, 'servo-thread')
-        at = {name: f'sampler.0.pin.{pin}' for name, pin in INPUTS.items()}
         session.tell('net', 'z-fb', 'touches.in0')
-        session.tell('net', 'touched', 'touches.out', at['probe'])
+        session.tell('net', 'touched', 'touches.out', INPUTS['probe'])
         session.tell('net', 'spindle_speed', 'spindle.in')
         session.tell('net', 'speed', 'spindle.out', 'speeds.in1')
-        session.tell('net', 'turning', 'speeds.out', at['spindle_at_speed'])
-        session.tell('net', 'tool_change', at['tool_changed'])
+        session.tell('net', 'turning', 'speeds.out', INPUTS['spindle_at_speed'])
+        session.tell('net', 'tool_change', INPUTS['tool_changed'])
         session.forget()
         yield session
 

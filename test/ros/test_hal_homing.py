@@ -47,7 +47,7 @@ def hal():
             session.tell('net', f'{axis}-fb', f'{axis}-home.{moves}')
             session.tell('setp', f'{axis}-home.{stands}', str(at))
             session.tell('setp', f'{axis}-home.hyst', '0')
-            session.tell('net', f'home-{axis}', f'{axis}-home.out', f'sampler.0.pin.{17 + k}')
+            session.tell('net', f'home-{axis}', f'{axis}-home.out', f'wsum.0.bit.{7 + k}.in')
             session.tell('addf', f'{axis}-home', 'servo-thread')
         yield session
 

@@ -39,7 +39,7 @@ def test_steppers_follow_within_a_step(tmp_path):
         given = {'drives': 'hal', 'hal_depth': '300'}
         request = RunRequest(EXAMPLE, out=tmp_path / 'out', quiet=True, drives=given)
         result = run_session(request)[0]
-        wanted, actual, empty, _ = session.periods()
+        wanted, actual, empty, *_ = session.periods()
     assert result.ok, result.message
     setpoints = np.load(tmp_path / 'out' / 'setpoints.npz')
     last = setpoints['position'][-1] / hal_session.UNITS

@@ -53,13 +53,15 @@ def test_every_motor_hears_the_axis_of_its_joint(joints):
         motor = {f'streamer.0.pin.{i}', f'sampler.0.pin.{i}', f'stepgen.{joint}.position-cmd'}
         assert motor in nets
         assert {f'stepgen.{joint}.position-fb', f'sampler.0.pin.{3 + i}'} in nets
-    alarm = 6 + 'XYZ'.index(joints[2])
-    assert {'parport.0.pin-11-in', f'sampler.0.pin.{alarm}'} in nets
-    powered = {'power-given.out', 'sampler.0.pin.9', 'parport.0.pin-01-out'}
+    alarm = 'XYZ'.index(joints[2])
+    assert {'parport.0.pin-11-in', f'wsum.0.bit.{alarm}.in'} in nets
+    powered = {'power-given.out', 'wsum.0.bit.3.in', 'parport.0.pin-01-out'}
+    for bits in ({'streamer.0.pin.6', 'bits-0.in'}, {'wsum.0.sum', 'sampler.0.pin.6'}):
+        assert bits in nets
     assert powered | {f'stepgen.{k}.enable' for k in range(3)} in nets
     assert {'parport.0.pin-10-in', 'power-given.in1'} in nets
     assert left_out == ['net spindle-cw spindle.0.forward => parport.0.pin-09-out']
-    assert 'cfg=ffffffb\n' in made and 'cfg=ffffffbbbbb\n' in made
+    assert 'cfg=ffffffu\n' in made and 'cfg=ffffffs\n' in made
     calls = [line.split()[1] for line in made.splitlines() if line.startswith('addf ')]
     assert calls[0] == 'stepgen.capture-position' and calls[-1] == 'stepgen.update-freq'
     assert calls.index('streamer.0') < calls.index('sampler.0')
@@ -105,13 +107,48 @@ def test_inputs_of_reference_switches_take_over_their_pins():
     declared = signals_of({'signals': {'inputs': {'door': None, 'home_z': None}}})
     switch = 'net z-home parport.0.pin-12-in => joint.2.home-sw-in\n'
     made, left_out = hal_file(HAL + switch, 'XYZ', 'XYZ', declared)
-    assert {'parport.0.pin-12-in', 'sampler.0.pin.12'} in signals(made)
+    assert {'parport.0.pin-12-in', 'wsum.0.bit.6.in'} in signals(made)
     assert 'z-home' not in ' '.join(left_out)
     assert switch.strip() in hal_file(HAL + switch, 'XYZ', 'XYZ')[1]
 
 
-def test_more_columns_than_hal_has_are_refused():
-    few, many = ({f'home_{name}': None for name in 'xyzab'[:count]} for count in (4, 5))
-    columns_of(5, signals_of({'signals': {'inputs': few}}))
-    with pytest.raises(InterpError, match=r'sampler .* at most 21 columns, this machine needs 22'):
-        columns_of(5, signals_of({'signals': {'inputs': many}}))
+def test_a_module_of_the_configuration_is_not_loaded_again():
+    added = 'loadrt not count=2\nloadrt and2 names=a,b\n'
+    loaded = [line for line in hal_file(added + HAL, 'XYZ', 'XYZ')[0].splitlines()
+              if line.startswith('loadrt ')]  # fmt: skip
+    assert loaded[:2] == ['loadrt not names=not.0,not.1,stream-alive',
+                          'loadrt and2 names=a,b,power-wanted,power-given']  # fmt: skip
+    modules = [line.split()[1] for line in loaded]
+    assert len(modules) == len(set(modules)) and 'timedelay' in modules
+
+
+def test_bits_share_columns_and_more_numbers_than_hal_has_columns_are_refused():
+    many = signals_of({'signals': {'inputs': {f'door_{k}': None for k in range(26)}}})
+    assert columns_of(5, many) == ('ffffffffffu', 'ffffffffffsss')
+    for count, fits in ((10, True), (11, False)):
+        outputs = {f'level_{k}': {'range': [0, 1]} for k in range(count)}
+        declared = signals_of({'signals': {'outputs': outputs}})
+        if fits:
+            assert columns_of(5, declared)[0] == 'f' * 20 + 'u'
+            continue
+        with pytest.raises(InterpError, match=r'streamer .* most 21 columns, .* needs 22'):
+            columns_of(5, declared)
+
+
+def test_an_index_shifts_command_and_position_of_its_axis_in_the_same_period():
+    given = {'signals': {'inputs': {'home_y': None}}}
+    declared = signals_of(given, ['X', 'Y'])  # the switch of X is no input
+    text = HAL + 'net y-index encoder.1.index-enable <=> joint.1.index-enable\n'
+    made, left_out = hal_file(text, 'XYZ', 'XYZ', declared)
+    assert 'y-index' not in ' '.join(left_out) and 'x-index' not in made
+    nets = signals(made)
+    for net in (
+        {'encoder.1.index-enable', 'y-ask.out', 'y-found.in', 'wsum.0.bit.6.in'},
+        {'stepgen.1.position-cmd', 'y-index.out'},
+        {'stepgen.1.position-fb', 'y-index.fb-in', 'y-jump.in0'},
+        {'streamer.0.pin.1', 'sampler.0.pin.1', 'y-index.in'},
+        {'y-index.fb-out', 'y-jump.in1', 'sampler.0.pin.4'},
+        {'bits-0.out-01', 'y-asks.in'},
+        {'y-off.out', 'y-off.in0', 'y-index.offset', 'sampler.0.pin.6'},
+    ):
+        assert net in nets

@@ -13,7 +13,10 @@ from cnc_interp.machine_model.signals import signals
 SIGNALS = signals({'signals': 'milling'})
 N, OUTPUTS, INPUTS = 3, SIGNALS.wired, len(SIGNALS.inputs)
 ANGLE = [signal.name for signal in SIGNALS.inputs].index('spindle_angle')
-ROW, SAMPLE = 2 * N + 1 + OUTPUTS, 3 * N + 2 + INPUTS
+PACKED, SUMMED = (
+    2 * N + sum(s.is_number for s in each) for each in (SIGNALS.wires, SIGNALS.inputs)
+)
+ROW, SAMPLE = PACKED + 1, SUMMED + 1
 C_CALL = types.int32(types.uintp, types.uintp, types.uintp)
 
 
@@ -61,10 +64,13 @@ class Stand:
         self.words[[hal_step.STREAM, hal_step.SAMPLES]] = streams
         self.words[[hal_step.WANTED, hal_step.PERIOD]] = 1, 1_000_000
         self.setpoint, self.feedback = np.zeros((2, N)), np.zeros((4, N))
-        self.bits = self.sampled[1 + 2 * N :].view(np.int64)
-        self.bits[N + 1] = 1  # the FIFO was empty
+        self.bits = self.sampled[1 + SUMMED :].view(np.int64)
+        self.tell(N + 1)  # the FIFO was empty
         step = hal_step.step_hal.address
         self._step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(step)
+
+    def tell(self, bit, on=True):
+        self.bits[0] = self.bits[0] & ~(1 << bit) | on << bit
 
     def step(self, actual=None):
         if actual is not None:
@@ -77,37 +83,43 @@ class Stand:
 
 def test_outputs_leave_with_the_row_of_their_period_and_inputs_come_with_the_sample():
     stand = Stand()
-    block, bits = stand.block, stand.bits
+    block = stand.block
     for values, answers in (
         ([6e3, 1, 0, 1, 0, 5, 0, 1], [1, 0, 0, 0]),
         ([100, 0, 1, 0, 0, 6, 1, 0], [0, 7.25, 1, 1]),
     ):
         block.outputs[:] = values
-        bits[N + 2 : N + 2 + INPUTS] = answers
-        stand.sampled[1 + 3 * N + 2 + ANGLE] = answers[ANGLE]
+        stand.sampled[1 + 2 * N], bit = answers[ANGLE], N + 2
+        for signal, answer in zip(SIGNALS.inputs, answers, strict=True):
+            if not signal.is_number:
+                stand.tell(bit, answer)
+                bit += 1
         stand.sampled[0] = 1.0
         for _ in range(2):  # the first step begins to count rows
             stand.step()
-        told = stand.sent[2 * N + 1 : ROW]
-        for k, (signal, value) in enumerate(zip(SIGNALS.wires, values, strict=True)):
-            found = told[k] if signal.is_number else told[k : k + 1].view(np.int64)[0]
+        column, bit, packed = 2 * N, 1, stand.sent[PACKED : PACKED + 1].view(np.int64)[0]
+        for signal, value in zip(SIGNALS.wires, values, strict=True):
+            found = stand.sent[column] if signal.is_number else packed >> bit & 1
+            column, bit = column + signal.is_number, bit + (not signal.is_number)
             assert found == value, signal.name
         assert block.inputs.tolist() == answers
-    assert columns_of(N, SIGNALS) == ('ffffffbfbbbbfbf', 'ffffff' + 'b' * (N + 2) + 'bfbb')
+    assert columns_of(N, SIGNALS) == ('fffffffffu', 'fffffffs')
 
 
 def test_axes_that_are_counted_anew_stay_where_they_are_until_the_machine_knows():
     stand = Stand()
-    block, bits, here = stand.block, stand.bits, np.array([1.0, 2.0, 3.0])
+    block, here = stand.block, np.array([1.0, 2.0, 3.0])
     block.home[0] = 2
     for _ in range(2):
         stand.step(here)
-    bits[N], bits[N + 1], stand.words[hal_step.POWER] = 1, 0, hal_step.HOLD
+    stand.tell(N)
+    stand.tell(N + 1, False)
+    stand.words[hal_step.POWER] = hal_step.HOLD
     stand.setpoint[0] = here
-    bits[N + 2 + 2] = 1
+    stand.tell(N + 2 + 1)
     for actual in ([1.25, 2, 3], [1.5, 2, 3]):
         assert stand.step(np.array(actual)) == 0
-    bits[N + 2 + 2] = 0
+    stand.tell(N + 2 + 1, False)
     for actual in ([1.125, 2, 3], here):
         assert stand.step(np.array(actual)) == 0
     assert block.released.tolist() == [1.125, 0.0, 0.0]

@@ -8,7 +8,7 @@ from test_jog import MM, Bench, T
 
 from cnc_interp.core.errors import MachineError, StreamError
 from cnc_interp.core.small_files import read_yaml
-from cnc_interp.machine.homing import BACK, Homing
+from cnc_interp.machine.homing import BACK, AxisHoming, Homing
 from cnc_interp.machine.jog import AHEAD
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.run.run_state import State
@@ -72,6 +72,22 @@ def test_axes_end_beside_their_switches_in_order():
     assert bench.homing.must_home == ['X', 'Z', 'A']
 
 
+def test_axes_with_an_index_stop_beyond_it_and_without_one_it_is_told():
+    given = machine(index={'X': -54.0, 'A': -5.5})
+    bench = HomingBench(given)
+    bench.homing.begin([], bench.now)
+    bench.until_done()
+    assert all(bench.homing.homed)
+    stop = BACK * given.max_velocity[0] * (AHEAD + 0.05)
+    assert -54 * MM < bench.q[-1, 0] < -54 * MM + stop and bench.q[-1, 3] > np.radians(-5.5)
+    lost = HomingBench(given, np.array([0.0, 0.0, 0.0, A.travel[1] - 0.01, 0.0]))
+    lost.homing._switches.pressed = lost.homing._switches.passed = lambda q: np.full(5, False)
+    lost.homing._stages = {'A': AxisHoming.INDEX}
+    with pytest.raises(StreamError, match='A has reached its end of travel without an index'):
+        for _ in range(4000):
+            lost.run(5 * T)
+
+
 def test_a_hold_a_stop_and_a_missing_switch_end_it():
     bench = HomingBench()
     bench.homing.begin([], bench.now)
@@ -127,6 +143,8 @@ def test_what_cannot_be_homed_is_told():
         ({'required': 1}, 'homing.required'),
         ({'speed': 1}, 'homing'),
         ({'switches': None}, 'homing.switches'),
+        ({'index': {'Y': 1.0}}, 'homing.index.Y'),
+        ({'index': {'X': 900.0}}, 'homing.index.X'),
     ],
 )
 def test_a_wrong_entry_is_refused_naming_the_key(changes, key):

@@ -100,6 +100,7 @@ lint() {
 main() {
   local parts=(base project messages)
   unset PYTHONDONTWRITEBYTECODE # without compiled imports every start takes seconds longer
+  trap 'say interrupted; exit 130' INT
   leave_other_ros
   case ${1-} in
     test)
@@ -146,7 +147,8 @@ main() {
       case " $* " in ' cam '*' --device'*warp* | ' cam '*' --device'*cuda*) parts+=(warp) ;; esac
       case " ${*,,} " in ' cam '*.step' '* | ' cam '*.stp' '* | ' cam '*.p21' '*) parts+=(step) ;; esac
       ensure "${parts[@]}"
-      exec "$venv/bin/cnc-interp" "$@"
+      # Ctrl-C waits until Python is up; before, it would be a traceback.
+      exec env --block-signal=INT "$venv/bin/cnc-interp" "$@"
       ;;
   esac
 }

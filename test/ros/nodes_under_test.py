@@ -85,12 +85,16 @@ class NodesUnderTest:
         """Collect the messages of a topic; returns when the nodes send to the subscription."""
         heard = []
         self.node.create_subscription(kind, topic, heard.append, profile)
+        self.be_known()
+        return heard
+
+    def be_known(self):
+        """Wait until the nodes send to all subscriptions that there are."""
         for name in self.children.nodes:  # who answers a client that was made later knows of both
             client = self.node.create_client(Trigger, f'{name}/flush')
             question = Question(client, Trigger.Request(), 1.0)
             self.spin_until(lambda asked=question: asked.answer() is not None)
             self.node.destroy_client(client)
-        return heard
 
     def spin_until(self, done, patience=PATIENCE):
         deadline = time.monotonic() + patience

@@ -76,6 +76,7 @@ class Bench(NodesUnderTest):
         self.children.revive()
         self.watching = True
         self.spin_until(lambda: not self.peers.missing(time.monotonic(), 1.0))
+        self.be_known()  # to those that were started again, too
         self.optional_stop(False)
         self.single_block(False)
         self.override.publish(Float64(data=1.0))
@@ -156,6 +157,8 @@ class Bench(NodesUnderTest):
         s = np.concatenate([m.path_positions for m in told])
         use = limit_use(q, LIMITS, cut=cut, late=late)
         heard = [(m.attempt, m.plan, m.first_sample, len(m.sequences)) for m in told]
+        begins, ends = [m[2] for m in heard], [0, *(m[2] + m[3] for m in heard)]
+        assert cut or begins == ends[:-1], ('not heard', heard)
         assert use <= 1.001, (use, heard, s[-1], self.last_words()[0])
         on = s >= 0.0
         assert np.abs(q[on] - evaluate(path, s[on])[0]).max(initial=0.0) < 1e-9

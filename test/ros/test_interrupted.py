@@ -50,3 +50,18 @@ def test_ctrl_c_during_imports(module, words):
         assert (run.returncode, out) == (130, b''), (out, said)
         assert said in ([], [b'cnc-interp: interrupted']), b'\n'.join(said).decode()
         assert list((folder / 'tmp').iterdir()) == []
+
+
+def press_before_python():
+    """As ./cnc starts it: Ctrl-C waits until it is unblocked."""
+    hear_ctrl_c()
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_ctrl_c_before_python_is_up():
+    done = subprocess.run(
+        [sys.executable, '-m', 'cnc_interp', 'check', 'none'], preexec_fn=press_before_python,
+        capture_output=True, timeout=PATIENCE,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, b'cnc-interp: interrupted\n')

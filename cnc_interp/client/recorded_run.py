@@ -292,7 +292,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             writer.setpoints(finder.setpoints(samples))
         for one in run.followed:
             position = np.reshape(one.positions, (len(one.angles), -1))
-            writer.followed(one.sequence, one.ramp, np.array(one.angles), position)
+            writer.followed(one.sequence, one.ramp, one.later, np.array(one.angles), position)
         functions, writer.acted = run.functions(machine)
         writer.functions = finder.functions(functions) if row > 1 else functions
         if row > 1:

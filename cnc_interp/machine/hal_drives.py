@@ -18,6 +18,7 @@ from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
 from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of
+from cnc_interp.machine.spindle import INPUT
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals
 
@@ -165,7 +166,7 @@ class HalDrives:
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
-        self._names, self.ahead = machine.axis_names, depth * period
+        self._names, self.ahead = machine.axis_names, (depth + hal_step.LATER) * period
         n = len(self._names)
         self._session = HalSession()
         self._streams: list[HalStream] = []
@@ -182,7 +183,9 @@ class HalDrives:
             self._check_depth(depth, stream, samples)
             counts = machine.signals.wired, len(machine.signals.inputs)
             self.memory = np.zeros(hal_step.block_size(n, *counts))
-            self.memory.view(np.int64)[[hal_step.OUTPUTS, hal_step.INPUTS]] = counts
+            turns = (machine.signals.spindle or (-1,) * (INPUT + 1))[INPUT]
+            words = [hal_step.OUTPUTS, hal_step.INPUTS, hal_step.TURNS]
+            self.memory.view(np.int64)[words] = *counts, turns
             self._block = hal_step.block_at(self.memory.ctypes.data, n)
             self.outputs, self.inputs = self._block.outputs, self._block.inputs
             signals = *machine.signals.wires, *machine.signals.inputs
@@ -194,7 +197,7 @@ class HalDrives:
             ]
             offsets = [index_signals(name)[2] for name in self._names]
             self._indexed = np.isin(offsets, inputs)
-            self._offsets = [inputs.index(each) if each in inputs else 0 for each in offsets]
+            self._offsets = [inputs.index(each) if each in inputs else -1 for each in offsets]
             self._fill(machine, period, depth, limits, stream, samples)
             self.step = int(hal_step.step_hal.address)
             self._step_alone = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(self.step)
@@ -259,7 +262,7 @@ class HalDrives:
     def released(self) -> FloatArray:
         block = self._block
         by_index = self._indexed & np.isfinite(block.released)
-        place = block.offset - self.inputs[self._offsets] * block.units
+        place = block.offset - np.append(self.inputs, 0.0)[self._offsets] * block.units
         return np.where(by_index, place, block.released)
 
     def watch(self, axis: int, number: int) -> None:

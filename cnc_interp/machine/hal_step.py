@@ -30,12 +30,16 @@ COUNTED, PUSHED, PLAYED, POWER_BEFORE, POWERED, ALARM, UNDERRUNS = range(9, 16)
 LEAST, UNEVEN, SILENT, LOST, SEEN, CONFIRMED, LOOKED, TIME = range(16, 24)
 #: 1 while the next step shall count the axes from elsewhere; the step sets it back.
 SHIFT_ASKED = 25
-#: Numbers of outputs and inputs, which Python writes before all others.
-OUTPUTS, INPUTS, WORDS = 26, 27, 28
+#: Numbers of outputs and inputs, which Python writes before all others, and the input of ``ANGLE``
+#: or -1.
+OUTPUTS, INPUTS, TURNS, WORDS = 26, 27, 28, 29
 #: Power: off, held where the axes stand, as the setpoints say, and until HAL has played the last.
 OFF, HOLD, FOLLOW, LEAVE = 0, 1, 2, 3
 KEPT = 8192  #: Rows that are kept for comparison; more than wait between push and sample.
-FLAGS = 2  #: Columns of a kept row after setpoints and values of HAL: power is on, axes move.
+#: Columns of a kept row after setpoints and values of HAL: power is on, axes move; and the angle
+#: of the spindle in its sample.
+FLAGS, ANGLE = 2, 3
+LATER = 2  #: The angle is that of a row so many rows before the last one that is surely played.
 #: Numbers of alarms, of faults, and of alarms of an axis, to which its number is added.
 SWITCHED_OFF, EMPTY, CHANGED, UNSEEN = 1, 2, 3, 4
 FULL, STOPPED = 11, 12
@@ -61,7 +65,8 @@ class Block(NamedTuple):
     shift: FloatArray  #: (n,): What the next shift adds to positions and offset [m, rad].
     home: FloatArray  #: (n,): Number of the input that is watched for each axis; -1: none.
     released: FloatArray  #: (n,): Where each axis was when that input went off last [m, rad].
-    kept: FloatArray  #: (KEPT, 2n + FLAGS): Pushed rows: setpoint [m, rad], in HAL's units, flags.
+    #: (KEPT, 2n + ANGLE): Pushed rows: setpoint [m, rad], in HAL's units, flags, angle.
+    kept: FloatArray
     #: (2n + 1 + m,): A row of the stream: positions, velocities, outputs that are numbers; then
     #: bits, ``BITS`` in a column: power, other outputs.
     row: FloatArray
@@ -77,13 +82,13 @@ class Block(NamedTuple):
 
 def block_size(n: int, outputs: int, inputs: int) -> int:
     signals = 3 * (outputs + inputs)
-    return WORDS + 9 * n + KEPT * (2 * n + FLAGS) + (2 * n + 1) + (3 * n + 2) + 1 + signals
+    return WORDS + 9 * n + KEPT * (2 * n + ANGLE) + (2 * n + 1) + (3 * n + 2) + 1 + signals
 
 
 @njit(cache=True, nogil=True)
 def block_at(address: int, n: int) -> Block:
     """Return the parts of the memory that begins at an address."""
-    columns, at = 2 * n + FLAGS, address + 8 * WORDS
+    columns, at = 2 * n + ANGLE, address + 8 * WORDS
     words = carray(pointer(np.uintp(address)), (WORDS,)).view(np.int64)
     m, k = words[OUTPUTS], words[INPUTS]
     rows = at + 8 * 9 * n
@@ -175,6 +180,7 @@ def _judge(block: Block) -> int:
     if words[PLAYED] == 0:
         return 0
     kept = block.kept[(words[PLAYED] - 1) % KEPT]
+    kept[2 * n + FLAGS] = block.inputs[words[TURNS]]
     if empty and kept[2 * n + 1] != 0.0:
         words[UNDERRUNS] += 1
         return EMPTY
@@ -193,6 +199,17 @@ def _judge(block: Block) -> int:
         if not abs(kept[i] - block.actual[1, i]) <= block.limits[i]:
             return BEHIND + i
     return 0
+
+
+@njit(cache=True, nogil=True)
+def _tell_angle(block: Block) -> None:
+    """Tell the angle by rows, so that it is uniform in time however samples come."""
+    words, angle = block.words, block.kept[:, 2 * len(block.units) + FLAGS]
+    last, at = words[PLAYED] - 1, words[PUSHED] - words[WANTED] - LATER
+    newest = angle[last % KEPT]
+    block.inputs[words[TURNS]] = newest if at < 0 else angle[at % KEPT]
+    if at > last:
+        block.inputs[words[TURNS]] = newest + (at - last) * (newest - angle[(last - 1) % KEPT])
 
 
 @njit(cache=True, nogil=True)
@@ -309,6 +326,8 @@ def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
         if not _push(block, wanted, velocity, power != OFF, moves):
             fault = FULL
     alarm = _read_samples(block)
+    if words[TURNS] >= 0 and words[PLAYED] > 1:
+        _tell_angle(block)
     if words[SILENT] > LONGEST_SILENCE:
         fault = STOPPED
     words[ALARM] = fault or alarm

@@ -102,8 +102,9 @@ class Followed(NamedTuple):
     block: int
     line: int  #: Of the source.
     ramp: float  #: Turns in which the axes get in step.
-    position: FloatArray  #: (K, n_axes) [m, rad].
+    position: FloatArray  #: (K, n_axes): Setpoints [m, rad].
     angle: FloatArray  #: (K,) [rev].
+    later: int  #: The angle of a setpoint comes so many periods after it.
 
 
 class Reached(NamedTuple):
@@ -126,7 +127,7 @@ class Playback:
         if isinstance(drives, CycleDrives):
             step, memory = drives.step, drives.memory
         ahead = -1.0 if self._delayed else max(drives.ahead, period)
-        self.spindle = Spindle.of(machine, period, ahead)
+        self.spindle, self._later = Spindle.of(machine, period, ahead), round(ahead / period) - 1
         self.cycle = Cycle(
             period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs,
             drives.inputs, machine.signals.probe or (), drives.calm, self.spindle,
@@ -720,7 +721,7 @@ class Playback:
         assert self._current is not None
         block, ramp = int(self._current.rows.samples.block[0]), float(self.spindle.words[RAMP])
         self.followed.append(
-            Followed(self.run_id, block, self._line, ramp, answered, records.angle)
+            Followed(self.run_id, block, self._line, ramp, wanted, records.angle, self._later)
         )
 
     def _pass_over(self) -> None:

@@ -46,7 +46,9 @@ _NAMES = list(STATES)
 ZERO, LIMIT, SURFACE_SPEED = (_NAMES.index(name) for name in SURFACE)
 WAY, TURNS = _NAMES.index(THREAD[0]), _NAMES.index(THREAD[3])
 SPINDLE_FIXED = _NAMES.index('spindle_fixed')
-FADING, BANDWIDTH = 4e-3, 300.0  #: Memory of the filter [s] and speed of the chain [1/s].
+#: Memory of the filter, at least [s], and as a share of the time that it looks ahead, which
+#: amplifies the steps of an encoder [-]; product of the memory and the speed of the chain [-].
+FADING, OF_AHEAD, BANDWIDTH = 4e-3, 0.75, 1.2
 LOST = 0.25  #: A larger step of the angle is no motion [rev].
 SLOWEST = 0.05  #: A slower spindle stands [rev/s].
 STEADY, LONGEST = 0.5, 20.0  #: Change of a steady speed [1/s], and longest wait for it [s].
@@ -126,16 +128,17 @@ def see_angle(spindle: Spindle, inputs: FloatArray) -> None:
         seen[0], seen[1], seen[2] = inputs[places[INPUT]], 0.0, 0.0
         chain[:], words[BEGUN] = seen, 1.0
         return
-    fading = math.exp(-period / FADING)
+    ahead = words[AHEAD]
+    memory = max(FADING, OF_AHEAD * ahead)
+    fading, speed = math.exp(-period / memory), BANDWIDTH / memory
     seen[0] = angle + off * (1.0 - fading**3)
     seen[1] = rate + off * 1.5 * (1.0 - fading) ** 2 * (1.0 + fading) / period
     seen[2] += off * (1.0 - fading) ** 3 / period**2
-    ahead = words[AHEAD]
     chain[0] += period * (chain[1] + 0.5 * period * chain[2])
     chain[1] += period * chain[2]
-    jerk = BANDWIDTH**3 * (seen[0] + ahead * (seen[1] + 0.5 * ahead * seen[2]) - chain[0])
-    jerk += 3.0 * BANDWIDTH**2 * (seen[1] + ahead * seen[2] - chain[1])
-    jerk += 3.0 * BANDWIDTH * (seen[2] - chain[2])
+    jerk = speed**3 * (seen[0] + ahead * (seen[1] + 0.5 * ahead * seen[2]) - chain[0])
+    jerk += 3.0 * speed**2 * (seen[1] + ahead * seen[2] - chain[1])
+    jerk += 3.0 * speed * (seen[2] - chain[2])
     chain[0] += period**3 * jerk / 6.0
     chain[1] += period**2 * jerk / 2.0
     chain[2] += period * jerk

@@ -56,9 +56,11 @@ def _prove_line(
     place = moved @ way / lead**2
     aside = np.linalg.norm(moved - np.outer(place, way), axis=1)
     ramp, line = float(record['ramp'][rows[-1]]), found['line_number'][k]
-    in_step = (place > 0.5 * ramp) & ((turns < 0.0) | (place < turns - 0.5 * ramp))
-    sense = np.sign(angle[np.argmax(place)] - angle[0])
-    off = (sense * angle - place)[in_step]
+    later = int(record['later'][rows[0]])
+    angle, beside = angle[later:], place[: len(place) - later]
+    in_step = (beside > 0.5 * ramp) & ((turns < 0.0) | (beside < turns - 0.5 * ramp))
+    sense = np.sign(angle[np.argmax(beside)] - angle[0])
+    off = (sense * angle - beside)[in_step]
     error = np.abs(off - np.round(np.median(off))) if len(off) else off
     tolerance = plan.blocks['contour_tolerance'][row[0]]
     ledger.judge('thread', lead * error, tolerance, rows=row[: len(error)])

@@ -53,7 +53,13 @@ FUNCTION_COLUMNS = {
 #: Files that only some plans have: what the program switches, and lines in step with the spindle.
 SELDOM = {
     'functions': FUNCTION_COLUMNS,
-    'followed': {'block': WHOLE, 'ramp': REAL, 'angle': REAL, 'position': AXES},
+    'followed': {
+        'block': WHOLE,
+        'ramp': REAL,
+        'later': WHOLE,
+        'angle': REAL,
+        'position': AXES,
+    },
 }
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')

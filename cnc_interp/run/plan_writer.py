@@ -148,9 +148,12 @@ class PlanWriter:
         if sum(map(len, self._samples)) >= SETPOINTS_AT_ONCE:
             self._write_setpoints()
 
-    def followed(self, block: int, ramp: float, angle: FloatArray, position: FloatArray) -> None:
+    def followed(
+        self, block: int, ramp: float, later: int, angle: FloatArray, position: FloatArray
+    ) -> None:
         """Take setpoints that a recorded line had in step with the spindle."""
-        columns = {'block': np.full(len(angle), block), 'ramp': np.full(len(angle), ramp)}
+        given = {'block': block, 'ramp': ramp, 'later': later}
+        columns = {name: np.full(len(angle), value) for name, value in given.items()}
         self._archives['followed'].append(columns | {'angle': angle, 'position': position})
 
     def _write_setpoints(self) -> None:

@@ -57,7 +57,8 @@ def followed_spindle(playback: Playback) -> Iterator[FollowedSpindle]:
         each = list(parts)
         yield FollowedSpindle(
             program_id=run_id.program_id, sequence=block, line_number=each[-1].line,
-            ramp=each[-1].ramp, angles=np.concatenate([part.angle for part in each]).tolist(),
+            ramp=each[-1].ramp, later=each[-1].later,
+            angles=np.concatenate([part.angle for part in each]).tolist(),
             positions=packed(np.concatenate([part.position for part in each])),
         )  # fmt: skip
 

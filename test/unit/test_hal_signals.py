@@ -50,6 +50,7 @@ class Stand:
         self.memory = np.zeros(hal_step.block_size(N, OUTPUTS, INPUTS))
         self.words = self.memory.view(np.int64)
         self.words[[hal_step.OUTPUTS, hal_step.INPUTS]] = OUTPUTS, INPUTS
+        self.words[hal_step.TURNS] = ANGLE
         self.block = hal_step.block_at(self.memory.ctypes.data, N)
         self.block.units[:], self.block.limits[:], self.block.home[:] = 1.0, np.inf, -1
         both = *SIGNALS.wires, *SIGNALS.inputs

@@ -112,6 +112,11 @@ class Peers:
             and self.state.waits_for not in STARTS_BY_ITSELF
         )
 
+    @property
+    def all_heard(self) -> bool:
+        """Tell whether each other node was heard once; one that was not may still start."""
+        return self.state is not None and self._seen.keys() >= RECEIVERS.keys()
+
     def missing(self, now: float, timeout: float) -> str:
         for stream, node in RECEIVERS.items():
             if now - self._seen.get(stream, -math.inf) > timeout:

@@ -37,6 +37,7 @@ from cnc_interp.wire.run_messages import loaded_program, pairs_of, run_result
 from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
+STARTING = 60.0  #: The same to the nodes that were never heard: they start, and load kernels [s].
 FORGOTTEN = 1.0  #: A machine that has left its run for so long was reset or started again [s].
 SWITCHED = 0.1  #: The machine has told its new state so long after a call, at the latest [s].
 SAME = 1e-9  #: Within this, the machine stands where a line by hand starts [m, rad].
@@ -126,7 +127,8 @@ class ProgramRun:
                     return Outcome(Code.BUSY, text)
                 self._change(PhaseChange.START, now)
                 return None
-        patient = self.stands is None and now - self._since <= PATIENCE
+        patience = PATIENCE if peers.all_heard else STARTING
+        patient = self.stands is None and now - self._since <= patience
         return None if patient else why_not(missing, machine)
 
     @property

@@ -12,7 +12,7 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, ProbeContact, StreamStatus
 
 from cnc_interp.core.errors import Refusal
-from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, ProgramRun
+from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, STARTING, ProgramRun
 from cnc_interp.program.probing import Probe
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import FILLED, SETTLED, TABLE, Code, Phase, PhaseChange
@@ -26,7 +26,7 @@ class Heard:
     """What the nodes said: all answer and are on the run, nothing is refused."""
 
     def __init__(self):
-        self.machine = None
+        self.machine, self.all_heard = None, True
         self.silent, self.forgot, self.refused = '', '', (Refusal.NONE, '')
 
     def refusal(self, _run_id):
@@ -213,6 +213,11 @@ def test_a_run_waits_for_a_machine_that_is_free_and_not_for_ever():
     run, peers = waiting()
     peers.silent = 'machine_node'
     assert run.step(peers, PATIENCE + 0.1, 3.0).code is Code.STREAM_LOST
+    run, peers = waiting()
+    # A busy computer took longer to start machine_node, and the first run of all ended.
+    peers.silent, peers.all_heard = 'machine_node', False
+    assert run.step(peers, STARTING, 3.0) is None
+    assert run.step(peers, STARTING + 0.1, 3.0).code is Code.STREAM_LOST
     run, peers = waiting()
     peers.machine = machine_report(MachineState(state=MachineState.JOGGING))
     assert run.step(peers, PATIENCE, 3.0) is None

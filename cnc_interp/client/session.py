@@ -121,14 +121,15 @@ class RunResult:
         return {k: None if v != v else v for k, v in asdict(self).items()}
 
     def text(self) -> str:
+        least = self.least_buffered_time / MS  # nan where each line ended at rest
+        never = f'; buffer never below {least:.0f} ms' if least == least else ''
         lines = [
             f'program        {self.program} on {self.machine}: {self.message}',
             f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '
             f'path {self.path_length / MM:.1f} mm',
             f'cycle time     {self.cycle_time:.3f} s, after an approach of '
             f'{self.approach_time:.3f} s; first motion {self.start_to_motion:.1f} s after start',
-            f'setpoints      {self.samples}, {underruns(self.starvations)}; buffer never below '
-            f'{self.least_buffered_time / MS:.0f} ms',
+            f'setpoints      {self.samples}, {underruns(self.starvations)}' + never,
             f'drives         contour error {self.contour_error / UM:.1f} um; following error '
             + '  '.join(
                 f'{axis} {error_text(error, self.axis_units.get(axis, "m"))}'

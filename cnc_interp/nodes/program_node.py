@@ -134,6 +134,8 @@ class ProgramNode(Node):
             run.check_again(self._prepare(run, self._goal), now)
         before = run.phase
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
+        if outcome is not None and (stranger := second_publisher(self)):
+            outcome = Outcome(Code.STREAM_LOST, f'{outcome.message}, but {stranger} again')
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
             self._mdi.keep(run.preparation.prepared)

@@ -40,11 +40,13 @@ WORK_OFFSETS = set(job.WORK_OFFSETS)
 #: Codes with their own meaning of the axis words in their block.
 TAKE_AXES = {
     'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
-    'G33', 'G33.1', 'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
+    'G32', 'G33', 'G33.1', 'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
     'G31', 'G38.2', 'G38.3', 'G38.4', 'G38.5', 'MEAS=1', 'MEAS=-1',
 }  # fmt: skip
 #: Those of which no control tells what a polar word is.
-NOT_POLAR = {'G28', 'G30', 'G31', 'G33', 'G33.1', 'G53.3'}
+NOT_POLAR = {'G28', 'G30', 'G31', 'G32', 'G33', 'G33.1', 'G53.3'}
+THREADS = {'G32', 'G33', 'G33.1'}
+TAKE_F = {'G4', 'G65', 'G32'}  #: Whose F is no feed.
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 #: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
@@ -98,7 +100,6 @@ REFUSED_G: dict[str, str] = {
     **dict.fromkeys(('G5', 'G5.1', 'G5.2', 'G5.3'), f'spline moves are not supported; {_LINEAR}'),
     'G7': 'diameter programming is not supported; post with radii',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
-    'G32': 'post threads as G33, with the way per turn as K',
     'G51': 'scaling is not supported; post at full size',
     'G66': 'modal macro calls are not supported; call with G65',
     'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',

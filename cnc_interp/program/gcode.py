@@ -313,7 +313,7 @@ class GcodeReader:
             self._machine_function(code)
         before, after = self._functions(words)
         self._act(before)
-        f = values.pop('F', None) if 'G4' not in words.g and 'G65' not in words.g else None
+        f = values.pop('F', None) if codes.TAKE_F.isdisjoint(words.g) else None
         if f is not None:
             mover.set_feed(f, words.texts['F'], unit if mover.dialect.feeds_first else mover.unit)
         mover.targets.state = self._state()
@@ -329,7 +329,7 @@ class GcodeReader:
             self._dwell(words)
         elif self._plane.takes(taking):
             self._plane.execute(taking[0], words)
-        elif 'G33' in taking or 'G33.1' in taking:
+        elif taking and taking[0] in codes.THREADS:
             self._thread(taking[0], words)
         elif taking and taking[0] in probing.CODES:
             self._probe(taking[0], words)
@@ -486,7 +486,7 @@ class GcodeReader:
         values, mover = words.values, self.mover
         found = [letter for letter in 'ST' if letter in values]
         of_feed = 'G95' if mover.feed_mode == 'G95' else 'G94'
-        states = of_feed, (*self._surface(), mover.surface_speed) * mover.by_surface_speed
+        states = of_feed, (*self._surface(), mover.surface_speed) * self._by_surface
         if states[0] != self._states[0]:
             found.insert(0, of_feed)
         if states[1] != self._states[1]:
@@ -508,8 +508,7 @@ class GcodeReader:
 
     def _set_speed(self, words: BlockWords) -> None:
         """Take S, a speed of the surface with G96, whose D is the largest speed."""
-        mover, speed = self.mover, words.values.get('S')
-        by_surface = mover.by_surface_speed and 'G96' in self._signals.words
+        mover, speed, by_surface = self.mover, words.values.get('S'), self._by_surface
         if 'G96' in words.g and by_surface:
             mover.surface_limit = abs(words.values.pop('D', 0.0))
             if speed is None:
@@ -523,6 +522,10 @@ class GcodeReader:
             mover.spindle_speed = speed
         elif self._states[1] and not by_surface:
             raise self.fault('needs S, the speed in rev/min', 'G97')
+
+    @property
+    def _by_surface(self) -> bool:
+        return self.mover.by_surface_speed and 'G96' in self._signals.words
 
     def _surface(self) -> tuple[float, float]:
         """Return X of the axis where that of the program is 0 [mm], and the largest speed."""
@@ -600,17 +603,23 @@ class GcodeReader:
                 raise self.fault('this word has no meaning here', words.texts[letter])
 
     def _thread(self, code: str, words: BlockWords) -> None:
-        """Process G33, and G33.1 which comes back: K is the way per turn of the spindle."""
-        mover, pitch = self.mover, words.values.pop('K', 0.0)
+        """Process G33, G33.1 which comes back, and G32 of Fanuc: K or F is the way per turn."""
+        mover, letter = self.mover, 'F' if code == 'G32' else 'K'
+        pitch = words.values.pop(letter, 0.0) * mover.unit
+        if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
+            raise self.fault('a thread of Fanuc; write G33 with K', code)
         if not mover.follows:
             raise self.fault('the spindle has no encoder; name the input spindle_angle in the '
                              'machine file', code)  # fmt: skip
         if not pitch > 0.0:
-            raise self.fault('needs K, the way per turn', code)
+            raise self.fault(f'needs {letter}, the way per turn', code)
         mover.end_corner()
         self.splines.stop_here()
         target = mover.frames.point(mover.target(words)[:3])
-        mover.in_step(code, target, pitch * mover.unit, code == 'G33.1')
+        if code == 'G32' and (way := np.abs(target - mover.point)).any():
+            pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis
+        mover.in_step(code, target, pitch, code == 'G33.1')
+        mover.motion = None  # it holds on controls; here each line says it again
 
     def _probe(self, code: str, words: BlockWords) -> None:
         """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""
@@ -624,6 +633,8 @@ class GcodeReader:
         self._act(ready)
         mover.go(point, mover.rotary, rapid=False)
         self.splines.stop_here()
+        if code.startswith('G38'):
+            mover.motion = None
         mover.probed = probing.answer(mover, True)
         if self.waits_at_probes:
             self.probe = Probe(code, self.flow.main_line)

@@ -30,7 +30,7 @@ _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
 _WORD = re.compile(
     rf'(?P<code>M\d+)\b\.?|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
     rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
-    rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>M)(?=\s|$)|(?P<space>\s+)'
+    rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>[MF])(?=\s|$)|(?P<space>\s+)'
 )  # fmt: skip
 _TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
 _LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')

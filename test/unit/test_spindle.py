@@ -13,8 +13,11 @@ from test_functions_played import MACHINE, Bench, T
 from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MM
 from cnc_interp.machine_model.signals import Signals
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import read_text
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.run_state import Reason, State
+from cnc_interp.settings.options import Settings
 
 NAMES = [signal.name for signal in MACHINE.signals.wires]
 SPEED, FORWARD, REVERSE = (
@@ -152,6 +155,17 @@ def test_without_an_encoder_a_tap_has_a_floating_holder_and_a_thread_is_refused(
     none = replace(MACHINE, signals=Signals())
     with pytest.raises(ProgramError, match='the spindle has no encoder'):
         Bench(THREAD, none)
+
+
+def test_threads_of_fanuc_count_f_along_the_longest_axis():
+    text = 'G0 X0 Y0 Z5\nM3 S900\nG32 Z-5 F1.5\nG0 Z5\nG32 X10 Z-15 F1.5\nG0 X0\nM30'
+    blocks = read_text(text, 'p.nc', Transform.of(MACHINE), Settings()).blocks
+    speed = blocks.feedrate[blocks.line_number == 3], blocks.feedrate[blocks.line_number == 5]
+    np.testing.assert_allclose(speed, 1.35 / 60 * np.array([[1.0], [np.sqrt(1.25)]]))
+    with pytest.raises(ProgramError, match='G32: needs F'):
+        read_text('G0 X0 Y0 Z5\nM3 S900\nG32 Z-5 K1', 'p.nc', Transform.of(MACHINE), Settings())
+    with pytest.raises(ProgramError, match='G32: a thread of Fanuc'):
+        read_text(text, 'p.ngc', Transform.of(MACHINE), Settings())
 
 
 def test_surface_speed_follows_x_and_the_override_up_to_the_largest_speed():

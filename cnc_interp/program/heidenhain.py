@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from cmath import exp, phase
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,8 @@ _OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
 _AS_CODES = {'M91': ['G53'], 'M136': ['G95'], 'M137': ['G94'], 'M13': ['M3', 'M8'],
              'M14': ['M4', 'M8']}  # fmt: skip
 _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M144', 'M150'}
+#: Where the tool of cycle 204 moves aside, by Q214; a smaller circle is none [m].
+_SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
 #: How near the tool comes to the last peck, and how far it goes back to break a chip [m].
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
@@ -421,9 +424,7 @@ class HeidenhainReader(GcodeReader):
         elif number in _SETTING:
             self.defining = True
             self.notice(f'CYCL DEF {number}', _SETTING[number])
-        elif number in (1, 2, 240) or 200 <= number <= 207:
-            if number == 204:
-                raise self.fault('back boring is not supported; post it as L', 'CYCL DEF 204')
+        elif number in (1, 2, 240) or 200 <= number <= 208:
             self.cycle, self.defining = number, number >= 200
             self._old_cycle(part, rest)
         else:
@@ -448,6 +449,9 @@ class HeidenhainReader(GcodeReader):
         def of(name: str) -> float:
             return self.variables.named(name) if self.variables.exists(name) else 0.0
 
+        if self.cycle in (204, 208):
+            self._bore(of)
+            return
         if self.cycle == 240 and of('Q343'):
             raise self.fault('a depth by the diameter is not supported; write Q201', 'Q343')
         surface = of('Q203') * unit if self.cycle >= 200 else float(mover.here()[axis])
@@ -482,6 +486,70 @@ class HeidenhainReader(GcodeReader):
             reverse=('M3' if of('Q239') < 0.0 else 'M4') if taps else '',
         )  # fmt: skip
         make_hole(mover, hole, here, axis)
+
+    def _bore(self, of: Callable[[str], float]) -> None:
+        """Bore back (204), the tool beside the axis on its way; mill a hole (208)."""
+        mover, unit, (a, b, axis) = self.mover, self.mover.unit, PLANES[self.mover.plane]
+        name, kept, here = f'CYCL DEF {self.cycle}', mover.feedrate, mover.here()
+        surface, gap = of('Q203') * unit, of('Q200') * unit
+        retract, clear = surface + gap, surface + max(of('Q204') * unit, gap)
+
+        def go(place: FloatArray, level: float, feed: str = '') -> None:
+            mover.feedrate = of(feed) * unit / MINUTE if feed else np.inf
+            if not mover.feedrate > 0.0:
+                raise self.fault(f'the feed {feed} is missing', name)
+            go_along(mover, place, axis, level, True, mover.feedrate == np.inf)
+
+        aside, depth = here.copy(), of('Q249' if self.cycle == 204 else 'Q201') * unit
+        if self.cycle == 204:
+            side = _SIDES.get(of('Q214'))
+            if side is None or not depth > 0.0:
+                raise self.fault('write Q214 from 1 to 4, and the depth Q249 above 0', name)
+            aside[[a, b]] += np.array(side) * of('Q251') * unit
+            edge = surface - (of('Q250') + of('Q252')) * unit
+            for place, level, feed in (
+                (here, retract, ''), (aside, retract, 'Q253'), (aside, edge - gap, 'Q253'),
+                (here, edge - gap, 'Q253'), (here, edge + depth, 'Q254'),
+            ):  # fmt: skip
+                go(place, level, feed)
+            mover.targets.stop_here()
+            for place, level in ((here, edge - gap), (aside, edge - gap), (aside, retract)):
+                go(place, level, 'Q253')
+        else:
+            cutter = self._modes.cutter(BlockWords(), self._tool).radius
+            radius, pitch = 0.5 * of('Q335') * unit - cutter, of('Q334') * unit
+            if radius < 0.0 or not (depth < 0.0 < pitch):
+                raise self.fault('write Q335 not below the diameter of the tool, Q334 above 0, '
+                                 'and Q201 below 0', name)  # fmt: skip
+            if radius > cutter and not of('Q342') > 0.0:
+                raise self.fault(
+                    'the hole is more than twice as wide as the tool; write Q342', name
+                )
+            self.notice(name, 'begins above the hole, at the side of the first axis')
+            aside[a] += radius
+            go(here, retract)
+            go(aside, retract, 'Q206')
+            turns = (gap - depth) / pitch
+            climbs = (of('Q351') >= 0.0) == (self._outputs.get('spindle') != 'M4')
+            angle = turns * 2j * np.pi * (1 if climbs else -1)
+            rim = aside.copy()
+            rim[a], rim[b] = here[a] + radius * exp(angle).real, here[b] + radius * exp(angle).imag
+            rim[axis] = surface + depth
+            if radius > _SAME:
+                for times in (np.ceil(turns - 1e-9), 1.0):
+                    words = BlockWords(
+                        g=['G3' if climbs else 'G2'], ways=dict.fromkeys('IJK', 'AC')
+                    )
+                    words.values = {'XYZ'[i]: rim[i] / unit for i in range(3)} | {
+                        'P': float(times)
+                    }
+                    words.values |= {'IJK'[i]: here[i] / unit for i in (a, b)}
+                    words.texts = dict.fromkeys(words.values, name)
+                    self._execute(words)
+            go(here, surface + depth, 'Q206')
+            go(here, retract)
+        go(here, clear)
+        mover.feedrate = kept
 
     def _tilt(self, kind: str, rest: str) -> None:
         how = {name for found in _TURNING.finditer(rest) for name in found.groups() if name}

@@ -74,12 +74,12 @@ class Modes:
                 raise self.fault('give the diameter of the cutter as D', code)
             radius = 0.5 * named * mover.unit
         else:
-            radius = self._cutter(words, tool).radius
+            radius = self.cutter(words, tool).radius
         if not 0.0 <= abs(radius) < FARTHEST:
             raise self.fault('a radius beyond 100,000 mm; correct it', words.texts.get('D', code))
         mover.begin_radius(code, radius if code.startswith('G41') else -radius)
 
-    def _cutter(self, words: BlockWords, tool: int) -> Tool:
+    def cutter(self, words: BlockWords, tool: int) -> Tool:
         """Take D out of a block, and return the tool that it names, else that in the spindle."""
         named = words.values.pop('D', None)
         number = tool if named is None else round(min(abs(named), 1e6))
@@ -92,7 +92,7 @@ class Modes:
 
     def _contact_normals(self, code: str, words: BlockWords, tool: int) -> None:
         """Process G41.2, G42.2: D, R of the tool; Q, P of the one whose tips X Y Z are."""
-        mover, values, chosen = self._mover, words.values, self._cutter(words, tool)
+        mover, values, chosen = self._mover, words.values, self.cutter(words, tool)
         corner = chosen.corner_radius
         if 'R' in values:
             corner = values.pop('R') * mover.unit

@@ -92,6 +92,34 @@ def test_cycle_200_pecks_from_the_surface_and_retracts_to_the_second_clearance()
     assert np.flatnonzero(~blocks.rapid).tolist() == [3, 6, 9, 12]
 
 
+def test_cycle_204_bores_from_below_and_goes_through_the_hole_beside_its_axis():
+    text = ('L X+10 Y+5 Z+50 FMAX|CYCL DEF 204 BACK~\nQ200=2~\nQ249=5~\nQ250=20~\nQ251=3.5~\n'
+            'Q252=15~\nQ253=750~\nQ254=200~\nQ203=20~\nQ204=50~\nQ214=2|CYCL CALL')  # fmt: skip
+    blocks = read(text).blocks
+    aside, heights = (
+        [5, 5, 1.5, 1.5, 5, 5, 5, 1.5, 1.5, 5],
+        [50, 22, 22, -17, -17, -10, -17, -17, 22, 70],
+    )
+    np.testing.assert_allclose(blocks.tip[:, 1:] / MM, np.transpose([aside, heights]), atol=1e-9)
+    assert np.flatnonzero(blocks.feedrate * 60 / MM < 300).tolist() == [5]
+    assert np.flatnonzero(blocks.exact_stop).tolist() == [5, 9]
+
+
+@pytest.mark.parametrize(('climb', 'sense'), [(1, 1), (-1, -1)])
+def test_cycle_208_mills_the_hole_as_a_helix_and_a_whole_turn_at_its_depth(climb, sense):
+    text = ('TOOL CALL 1 Z|L X+10 Y+5 Z+50 FMAX M3|CYCL DEF 208 B~\nQ200=2~\nQ201=-3~\nQ206=150~\n'
+            f'Q334=2~\nQ203=0~\nQ204=50~\nQ335=7~\nQ351={climb}|CYCL CALL')  # fmt: skip
+    tip = read(text).blocks.tip / MM
+    arm = tip[2:-3, :2] - [10, 5]
+    np.testing.assert_allclose(np.hypot(*arm.T), 1.5, atol=1e-6)
+    turned = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0])) / (2 * np.pi) * sense
+    np.testing.assert_allclose(tip[2:-3, 2], np.maximum(2 - 2 * turned, -3), atol=1e-6)
+    assert turned[-1] == pytest.approx(3.5)
+    np.testing.assert_allclose(
+        tip[[1, -3, -2, -1]], [[10, 5, z] for z in (2, -3, 2, 50)], atol=1e-9
+    )
+
+
 def test_words_of_posts_that_set_something_leave_the_motion_as_it_is():
     text = ('CYCL DEF 392 ATC~\nQ240=0~\nQ241=1|TOOL CALL "D4" Z S9 DL+0 DR+0|L X+0 Y+0 Z+5 FMAX|'
             'CYCL DEF 201 REAMING~\nQ200=2~\nQ201=-6~\nQ206=100~\nQ208= MAX~\nQ203=0~\nQ204=9|'
@@ -163,7 +191,10 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
         ('L X+Q9 F9', 'before it is set'), ('Q1 = 1 / 0', 'no value'),
         ('Q1 = (2', 'cannot be read'),
         ('CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL 2', 'scaling'),
-        ('CYCL DEF 204 X', 'back boring'),
+        ('L X+0 Z+50 FMAX|CYCL DEF 204 X|CYCL CALL', 'Q214 from 1 to 4'),
+        ('TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ334=2~\nQ335=17|CYCL CALL',
+         'twice as wide'),
+        ('TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ335=7|CYCL CALL', 'Q334'),
         ('CYCL CALL', 'no cycle'), ('CYCL DEF 251 POCKET', 'not supported'),
         ('L X+1 M140 MB2', 'block of its own'), ('L M140', 'MB MAX'), ('M140 MB MAX', 'no travel'),
         ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'), ('APPR LT X+1', 'APPR'),

@@ -85,6 +85,11 @@ class PlanningThread:
 
 
 WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
+#: A machine that speaks and waits, and takes no setpoint for so long, does not hear them [s]. Fast
+#: DDS 2.14 may lose one direction between two processes on a computer that is far too busy.
+DEAF = 20.0
+UNHEARD = 'machine_node does not hear the setpoints; start the nodes again, then the program'
+WAITS = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_NEW_PLAN)
 DIAGNOSTICS_PERIOD = 1.0  #: Time between diagnostics of the planning [s].
 
 
@@ -94,7 +99,7 @@ class FeedrateNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__('feedrate_node')
         self._values = parameters.declare(self, parameters.FEEDRATE)
-        self._active = self._moves = False
+        self._active = self._moves = self._machine_waits = False
         self._thread = PlanningThread()
         if self._values['autostart']:
             start_lifecycle(self)
@@ -140,7 +145,7 @@ class FeedrateNode(LifecycleNode):
 
     def _see_machine(self, state: MachineState) -> None:
         report = machine_report(state)
-        self._moves = report.moves
+        self._moves, self._machine_waits = report.moves, state.waits_for in WAITS
         if self._moves:
             self._thread.load_rest()
         self._session.see_machine(report)
@@ -172,6 +177,8 @@ class FeedrateNode(LifecycleNode):
             outlet.pump()
         if outlet.refused:
             session.give_up(outlet.refused, outlet.refusal_text)
+        if self._machine_waits and outlet.unheard > DEAF:
+            session.give_up(Refusal.GIVEN_UP, UNHEARD)
         if (task := session.step(time.monotonic(), self._received())) is not None:
             self._thread.submit(task)
         outlet.pump()

@@ -44,6 +44,7 @@ def opened(data: bytes, kind: Any) -> Any:
 
 
 HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
+SILENT = 1.0  #: A receiver that was not heard for so long is silent [s].
 STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
 
 
@@ -191,6 +192,7 @@ class Outlet:
         self.stream = stream
         self.peer: StreamStatus | None = None
         self.heard = -math.inf  # when, by the monotonic clock [s]
+        self._speaks_since = math.inf  # without a silence of ``SILENT``
         self.turned_away = False  # the plan that was to join came too late
         self._before = self.sender
         self._encode = encode
@@ -205,7 +207,10 @@ class Outlet:
         if status.refusal_kind == Refusal.TOO_LATE:
             self.turned_away = run_id_of(status) == self.sender.run_id
             return
-        self.peer, self.heard = status, time.monotonic()
+        now = time.monotonic()
+        if now - self.heard > SILENT:
+            self._speaks_since = now
+        self.peer, self.heard = status, now
         run_id = run_id_of(status)
         told = run_id, status.next_sequence, status.window_limit, self.heard, status.gap
         self.sender.acknowledge(*told)
@@ -213,6 +218,13 @@ class Outlet:
             self._before.acknowledge(*told)
             self.sender.open(status.window_limit)
         self.pump()
+
+    @property
+    def unheard(self) -> float:
+        """How long the receiver has spoken without acknowledging what it was sent [s]."""
+        now = time.monotonic()
+        speaks = now - self.heard < SILENT
+        return now - max(self._speaks_since, self.sender.unanswered_since) if speaks else 0.0
 
     def join(self, run_id: RunId, first: int) -> None:
         """Send a plan that joins the one before, from a number on; that one can be taken back."""

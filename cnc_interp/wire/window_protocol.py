@@ -49,6 +49,7 @@ class WindowedSender(Generic[Item]):
         self.limit = limit
         self.sent = first  # number after the last item that was ever sent
         self._since = 0.0
+        self.unanswered_since = math.inf  # what was sent and is not acknowledged [s]
         self._again = -math.inf
         self._patience = self.resend_after
 
@@ -80,7 +81,7 @@ class WindowedSender(Generic[Item]):
             if item.first >= self.limit and item.first > self._first:
                 break
             if self._in_flight == 0:
-                self._since = now
+                self._since, self.unanswered_since = now, min(now, self.unanswered_since)
             found.append(item)
             self._in_flight += 1
             self.sent = max(self.sent, item.after)
@@ -102,6 +103,7 @@ class WindowedSender(Generic[Item]):
             self._items.popleft()
             self._in_flight = max(0, self._in_flight - 1)
             self._since, self._patience = now, self.resend_after
+            self.unanswered_since = now if self._in_flight else math.inf
         self.acknowledged = max(self.acknowledged, next_number)
         self.open(window_limit)
 

@@ -1,4 +1,4 @@
-"""A node of ours with a fault: it divides by zero in motion, each time a file asks for it."""
+"""Nodes with a fault: one divides by zero, each time a file asks for it, or hears no setpoints."""
 
 import os
 from pathlib import Path
@@ -27,9 +27,19 @@ def live_with_fault(node, arguments, environment, log):
     live(node, arguments, environment, log)
 
 
-def put_in(monkeypatch, folder):
+def live_deaf(node, arguments, environment, log):
+    """What a child process runs: machine_node gets no setpoints while the file is there."""
+    if node == 'machine_node':
+        from cnc_interp.nodes.machine_node import MachineNode
+
+        asked, hears = Path(environment[ASKED]), MachineNode._pass
+        MachineNode._pass = lambda node, chunk: [] if asked.exists() else hears(node, chunk)
+    live(node, arguments, environment, log)
+
+
+def put_in(monkeypatch, folder, faulty=live_with_fault):
     """Give the nodes that are started from now on the fault; returns what asks for it."""
     file = folder / 'fault'
     monkeypatch.setitem(os.environ, ASKED, str(file))
-    monkeypatch.setattr(node_processes, '_live', live_with_fault)
+    monkeypatch.setattr(node_processes, '_live', faulty)
     return file

@@ -252,6 +252,25 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
         bench.close()
 
 
+@pytest.mark.thorough
+def test_a_run_whose_machine_speaks_but_does_not_hear_ends(tmp_path, monkeypatch):
+    """On a computer that was far too busy its goal never ended, for DDS had lost one direction."""
+    ask = faulty_node.put_in(monkeypatch, tmp_path, faulty_node.live_deaf)
+    bench = Bench()
+    try:
+        handle = bench.begin()
+        bench.until_at(0.01)
+        ask.touch()
+        result = bench.result_of(handle)
+        assert result.code == Result.STOPPED and 'does not hear the setpoints' in result.message
+        bench.recorded()
+        ask.unlink()
+        assert bench.press('reset').success
+        assert bench.run(text=waves(1)).code == Result.SUCCEEDED
+    finally:
+        bench.close()
+
+
 def test_a_machine_node_that_is_to_end_in_motion_comes_to_rest_on_the_path(bench):
     handle = bench.begin()
     bench.until_at(0.01)

@@ -20,7 +20,7 @@ from cnc_interp.smoothing.corners.corner_curve import (
 from cnc_interp.smoothing.orientation import rotations_between, turned_by
 
 HEIGHT = 30 * MM
-COUNT = examples(4_000, 50_000)
+COUNT = examples(1000, 50_000)
 KNOTS = [0.0] * 4 + [0.5] + [1.0] * 4
 #: Sum of the weights that points have in each term of a cubic's power series.
 WEIGHTS = (1, 12, 48, 64)
@@ -220,7 +220,7 @@ def densely(curves, k, u):
 )
 def test_no_sample_of_a_corner_is_beyond_the_bound_and_the_bound_is_close(method, in_step, septic):
     u = np.linspace(0.0, 1.0, 20001)
-    corners, outer, curves, deviation = fitted(4, examples(15, 60), method, in_step, septic)
+    corners, outer, curves, deviation = fitted(4, examples(6, 60), method, in_step, septic)
     assert (deviation <= corners.tolerances * (1 + 1e-6)).all()
     for k in range(len(outer)):
         rows = np.full(len(u), k)
@@ -239,7 +239,7 @@ LITERAL = ['paper', 'linear', 'exact']
 @pytest.mark.parametrize('method', LITERAL)
 def test_literal_corners_are_those_of_the_paper(method):
     """Sections 2.2 and 2.3: both polygons; Eq. 3 at both middles; each tolerance for itself."""
-    lengths, corners = random_corners(5, examples(2000, 20_000))
+    lengths, corners = random_corners(5, examples(500, 20_000))
     ratios = np.full((len(lengths), 2), PAPER_RATIO)
     start = initial_lengths(corners, 0.5 * lengths, ratios, literal=True)
     style = Style(HEIGHT, False, method, False, literal=True)

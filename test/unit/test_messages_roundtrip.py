@@ -35,7 +35,7 @@ TRANSFORM = Transform.of(Machine.load('xyzac'))
 H = 0.03
 P = RunId('p')
 #: So many blocks of each program.
-MOST = examples(300, 2000)
+MOST = examples(80, 2000)
 
 # Every kind of segment: lines, corners, a turn of the resting tool, inverse time, a rapid.
 ALL_KINDS = """G21 G90 G94

@@ -11,7 +11,7 @@ from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core.units import DEG, MM, UM
-from cnc_interp.papers.classical import classical_paths
+from cnc_interp.papers.classical import _Run, classical_paths
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)
 HEIGHT = 10 * UM
@@ -19,8 +19,18 @@ Y, Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 BUMPS = Bumps((0.03, 0.02), [(0, 0, 0.002, 0.01)])
 
 
-def test_ball_on_a_plane_steps_as_circles_do():
-    paths = classical_paths(Plane((0.02, 0.01)), BALL, Y, HEIGHT, 5 * DEG)
+def test_ball_on_a_plane_steps_as_circles_do(monkeypatch):
+    solved, corrections = _Run.solved, []
+
+    def seen(run, right, along, u, v):
+        found = solved(run, right, along, u, v)
+        corrections.append(np.abs(np.subtract(found[:2], (u, v))).max())
+        return found
+
+    monkeypatch.setattr(_Run, 'solved', seen)
+    for normal in (0.8 * Y + [0.6, 0.0, 0.0], Y):
+        paths = classical_paths(Plane((0.02, 0.01)), BALL, normal, HEIGHT, 5 * DEG)
+    assert max(corrections) < 1e-9, 'the search begins where a plane has the next pass'
     rows = np.array([p.postures.contact[:, 1] for p in paths.passes])
     expected = 2 * np.sqrt((5 * MM) ** 2 - (5 * MM - HEIGHT) ** 2)
     np.testing.assert_allclose(np.diff(rows[:, 5]), expected, rtol=1e-6)

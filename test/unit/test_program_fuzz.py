@@ -22,7 +22,7 @@ from cnc_interp.settings.options import Settings
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'
 EXAMPLES = Path(__file__).parents[2] / 'examples'
-COUNT = examples(500, 20_000)
+COUNT = examples(150, 20_000)
 #: Programs are read for one of these machines.
 GEOMETRIES = [Transform.of(Machine.load(name)) for name in ('xyzac', 'xyzbc', 'xyz')]
 #: Nothing that is read here is longer than some hundred lines.

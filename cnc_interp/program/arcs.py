@@ -1,14 +1,9 @@
 """Arcs and helices of G2 and G3, for many blocks at once; and rounded or chamfered corners.
 
-An arc has a centre c, a unit normal n and a sweep (positive: counter-clockwise about the normal).
-With the vector v from the centre to the start and the distance r from the axis, its point at u is
+With the centre c, the unit normal n, the vector v from there to the start and the distance r from
+the axis, which changes linearly because programs round both radii, the point at u is
 
     p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
-
-r changes linearly from the radius at the start to that at the end, because programs round both.
-
-The line before a corner with RND, RNDM, CHR or CHF (Siemens, Heidenhain) waits until the next one
-is known. Both are shortened, and an arc or a line joins them.
 """
 
 from __future__ import annotations
@@ -39,8 +34,6 @@ _FARTHEST_CENTRE = 1e6  #: A centre farther away than this is an error of the pr
 
 @dataclass(frozen=True)
 class Arcs:
-    """The arcs of n blocks in program coordinates."""
-
     centre: FloatArray  #: (n, 3): Point on the axis, at the height of the start [m].
     sweep: FloatArray  #: (n,): Signed angle, positive counter-clockwise [rad].
     fault: IntArray  #: (n,): 0 if the arc exists, else a key of ``FAULTS``.

@@ -1,9 +1,4 @@
-"""CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors.
-
-A statement is a major word, a slash and minor words. ``$`` at the end of a line continues the
-statement, ``$$`` begins a comment. The tool axis turns on the great circle between two points.
-After CIRCLE, points that lie on the circle are reached along it, up to one full turn.
-"""
+"""CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors."""
 
 from __future__ import annotations
 
@@ -60,17 +55,14 @@ class _Circle:
     pitch: float = 0.0
 
     def across(self, point: FloatArray) -> FloatArray:
-        """Return the vector from the circle axis to a point, shape (3,) [m]."""
         arm = point - self.centre
         return np.asarray(arm - (arm @ self.normal) * self.normal)
 
     def off(self, point: FloatArray) -> float:
-        """Return how far the distance of a point from the circle axis is from the radius [m]."""
         return abs(float(np.linalg.norm(self.across(point))) - self.radius)
 
 
 def _numbers_of(minor: str) -> list[float]:
-    """Return the numbers between the commas; none if anything else is there."""
     return [float(word) for word in minor.split(',')] if _NUMBERS.fullmatch(minor) else []
 
 
@@ -356,10 +348,7 @@ class ClReader:
             raise self._fault(remedy, minor)
         return numbers
 
-    # --- circles -------------------------------------------------------------------------------
-
     def _begin_circle(self, minor: str) -> None:
-        """Process CIRCLE/x,y,z,i,j,k,r: counter-clockwise about i,j,k through the next points."""
         remedy = f'write CIRCLE/x,y,z,i,j,k,r; {cl_words.LINEAR}'
         numbers = _numbers_of(minor)
         if len(numbers) not in (6, 7, 11):  # SolidWorks; the others; NX with tolerances
@@ -402,7 +391,6 @@ class ClReader:
             self._circle = None
 
     def _arc_to(self, circle: _Circle, end: FloatArray) -> tuple[float, ...]:
-        """Return the arc to a point; a point off the circle ends the CIRCLE statement."""
         first, start = circle.turned == 0.0, np.array(self._point)
         before, after, off = circle.across(start), circle.across(end), circle.off(end)
         allowed = float(arcs.allowed_mismatch(np.array(circle.radius)))
@@ -428,7 +416,6 @@ class ClReader:
         return (*circle.centre, *circle.normal, angle)
 
     def _from(self, minor: str) -> None:
-        """Process FROM: it sets the start pose; later ones repeat the position of the tool."""
         match = _GOTO.fullmatch('GOTO/' + minor)
         if match is None:
             raise self._fault('expected three numbers, or six with the tool axis', f'FROM/{minor}')

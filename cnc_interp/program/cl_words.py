@@ -1,11 +1,7 @@
 """The words of CL data, with a reason where they are refused; drilling cycles, and frames.
 
-``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at each of the next GOTO points, until
-``CYCLE/OFF``: a rapid to r and to c above the point along the tool axis, feed f to d below it, and
-a rapid back to r. The signs of d, and words for the same thing, differ between CAM systems.
-
-The points after MSYS (NX: origin, X, Y) or CSYS (three rows of four numbers, or X, Y, Z and the
-origin) lie in that system. The first one is that of the workpiece; others are taken into it.
+``CYCLE/DRILL,FEDTO,d,MMPM,f,RAPTO,c,RTRCTO,r`` drills at the next GOTO points until ``CYCLE/OFF``.
+The first system of MSYS or CSYS is that of the workpiece; points of others are taken into it.
 """
 
 from __future__ import annotations
@@ -179,7 +175,6 @@ class ClFrames:
         return moves(self._system)
 
     def cut(self, system: tuple[FloatArray, FloatArray]) -> None:
-        """Process TRACUT: the points from here on are moved by a system."""
         self._cut = system
         self._note()
 
@@ -188,7 +183,6 @@ class ClFrames:
         self.is_moved = any(moves(part) for part in parts)
 
     def point(self, point: Sequence[float]) -> FloatArray:
-        """Return a point in the frame of the workpiece, shape (3,)."""
         found = np.array(point)
         for axes, origin in (self._cut, self._copied, self._system):
             found = axes @ found + origin
@@ -199,7 +193,6 @@ class ClFrames:
         return self._system[0] @ self._copied[0] @ self._cut[0] @ found if self.is_moved else found
 
     def index(self, number: int) -> None:
-        """Process INDEX: COPY repeats what follows."""
         self._marks[number] = len(self.kept)
 
     def keep(self, line_number: int, statement: str) -> None:

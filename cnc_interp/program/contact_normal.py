@@ -1,13 +1,8 @@
 """Cutter compensation in space: from contact points and surface normals to the tip of the tool.
 
-The cutter has a corner of radius r on a circle of radius R about its axis: R is 0 for a ball, r is
-0 for a flat end. It touches the surface at c. With the unit normal n, which points away from the
-part, and the tool axis o, its tip is at
-
-    tip = c + r (n - o) + R side,   side = unit(n - (n . o) o).
-
-The shift is linear in r and R. So the same equation leads from the tip of the tool for which the
-program was posted to that of another tool, with the differences of r and R.
+With a corner of radius r on a circle of radius R about the tool axis o, and the unit normal n away
+from the part, tip = c + r (n - o) + R unit(n - (n . o) o). It is linear in r and R, so it also
+leads from the tip of one tool to that of another, with the differences of both.
 """
 
 from __future__ import annotations

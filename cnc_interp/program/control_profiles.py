@@ -1,8 +1,4 @@
-"""Dialects: the form of a text, and what its words mean where controls differ.
-
-A profile is chosen by ``--dialect``, else by words that only one control has, else by the suffix
-of the file. Otherwise it is ``PLAIN``: what is read in two ways is refused.
-"""
+"""Dialects: the form of a text, and what its words mean where controls differ."""
 
 from __future__ import annotations
 

@@ -40,8 +40,6 @@ class Loop:
 
 @dataclass
 class _Call:
-    """A running subprogram: where the caller continues, and the rounds that remain."""
-
     source: Source
     back: LineStart
     line: int
@@ -96,7 +94,6 @@ class Cursor:
 
     @property
     def main_line(self) -> int:
-        """Return the line in the main program: for another file, that of its call."""
         for call in reversed(self._calls):
             if call.source is self.main and self.source is not self.main:
                 return call.line
@@ -170,13 +167,11 @@ class Cursor:
         self.go(begin)
 
     def _last_percent(self, source: Source) -> float:
-        """Return the offset of the second % of a text, after which nothing belongs to it."""
         first = source.find(_PERCENT, source.start)
         second = first and source.find(_PERCENT, source.after(first))
         return inf if second is None else second.offset
 
     def save(self, state: Any, restores: bool) -> None:
-        """Keep a state for this subprogram, or for the main program (M70, M73)."""
         if not self._calls:
             self.saved = state
         else:

@@ -1,15 +1,11 @@
 """Cutter radius compensation: from the contour of the part to the path of the tool centre.
 
-G41 keeps the tool to the left of the contour, G42 to the right, at the distance of its radius. In
-the plane of the contour each element is offset by d (left is positive): a line along its normal,
-an arc to the radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool
-rolls about the vertex, at an inner corner the offsets are cut where they meet. A row of targets
-waits until the next one is known. Points in the plane are complex numbers.
+Each element is offset by d, positive to the left (G41): a line along its normal, an arc to the
+radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool rolls about the
+vertex; at an inner one the offsets are cut where they meet. Points in the plane are complex.
 
-The first line leads to the contour: beside the start of the next element, or beside its own end,
-as LinuxCNC has it. There an arc may lead, too; it keeps its direction at its end. Where a contour
-comes back to its beginning, the elements before and after it are leads. The tool may cut into
-them.
+The first line leads beside the start of the next element, or beside its own end (LinuxCNC). What
+stands before and after a closed contour leads, too, and may be cut.
 """
 
 from __future__ import annotations
@@ -96,7 +92,6 @@ class Element:
         return min(nearest)
 
     def offset(self, distance: float) -> Element | None:
-        """Return the element at a distance to its left; None if an arc has no radius left."""
         start = self.start + 1j * distance * self.direction(self.start)
         end = self.end + 1j * distance * self.direction(self.end)
         if self.is_arc:
@@ -106,7 +101,6 @@ class Element:
         return replace(self, start=start, end=end)
 
     def between(self, start: complex, end: complex) -> Element | None:
-        """Return the element from and to other points on it; None if that runs backwards."""
         if not self.is_arc:
             along = ((end - start) * self.direction(self.start).conjugate()).real
             return replace(self, start=start, end=end) if along > -ROUNDING else None

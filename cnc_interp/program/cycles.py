@@ -1,13 +1,7 @@
-"""Holes, as the cycles of all dialects describe them; and the canned cycles of G-code.
+"""Holes, as the cycles of all dialects describe them; canned cycles of G-code and of Siemens.
 
-G81 drills, G82 dwells at the bottom, G83 retracts fully after every peck, G73 retracts a little.
-G84 and G74 tap: in step with the spindle, or for a floating holder. G85 and G89 bore. G76 and G87
-of Fanuc shift the tool by I and J at the bottom, G88 waits there. Z, R, Q and P stay valid for the
-next holes. G98 retracts to the start level of the cycle, G99 to R.
-
-CYCLE81 to CYCLE89 and CYCLE840 of Siemens begin with the retract plane RTP, the reference plane
-RFP, the safety distance SDIS above it, where the feed begins, and the depth, DP absolute or DPR
-below RFP. With MCALL the cycle runs at the end of every block with a motion in the plane.
+Z, R, Q and P of G73 to G89 stay valid for the next holes. Cycles of Siemens begin with RTP, RFP,
+SDIS, DP (absolute), DPR (below RFP); with MCALL they run after every block with a motion.
 """
 
 from __future__ import annotations
@@ -333,7 +327,6 @@ class SiemensCycle:
         return 'M3' if self._value(8 if self.name == 'CYCLE84' else 10) < 0.0 else 'M4'
 
     def _feed_out(self) -> float | None:
-        """Return the feed out of the hole [m/s]; None: that into it."""
         if self.name == 'CYCLE85' and self._value(7):
             return self._value(7) * self._mover.unit / MINUTE
         if self.name == 'CYCLE84' and self._value(8) and self._value(11):
@@ -341,7 +334,6 @@ class SiemensCycle:
         return None
 
     def _pecks(self, reference: float, bottom: float) -> list[float]:
-        """Return the levels of the pecks before the bottom: FDEP or FDPR, then less by DAM."""
         unit, depth = self._mover.unit, reference - bottom
         first = self._at(5)
         stroke = self._value(6) * unit if first is None else reference - first * unit

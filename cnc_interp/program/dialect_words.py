@@ -109,7 +109,6 @@ class NamedWords:
                 self._set_name(name, value, others)
 
     def _set_name(self, name: str, value: float, others: bool) -> None:
-        """Set a variable; beside other words only if the program has declared or set it."""
         if not self._variables.exists(name) and not name.startswith('<'):
             if why := codes.REFUSED_NAMES.get(name):
                 raise self.fault(why, name)

@@ -1,9 +1,7 @@
 """Expressions of G-code: the grammar of lines with expressions, and their values.
 
-One grammar contains the brackets and ``#`` parameters of LinuxCNC and Fanuc macro B, and the
-``=``, names and parentheses of Siemens; the form of the word decides (``X[...]`` or ``X=...``).
-In formulas of Heidenhain (``Q2 + 5 * SIN Q3``) a function stands before its value, and a sign
-binds first. Angles are in deg, as on the controls.
+One grammar has LinuxCNC, Fanuc macro B, Siemens, and formulas of Heidenhain, where a function
+stands before its value and a sign binds first. Angles are in deg.
 """
 
 from __future__ import annotations
@@ -304,7 +302,6 @@ class ProgramVariables:
         self._vacant: list[bool] = []  # whether locals that are not set have no value (G65)
 
     def follow(self, before: ProgramVariables) -> None:
-        """Take over the global variables of another program."""
         self._numbers, self._names = dict(before._numbers), dict(before._names)
 
     def enter(self, arguments: Mapping[int, float], vacant: bool) -> None:
@@ -341,7 +338,6 @@ class ProgramVariables:
         return index not in self._with(index) and (index < 5000 or index not in self._system())
 
     def set_number(self, index: int, value: float) -> None:
-        """Set ``#index`` to a value; NaN takes its value away."""
         found = self._with(index)
         if math.isnan(value):
             found.pop(index, None)

@@ -1,8 +1,6 @@
 """Statements that change the order of lines, as each dialect writes them; and subprograms.
 
-O words of LinuxCNC, M98, G65, WHILE/DO/END and IF of Fanuc, and the structures, jumps, DEF and
-calls by name of Siemens. One machine executes the structures of all: each has a head and an end.
-The end of a loop leads back to its head, which decides whether it goes on.
+One machine executes the structures of all: a loop goes back to its head, which decides.
 """
 
 from __future__ import annotations
@@ -121,8 +119,6 @@ class Flow(Cursor):
                              f'{what.label} SUB')  # fmt: skip
         self.after(end)
 
-    # --- words of Siemens ----------------------------------------------------------------------
-
     def _siemens(self, line: str) -> bool:
         if self._calls_by_name(line):
             return True
@@ -150,7 +146,6 @@ class Flow(Cursor):
         return True
 
     def _case(self, rest: str) -> None:
-        """Process CASE (value) OF 1 GOTOF A 2 GOTOF B DEFAULT GOTOF C."""
         match = _CASE.fullmatch(rest)
         if match is None:
             raise self.fault('write CASE (value) OF 1 GOTOF A DEFAULT GOTOF B', 'CASE')
@@ -162,7 +157,6 @@ class Flow(Cursor):
         self.on()
 
     def _define(self, rest: str) -> None:
-        """Process DEF REAL A=1, B[3]=SET(1,2,3): define variables."""
         match = _TYPE.fullmatch(rest)
         if match is None or match[1] in ('AXIS', 'FRAME'):
             raise self.fault('write DEF REAL NAME=VALUE; INT, BOOL, CHAR and STRING work, too',
@@ -209,8 +203,6 @@ class Flow(Cursor):
         self.call_file(stem, int(match[3] or 1))
         return True
 
-    # --- subprograms ---------------------------------------------------------------------------
-
     def _call_o_word(self, label: str, rest: str) -> None:
         if label.startswith('<'):
             pattern, stem = re.escape(label.encode()), label[1:-1].lower().replace(' ', '')
@@ -223,7 +215,6 @@ class Flow(Cursor):
     def call_number(
         self, number: int, rounds: int, arguments: dict[int, float] | None = None
     ) -> None:
-        """Process M98 and G65: run the subprogram that begins with an O number."""
         pattern = rb'[O:]\s*0*%d(?!\d)' % number
         by_value = arguments is not None
         self.call(f'O{number:04d}', pattern, rounds, arguments or {}, by_value, vacant=True)
@@ -249,8 +240,6 @@ class Flow(Cursor):
                 if letter in G65_ARGUMENTS
             }
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
-
-    # --- branches, loops and jumps -------------------------------------------------------------
 
     def condition(self, text: str) -> float:
         return self._values(text, 'condition')[0]
@@ -335,7 +324,6 @@ class Flow(Cursor):
             self.after(self.end_of(word, what))
 
     def _choose_branch(self, what: Structure, rest: str) -> None:
-        """Enter the first branch of an IF whose condition is true, or leave the IF."""
         place, holds = self.window.place(self.row), bool(self.condition(rest))
         while not holds:
             place = self.end_of('IF', what, place, 'ELSEIF|ELSE')
@@ -387,7 +375,6 @@ class Flow(Cursor):
         self.back_or_on(place)
 
     def _keep_loops(self, target: LineStart) -> None:
-        """Leave the loops in which the target of a jump does not lie."""
         for count, loop in enumerate(self.loops):
             if (
                 loop.what is None

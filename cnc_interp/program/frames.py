@@ -2,10 +2,7 @@
 
     point = work + Rz @ (programmed_turn @ program + shift + G52 + G92) + tool length
 
-Rz is the rotation of the work offset about Z (G10 L2 R). With tool-tip programming on, a point is
-the tip in W of the tool of the machine file; the tool length counts beyond it along the tool axis.
-With it off, a point is the position of X Y Z minus that of the workpiece zero. Both are equal
-while the rotary axes are at zero.
+With tool-tip programming on, a point is the tip in W; with it off, X Y Z less the workpiece zero.
 """
 
 from __future__ import annotations
@@ -42,7 +39,6 @@ class Frames:
         self.update()
 
     def work(self, name: str) -> Vector:
-        """Return a work offset, from the workpiece zero of the machine file, shape (5,)."""
         position = self._setup.work_offsets.get(name, {})
         offset = np.zeros(5)
         for i, letter in enumerate(self.letters):
@@ -121,7 +117,6 @@ class Frames:
         self.update()
 
     def rotate(self, angles: dict[str, float]) -> None:
-        """Rotate the frame about its own Z, Y and X axes, in this order [rad]."""
         for letter in 'ZYX':
             if letter in angles:
                 turn = rotation('XYZ'.index(letter), angles[letter])

@@ -1,8 +1,4 @@
-"""G-code to motion targets: the codes of a program, line by line.
-
-Nearly all lines of a program are plain motion. ``runs.py`` executes many of them at once. Every
-other line is split into words. Then flow, settings, motion and stops are executed in this order.
-"""
+"""G-code to motion targets: the codes of a program, line by line (plain ones: ``runs.py``)."""
 
 from __future__ import annotations
 
@@ -101,7 +97,6 @@ class GcodeReader:
         self._outputs = dict(before._outputs)
 
     def stand_at(self, q: FloatArray) -> None:
-        """Begin where the machine stands: axis positions, shape (n_axes,) [m, rad]."""
         self.mover.stand_at(q)
         if self._cycle is not None:
             self._cycle.start = self._level()
@@ -115,7 +110,6 @@ class GcodeReader:
         return self.mover.modes(code, offset, tool, self._outputs).moving(motion, feed)
 
     def _state(self) -> tuple[float, float, float]:
-        """Return the modal state of the next target, as ``ModesOfBlocks.see`` takes it."""
         mover, tool = self.mover, self._tool
         code = '' if self._cycle is None else self._cycle.code
         motion = NONE if code or mover.motion is None else float(mover.motion)
@@ -176,7 +170,6 @@ class GcodeReader:
                 flow.row = row + 1
 
     def _until_start(self, row: int, end: int) -> int:
-        """Note that the line of the start is reached; end lines read together before it."""
         start, flow = self.targets.start, self.flow
         ahead = start.line - flow.line_number
         if not start.line or ahead < 0 or flow.source is not flow.main:
@@ -252,7 +245,6 @@ class GcodeReader:
             self._execute(split_words(rest, self.variables, self.fault))
 
     def _say(self, text: str) -> None:
-        """Tell a message of the program, with the values of its parameters."""
 
         def value(match: re.Match[str]) -> str:
             name, known = match[1].upper(), self.variables
@@ -279,8 +271,6 @@ class GcodeReader:
             return f'{letter}{number * (1e-4 if inch and letter not in "ABC" else 1e-3):.4f}'
 
         return _NO_POINT.sub(written, line)
-
-    # --- one block -----------------------------------------------------------------------------
 
     def _execute(self, words: BlockWords) -> None:
         values, mover = words.values, self.mover
@@ -559,7 +549,6 @@ class GcodeReader:
         self.mover.restore_values(values)
 
     def _program_stop(self, code: str) -> None:
-        """Process M0, M1 and M60: rest after the motion so far and wait for the operator."""
         self.mover.end_corner()
         self.targets.program_stop()
         if self.targets.stands and not self.splines.open:
@@ -569,8 +558,6 @@ class GcodeReader:
         else:
             self.notice(code, codes.STOP_M[code])
             self.splines.stop_here(AT_M1 if code == 'M1' else AT_M0)
-
-    # --- motion --------------------------------------------------------------------------------
 
     def _move(self, words: BlockWords, feed_given: bool) -> None:
         mover, values = self.mover, words.values
@@ -642,7 +629,6 @@ class GcodeReader:
             self.notice(code, probing.ASSUMED)
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
-        """Read on after a probe; as ``ProgramStream.go_on``."""
         self.probe = None
         self._begin_at(stands if at is None else at)
         self.mover.probed = probing.answer(self.mover, at is not None)
@@ -654,7 +640,6 @@ class GcodeReader:
         self.stand_at(stands)
 
     def _dwell(self, words: BlockWords) -> None:
-        """Process G4: its P, X, F, S or U is a time."""
         self.mover.end_corner()
         for letter in 'PXFSU':
             words.values.pop(letter, None)

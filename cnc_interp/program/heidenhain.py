@@ -1,8 +1,4 @@
-"""Heidenhain plain text: its lines become the words of the reader of G-code, which executes them.
-
-Motions, datum shifts, rotations, planes, drilling cycles, labels and formulas of Q parameters are
-read. All other words are refused with their line.
-"""
+"""Heidenhain plain text: its lines become words that the reader of G-code executes."""
 
 from __future__ import annotations
 
@@ -105,8 +101,6 @@ class HeidenhainReader(GcodeReader):
         except ExpressionError as problem:
             raise self.fault(str(problem), line[:20]) from None
 
-    # --- flow and parameters -------------------------------------------------------------------
-
     def _value(self, text: str) -> float:
         return formula(text, self.variables)
 
@@ -166,7 +160,6 @@ class HeidenhainReader(GcodeReader):
             flow.loops.pop()
 
     def _function(self, number: int, rest: str) -> None:
-        """Process FN 0 to FN 13: sets a parameter, or jumps to a label."""
         if sign := _CONDITIONS.get(number):
             match = _JUMP.fullmatch(rest)
             if match is None:
@@ -177,8 +170,6 @@ class HeidenhainReader(GcodeReader):
                 self.flow.back_or_on(place)
         elif number > 13 or not self._assign(rest):
             raise self.fault('only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}')
-
-    # --- statements ----------------------------------------------------------------------------
 
     def _statement(self, line: str) -> None:
         if line.startswith('BEGIN PGM'):
@@ -307,7 +298,6 @@ class HeidenhainReader(GcodeReader):
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 
     def _place(self, values: dict[str, float]) -> dict[str, float]:
-        """Return the absolute axis words of a line; I before a letter is incremental."""
         here = self.mover.here()
         letters = ('X', 'Y', 'Z', *self.mover.rotary_letters)
         found = {letter: values[letter] for letter in 'XYZABCUVW' if letter in values}
@@ -316,8 +306,6 @@ class HeidenhainReader(GcodeReader):
             if f'I{letter}' in values:
                 found[letter] = float(here[i]) / size + values[f'I{letter}']
         return found
-
-    # --- circles -------------------------------------------------------------------------------
 
     def _flat(self, point: FloatArray) -> complex:
         a, b, _ = PLANES[self.mover.plane]
@@ -382,8 +370,6 @@ class HeidenhainReader(GcodeReader):
         kind = 'CHR' if match[1] == 'CHF' else 'RND'  # CHF is measured along the lines here
         return Corner(kind, self._value(match[2]) * self.mover.unit)
 
-    # --- tools, frames, cycles -----------------------------------------------------------------
-
     def _tool_call(self, number: str | None, axis: str, rest: str, named: str) -> None:
         values, _, _ = self._words(rest)
         if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
@@ -432,7 +418,6 @@ class HeidenhainReader(GcodeReader):
                              f'CYCL DEF {number}')  # fmt: skip
 
     def _old_cycle(self, part: str | None, rest: str) -> None:
-        """Keep the values of a line of CYCL DEF 1 or 2 as those of cycles 200 and 206."""
         names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
         if part == '0':
             for name in ('Q203', 'Q204', 'Q210', 'Q211', 'Q202'):

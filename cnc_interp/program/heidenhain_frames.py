@@ -1,7 +1,4 @@
-"""Frames of Heidenhain: datum shift (cycle 7), rotation (10), tilted planes (PLANE and cycle 19).
-
-Each lies in the one before: the rotation in the plane, the plane in the shifted datum.
-"""
+"""Frames of Heidenhain, each in the one before: datum shift (cycle 7), planes, rotation (10)."""
 
 from __future__ import annotations
 
@@ -45,7 +42,6 @@ class HeidenhainFrames:
         self._frame()
 
     def add_angles(self, values: Mapping[str, float]) -> None:
-        """Process a line of cycle 19: A, B, C are angles in space, or positions of axes."""
         self.angles |= values
         angles = {name: value for name, value in self.angles.items() if name in 'ABC'}
         turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
@@ -79,7 +75,6 @@ class HeidenhainFrames:
         self._position(way, choice, table)
 
     def _frame(self) -> None:
-        """Put datum shift, plane and rotation together: in this order, each in the one before."""
         frames, unit = self._mover.frames, self._mover.unit
         frames.reset_frame()
         frames.move(np.array([self._shift.get(letter, 0.0) * unit for letter in 'XYZ']))
@@ -112,7 +107,6 @@ class HeidenhainFrames:
                          f'PLANE {kind}')  # fmt: skip
 
     def _turn_of_axes(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the plane on which the tool stands upright with the rotary axes at angles."""
         rotary = self._mover.rotary.copy()
         for letter, value in values.items():
             if letter not in self._mover.rotary_letters:
@@ -133,7 +127,6 @@ class HeidenhainFrames:
         return rotation(which, float(np.copysign(angle, axis[which])))
 
     def _position(self, way: str, choice: int, table: bool = False) -> None:
-        """Turn the rotary axes to the plane, or wait for the words that do."""
         self.found = self._tilted.solution(choice, 'PLANE', table)
         self._waits = way not in ('TURN', 'MOVE')
         if not self._waits:

@@ -122,7 +122,6 @@ class JobSetup:
 
     @staticmethod
     def load(path: Path) -> JobSetup:
-        """Read a setup file, in mm and deg; ProgramError names what cannot be read in it."""
         try:
             content = read_yaml(path)
         except OSError as problem:
@@ -151,7 +150,6 @@ class JobSetup:
 
 
 def _shown(value: float, unit: float) -> float:
-    """Return a value in a unit, without the rounding of the conversion."""
     return float(round(value / unit, _DIGITS)) + 0.0
 
 

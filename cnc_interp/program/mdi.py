@@ -1,7 +1,6 @@
 """Lines by hand (MDI): single lines of G-code that share one modal state.
 
-A line starts where the machine stands, because it may have been moved by hand. All else is taken
-over from the line before. A line that is refused changes nothing: its reader is not kept.
+A line starts where the machine stands. A line that is refused changes nothing.
 """
 
 from __future__ import annotations

@@ -53,7 +53,6 @@ _COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 
 
 
 def modal_words(state: ModalState) -> list[str]:
-    """Return the modal settings as words that would set them: codes, tool length, offset, F."""
     words = state.codes_of_settings()
     words.pop('stop_once', None)
     frames, feed = state.frames, state.feedrate
@@ -74,7 +73,6 @@ def modal_words(state: ModalState) -> list[str]:
 
 
 def frame_words(frames: Frames, unit: float) -> list[str]:
-    """Return the words that would set the programmed shift and turn, in units [m]."""
     turn = frames.programmed_turn
     rotated = bool(np.any(turn != np.eye(3)))
     if not rotated and not frames.shift.any():
@@ -161,7 +159,6 @@ class ModalState:
         self.vector: FloatArray | None = None
 
     def begin_targets(self) -> None:
-        """Forget the targets so far, and the line of the start, which they hold."""
         settings = replace(self.settings, from_line=0)
         self.targets = TargetColumns(self.geometry, settings, self.flow.main.name)
 
@@ -172,7 +169,6 @@ class ModalState:
         self.frames.follow(before.frames)
 
     def saved_values(self) -> dict[str, object]:
-        """Return what M70 saves: all settings but the motion, feed, tolerances, offset, length."""
         names = (*_SETTINGS[1:], *_VALUES)
         values: dict[str, object] = {name: getattr(self, name) for name in names}
         return values | {'offset': self.setup.offset, 'length': self.frames.length}
@@ -186,7 +182,6 @@ class ModalState:
         self.aim()
 
     def modal_values(self) -> tuple[object, ...]:
-        """Return all that the codes, the spindle speed and the tolerances tell, to compare it."""
         frames = self.frames
         values = (getattr(self, name) for name in _COMPARED)
         return (*values, self.radius_code, self.setup.offset, bool(frames.length), *frames.shifts)
@@ -224,8 +219,6 @@ class ModalState:
     def notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')
 
-    # --- setup ---------------------------------------------------------------------------------
-
     def change(self, change: SetupChange) -> None:
         if change.field == 'active' and not self.targets.empty:
             self.used.add(self.setup.offset)
@@ -236,8 +229,6 @@ class ModalState:
             self.setup = after
             self.frames.take(after)
             self.targets.change(change, self.flow.main_line)
-
-    # --- position ------------------------------------------------------------------------------
 
     @property
     def by_axes(self) -> bool:
@@ -283,7 +274,6 @@ class ModalState:
         self.aim()
 
     def check_length(self, word: str) -> None:
-        """Tell what a tool length means with tool-tip programming on; LinuxCNC has none."""
         if self.frames.length and (self.dialect is LINUXCNC or word == 'M428'):
             raise self.fault(LENGTH_WITH_TCP, word)
         if self.frames.length:

@@ -55,7 +55,6 @@ class Modes:
         mover.aim()
 
     def cutter_radius(self, code: str, words: BlockWords, tool: int) -> None:
-        """Process G40, G41, G42; as G41.2, or after CUT3DF, they follow contact normals."""
         mover = self._mover
         if code == 'G40':
             if not mover.radius_code:
@@ -80,7 +79,6 @@ class Modes:
         mover.begin_radius(code, radius if code.startswith('G41') else -radius)
 
     def cutter(self, words: BlockWords, tool: int) -> Tool:
-        """Take D out of a block, and return the tool that it names, else that in the spindle."""
         named = words.values.pop('D', None)
         number = tool if named is None else round(min(abs(named), 1e6))
         tools = self._mover.setup.tools
@@ -183,7 +181,6 @@ class Modes:
         )
 
     def turn_frame(self, key: str, words: BlockWords) -> None:
-        """Process TRANS, ATRANS, ROT and AROT: shift or rotate the program coordinates."""
         mover = self._mover
         frames, before = mover.frames, mover.here()
         if not key.startswith('A'):
@@ -198,8 +195,6 @@ class Modes:
         frames.update()
         if key.endswith('TRANS'):
             self._shift(before)
-
-    # --- offsets and reference points ----------------------------------------------------------
 
     def axis_code(self, code: str, words: BlockWords) -> None:
         mover, values = self._mover, words.values
@@ -234,7 +229,6 @@ class Modes:
             mover.change(SetupChange('g92_on', code == 'G92.3'))
 
     def _offset_words(self, values: dict[str, float]) -> dict[int, float]:
-        """Remove axis words and return them as offsets by axis number [m, rad]."""
         found = {}
         for i, letter in enumerate(self._mover.frames.letters):
             if letter in values:
@@ -305,7 +299,6 @@ class Modes:
         mover.change(SetupChange('tools', measured, int(number)))
 
     def _reference(self, code: str, words: BlockWords) -> None:
-        """Process G28 and G30: rapid over the point of the block to the reference point."""
         mover = self._mover
         word, letters = mover.machine_words(words), mover.frames.letters
         named = [letter for letter in letters if letter in words.values]

@@ -1,7 +1,4 @@
-"""The targets of single blocks, from their words and the modal state.
-
-``runs.py`` does the same for many plain lines at once.
-"""
+"""The targets of single blocks, from their words and the modal state."""
 
 from __future__ import annotations
 
@@ -35,8 +32,6 @@ class Mover(ModalState):
     corner = NO_CORNER  #: At the end of the next line.
     #: A line that waits for the next one: its corner, place in the text, start [m] and row.
     held: tuple[Corner, ProgramError, FloatArray, tuple[float, ...], int] | None = None
-
-    # --- one block -----------------------------------------------------------------------------
 
     def move(self, words: BlockWords, feed_given: bool, machine: bool = False) -> None:
         """Move to the axis words of a block, and take them; of G53 and SUPA for ``machine``."""
@@ -177,7 +172,6 @@ class Mover(ModalState):
             self.go(point, rotary, rapid=True)
 
     def act(self, word: str, given: Mapping[str, float]) -> None:
-        """Let a function act before the next motion."""
         signals = self.geometry.machine.signals
         for moment in acting(signals, [word], given, self.fault):
             for step in moment:
@@ -262,7 +256,6 @@ class Mover(ModalState):
             words.values[letter], words.ways[letter] = float(radius * value), 'AC'
 
     def extra_target(self, words: BlockWords, machine: bool) -> FloatArray:
-        """Take the words of extra axes out and return their positions, shape (3,) [m]."""
         target = self.extra.copy()
         for letter in self.extra_letters:
             value = words.values.pop(letter, None)
@@ -276,7 +269,6 @@ class Mover(ModalState):
         return target
 
     def _turned(self, here: float, angle: float, way: str) -> float:
-        """Return the angle of a rotary word [rad], with the whole turns that it means."""
         if way == 'DC' or (self.settings.rotary_sense == 'shortest' and way in ('', 'AC')):
             return angle - 2.0 * pi * round((angle - here) / (2.0 * pi))
         if way == 'ACP':
@@ -399,12 +391,9 @@ class Mover(ModalState):
         super().switch_tcp(word)
 
     def end_corner(self) -> None:
-        """Add a line that waits for the next one, which does not come."""
         self.corner = NO_CORNER
         if self.held is not None:
             self._make_corner(self.point, is_other=True)
-
-    # --- arcs and tool vectors -----------------------------------------------------------------
 
     def _take_arc(self, words: BlockWords) -> BlockWords | None:
         if self.motion is None or self.motion < 2:
@@ -486,7 +475,6 @@ class Mover(ModalState):
     def _fits(
         self, target: FloatArray, offset: FloatArray, absolute: bool = False, plane: str = ''
     ) -> bool:
-        """Tell whether there is an arc with another centre or in another plane to a target."""
         return not self._arcs_to(target, offset, absolute, plane or self.plane).fault[0]
 
     def _arcs_to(
@@ -499,7 +487,6 @@ class Mover(ModalState):
         )  # fmt: skip
 
     def _take_vector(self, words: BlockWords) -> tuple[float, float, float] | None:
-        """Return the direction words of a block: A3 B3 C3, or I J K with G43.5."""
         names = {name: value for name, value in words.sets if name in ('A3', 'B3', 'C3')}
         if names:
             return tuple(float(names.get(name, 0.0)) for name in ('A3', 'B3', 'C3'))  # type: ignore[return-value]

@@ -184,12 +184,10 @@ class Moves:
         return self._geometry.forward(np.concatenate([stands + self._zero, rotary], axis=1))[0]
 
     def extra(self, row: IntArray, u: FloatArray) -> FloatArray:
-        """Return positions of U V W at shares of motions, shape (m, 3) [m]."""
         start, end = self._before[row, col.EXTRA], self.rows[row, col.EXTRA]
         return np.where((u == 1.0)[:, None], end, start + u[:, None] * (end - start))
 
     def rotary(self, row: IntArray, u: FloatArray) -> FloatArray:
-        """Return rotary positions at shares of motions, (m, 2) [rad]."""
         at = self._before[row, col.ROTARY] + u[:, None] * self.sweep[row]
         return np.where((u == 1.0)[:, None], self.rows[row, col.ROTARY], at)
 
@@ -211,7 +209,6 @@ class Moves:
         return point, axis
 
     def _points(self, row: IntArray, u: FloatArray) -> FloatArray:
-        """Return points on lines and arcs, in the coordinates of their ends, shape (m, 3) [m]."""
         end, start, arc = self.rows[row], self._start[row], self._arc[row]
         point = start + u[:, None] * (end[:, col.POINT] - start)
         if arc.any():
@@ -241,7 +238,6 @@ class Moves:
         return np.asarray(self._arc | turns)
 
     def _beside_arcs(self, coming: BoolArray, settings: Settings) -> BoolArray:
-        """Return ``beside_arcs``, of motions before which of the ``coming`` targets end arcs."""
         count, arc = len(self._arc), np.concatenate([self._arc, coming])
         row = np.arange(len(arc))
         last = np.maximum.accumulate(np.where(arc, row, -1 - self.since_arc))

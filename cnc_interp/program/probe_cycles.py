@@ -18,8 +18,6 @@ _PARAMETER = re.compile(r'\(#\d+ (\w+) = (\S+): (.*) \[(.*)\]\)')
 
 @dataclass(frozen=True)
 class Parameter:
-    """What a cycle is told, as its file says it."""
-
     name: str
     default: float
     text: str
@@ -28,8 +26,6 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A probing cycle that begins where the machine stands."""
-
     name: str
     text: str  #: What it finds, and what it sets.
     parameters: tuple[Parameter, ...]
@@ -47,7 +43,6 @@ class Cycle:
 
 @cache
 def cycles() -> dict[str, Cycle]:
-    """Return all cycles by their names."""
     found = {}
     for name in NAMES:
         file = config_directory() / 'subprograms' / f'probe_{name}.ngc'

@@ -1,9 +1,7 @@
-"""Probing: G38.2 to G38.5, G31 of Fanuc and MEAS of Siemens.
+"""Probing: G38.2 to G38.5, G31 of Fanuc and MEAS of Siemens, from rest, until the probe answers.
 
-The tool moves along a line, from rest, until the probe answers. Where that was stands in #5061 to
-#5066, in the coordinates of the program; #5070 is 1 if it has answered, else 0. What follows may
-depend on it. So a live program is read to the probe, run, and read on (``ProgramStream.go_on``).
-Elsewhere the probe counts as if it had answered at the end of the line.
+A live program is read to the probe, run, and read on (``ProgramStream.go_on``): the place is in
+#5061 to #5066, and #5070 is 1. Elsewhere the probe counts as if it had answered at the end.
 """
 
 from __future__ import annotations
@@ -22,8 +20,6 @@ from cnc_interp.program.words import BlockWords
 
 
 class ProbeCode(NamedTuple):
-    """What a code asks for."""
-
     word: str  #: The function of the machine that makes the probe ready.
     must_answer: bool  #: Whether it is a fault if the probe does not answer.
 
@@ -43,8 +39,6 @@ ASSUMED = 'a plan counts the end of the line as the place where the probe answer
 
 @dataclass(frozen=True)
 class Probe:
-    """A line at whose end the program waits for the probe."""
-
     code: str
     line: int  #: Of the main program.
 
@@ -84,7 +78,6 @@ def target_of(code: str, words: BlockWords, mover: Mover, signals: Signals) -> F
 
 
 def answer(mover: Mover, answered: bool) -> dict[int, float]:
-    """Return the variables of a probe that answered, or did not, where the tool stands."""
     found = {ANSWERED: float(answered)}
     letters = ('X', 'Y', 'Z', *mover.rotary_letters)
     for letter, value in zip(letters, mover.here().tolist(), strict=False):

@@ -83,7 +83,6 @@ class ProgramStream:
 
     @property
     def probe(self) -> Probe | None:
-        """The probe at which the blocks end, for what follows depends on it."""
         return self._reader.probe if isinstance(self._reader, GcodeReader) else None
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
@@ -96,7 +95,6 @@ class ProgramStream:
         self._reader.go_on(stands, at)
 
     def close(self) -> None:
-        """Close the text, though more may follow."""
         self._source.close()
 
     @property
@@ -104,7 +102,6 @@ class ProgramStream:
         return self._notices.texts()
 
     def note(self, notice: tuple[int, str] | None) -> None:
-        """Add what was noticed of the path: source line and text."""
         if notice is not None:
             self._notices.once('path', *notice)
 
@@ -114,7 +111,6 @@ class ProgramStream:
 
     @property
     def waits_first(self) -> bool:
-        """Whether the program waits for the operator before its first motion (M0)."""
         return self._reader.targets.waits_first
 
     @property

@@ -20,7 +20,6 @@ SHORTEST = 6  #: Shorter runs are as fast line by line.
 
 
 def _filled(values: FloatArray, first: float) -> FloatArray:
-    """Replace each NaN by the last number before it; at the beginning, by ``first``."""
     given = np.isfinite(values)
     last = np.maximum.accumulate(np.where(given, np.arange(len(values)), -1))
     return np.where(last >= 0, values[last], first)
@@ -124,7 +123,6 @@ def _feeds(
 
 
 def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
-    """Return the program coordinates after every line, shape (n, 5) [m, rad]."""
     here = mover.here()
     program = np.empty((len(values), 5))
     program[:, 3:] = here[3:]

@@ -1,9 +1,7 @@
 """Plain lines of G-code to columns of numbers, in a compiled loop.
 
-Nearly every line of a program has only an optional N, one of G0 to G3, and numbers after X Y Z A
-B C I J K R F. Such lines become rows of numbers here. Each number is the nearest double: up to 15
-digits are an integer divided by a power of ten, and both are exact. A line with anything else is
-marked as rare, and ``words.py`` reads it.
+A line with anything but an optional N, one of G0 to G3, and numbers after letters is rare:
+``words.py`` reads it. Each number is the nearest double: up to 15 digits over a power of ten.
 """
 
 from __future__ import annotations

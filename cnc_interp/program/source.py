@@ -26,8 +26,6 @@ _BYTE_ORDER_MARK = b'\xef\xbb\xbf'
 
 @dataclass(frozen=True)
 class LineStart:
-    """The beginning of a line: offset in the file, and line number counted from 1."""
-
     offset: int
     line: int
 
@@ -105,7 +103,6 @@ class Source:
         return min(1.0, place.offset / max(self.size, 1))
 
     def window(self, place: LineStart) -> LineWindow:
-        """Return the lines from a place on; none at the end of the text."""
         if self._window is None or self._window.start != place:
             text = self.lines(place)
             self._window = _scanned(place, text)
@@ -177,7 +174,6 @@ _NAME = re.compile(
 
 
 def leader_lines(source: Source) -> int:
-    """Return the number of lines before the first %: text that controls skip (ISO 6983-1)."""
     head = source.lines(source.start).decode('utf-8', 'replace').splitlines()[:_HEAD_LINES]
     for number, line in enumerate(head):
         if line.lstrip().startswith('%'):
@@ -188,7 +184,6 @@ def leader_lines(source: Source) -> int:
 
 
 def is_name(line: str) -> bool:
-    """Tell whether a line, in upper case and without comments, is only the name of a program."""
     return _NAME.fullmatch(line) is not None
 
 

@@ -1,9 +1,7 @@
 """Native 5-axis B-splines of the Siemens 840D: from words to spline rows of Blocks.
 
-[B2013, section 4.1]. ``BSPLINE SD=3`` opens a curve. Each following block gives a control point of
-the tool tip (X Y Z), a second point on the tool axis (XH YH ZH) and a knot interval (PL).
-A missing coordinate keeps its value; a missing PL is 1. The first control point is the
-position of the tool. ``docs/how_it_works/native_splines.md`` describes the convention.
+After ``BSPLINE SD=3`` each block is a control point (X Y Z, XH YH ZH, PL); the first one is the
+position of the tool [B2013, section 4.1] (``docs/how_it_works/native_splines.md``).
 """
 
 from __future__ import annotations

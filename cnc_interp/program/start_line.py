@@ -52,7 +52,6 @@ class StartLine:
         return None if self._row is None else max(self._row, 1)
 
     def found(self) -> StartBlock:
-        """Return the start, once the whole program was read; raise if it is not just one."""
         count, which = self.passes, self._which
         if not count:
             raise self._fault('the program does not execute this line; start at another one')

@@ -1,8 +1,6 @@
 """Division of blocks into pieces on which [B2013, Eq. 4] is the programmed motion.
 
-Linear rotary axes turn the tool axis on no great circle, and arcs are no lines. The deviation of a
-piece from the programmed motion falls with the square of its length. So the number of pieces
-follows from the deviation that is measured on a trial division.
+The deviation of a piece falls with the square of its length, so a trial tells how many it takes.
 """
 
 from __future__ import annotations
@@ -77,7 +75,6 @@ def _largest_deviation(
     poses: Poses, rows: IntArray, counts: FloatArray, allowed_tip: FloatArray,
     allowed_top: FloatArray, height: float,
 ) -> FloatArray:  # fmt: skip
-    """Return the largest deviation of each block from its pieces, over the allowed one [-]."""
     which, piece = ragged(counts.astype(np.int64))
     block, step = rows[which], 1.0 / counts[which]
     tip_from, o_from = poses(block, piece * step)

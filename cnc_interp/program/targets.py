@@ -1,9 +1,4 @@
-"""Motion targets to blocks: rows of numbers are collected and converted in batches.
-
-When a batch is full, positions become poses, arcs become chords, repeated points are merged, and
-curved motion is divided. So the memory does not depend on the length of the program, and Python
-does not process single rows.
-"""
+"""Motion targets to blocks: rows of numbers are collected and converted in batches."""
 
 from __future__ import annotations
 
@@ -128,7 +123,6 @@ class TargetColumns:
         self._stops.append((self._at_last, self.changed))
 
     def stand_at(self, rotary: FloatArray) -> None:
-        """Set the rotary positions of the last target, whose tool axis came from a direction."""
         if self._rows:
             last = len(self._rows) - col.WIDTH
             self._rows[last + col.ROTARY.start : last + col.ROTARY.stop] = array('d', rotary)
@@ -142,7 +136,6 @@ class TargetColumns:
 
     @property
     def stands(self) -> bool:
-        """True while no motion is known, at most the start pose."""
         return self._before is None and self._curve is None and len(self._rows) <= col.WIDTH
 
     @property
@@ -167,7 +160,6 @@ class TargetColumns:
         return self.take()
 
     def _convert(self, last: bool) -> None:
-        """Convert the collected rows; the last ones wait for repeated points and for arcs."""
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, col.WIDTH).copy()
         by_rotary = np.isnan(rows[:, col.AXIS.start])
         if by_rotary.any():

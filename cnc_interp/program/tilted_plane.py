@@ -1,12 +1,7 @@
 """Tilted working planes: a frame in space, and the tool turned to stand upright on it.
 
-G68.2 to G68.4 and CYCLE800 define a feature coordinate system in the workpiece,
-
-    point in W = origin + turn @ point in the plane.
-
-G53.1, G53.3, G53.6 and CYCLE800 turn the rotary axes until the tool axis is that of the plane, its
-Z. From then on X Y Z are positions of the tool tip in the plane, also while the rotary axes turn,
-until G69 or CYCLE800(). ``docs/how_it_works/tilted_planes.md`` has the forms.
+G68.2 to G68.4 and CYCLE800 define the frame; G53.1, G53.3, G53.6 and CYCLE800 turn the tool. Then
+X Y Z are positions of the tip in the plane until G69 (``docs/how_it_works/tilted_planes.md``).
 """
 
 from __future__ import annotations
@@ -53,8 +48,6 @@ class TiltedPlane:
         else:
             self._orient(code, words)
 
-    # --- the plane -----------------------------------------------------------------------------
-
     def _define(self, code: str, words: BlockWords) -> None:
         if code == 'G68':
             self._turn_in_plane(words)
@@ -75,7 +68,6 @@ class TiltedPlane:
         self._set(code, origin, turn, self._angle(words, 'R'))
 
     def _turn_of(self, form: int, order: float, words: BlockWords) -> FloatArray:
-        """Return the rotation that I J K and the form P of G68.2 give, shape (3, 3)."""
         angles = self._take(words, 'IJK', DEG)
         if form == 4:
             return self._projected(angles)
@@ -178,13 +170,10 @@ class TiltedPlane:
         frames.tilt('G68', centre - turn @ centre, turn)
 
     def cancel(self) -> None:
-        """Process G69 and CYCLE800(): end the plane and all rotations. Nothing moves."""
         self.parts.clear()
         self._mover.set_oriented(False)
         self._mover.frames.reset_frame()
         self._mover.frames.update()
-
-    # --- the tool ------------------------------------------------------------------------------
 
     def _orient(self, code: str, words: BlockWords) -> None:
         """Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
@@ -290,8 +279,6 @@ class TiltedPlane:
         for axis, angle in zip(axes, angles, strict=True):
             turn = turn @ rotation(axis, angle)
         return turn
-
-    # --- words ---------------------------------------------------------------------------------
 
     def _take(self, words: BlockWords, letters: str, size: float) -> FloatArray:
         return np.array([words.values.pop(letter, 0.0) * size for letter in letters])

@@ -1,7 +1,4 @@
-"""Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data.
-
-The writers know only words and formats. ``convert/conversion.py`` decides what is written.
-"""
+"""Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data."""
 
 from __future__ import annotations
 
@@ -32,8 +29,6 @@ def feed_word(feedrate: float) -> str:
 
 @dataclass
 class Modal:
-    """The last value of each modal word, so that only changes are written."""
-
     kept: dict[str, str] = field(default_factory=dict)
 
     def words(self, pairs: Iterable[tuple[str, str]]) -> str:
@@ -44,8 +39,6 @@ class Modal:
 
 @dataclass(frozen=True)
 class WrittenMove:
-    """One block; a writer takes of it what its format has."""
-
     tip: FloatArray  #: (3,): Tool tip or control point [m].
     feedrate: float  #: Speed of the tip [m/s].
     #: Whether the block is a rapid, and whether the tool rests at its end.

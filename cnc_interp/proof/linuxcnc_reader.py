@@ -1,8 +1,7 @@
 """LinuxCNC's interpreter (``rs274``) as the second reader of G-code, where it is installed.
 
-It prints what it would tell a machine to do, with four decimals of the unit of the program, less
-the offsets. It runs in a process of its own, with bounds on time, memory and output. Comments are
-taken out before: it executes some of them as Python code.
+It prints what a machine would do, with four decimals, in a process with bounds. Comments are taken
+out before: it executes some of them as Python code.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 """The motion follows the program in order: every vertex once, none left out, none twice.
 
-Motion and program are polygons. The motion follows if both can be run through at the same time,
-without going back, and never further apart than the tolerance: the decision problem of the
-Frechet distance. It is decided from sample to sample by the part of every piece of the program
-that can be reached [Alt and Godau, Computing the Frechet distance between two polygonal curves,
-1995]: for the tool tip, for the point at flank height, and for rotary and extra axes where the
-program says how these move. Between vertices ``ROOM`` times the tolerance is enough, because the
-distance there is judged elsewhere.
+It can be run through beside the program without going back, never further apart than the
+tolerance: the Frechet distance of two polygons [Alt and Godau, Computing the Frechet distance
+between two polygonal curves, 1995], for the tip, the point at flank height, and named axes.
 """
 
 from __future__ import annotations

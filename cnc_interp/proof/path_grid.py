@@ -67,7 +67,6 @@ def prove_grid(ledger: Ledger) -> None:
 
 
 def _prove_cells(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
-    """Check cells against the axes and the velocities at both ends, at some grid points."""
     (a, b), path, machine, cells = part, ledger.plan.path, ledger.machine, len(rows) - 1
     last = min(b, cells)
     left, right = path['cell_left'][:, a:last], path['cell_right'][:, a:last]

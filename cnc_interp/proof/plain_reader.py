@@ -1,7 +1,6 @@
 """A second reader of part programs, for plain words only; it shares no code with the first one.
 
-All but plain motion (lines, arcs, contact normals; GOTO) and words that move nothing is refused,
-because a word that is not understood cannot be compared.
+What is not understood cannot be compared, so it is refused.
 """
 
 from __future__ import annotations

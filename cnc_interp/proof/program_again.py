@@ -119,7 +119,6 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
 
 
 def _as_planned(moves: Iterable[ReadMove], settings: Mapping[str, Any]) -> Iterable[ReadMove]:
-    """Let the choices of the user count in place of what the text says."""
     nan = float('nan')
     if settings.get('force_tolerances'):
         moves = (replace(m, tolerance=nan, orientation=nan) for m in moves)
@@ -266,7 +265,6 @@ class _Comparison:
             self.fault(move, f'rows {rows[0]} to {rows[-1]} are not on its line')
 
     def kept(self, move: ReadMove, rows: IntArray, chord_error: float) -> None:
-        """Demand that the rows leave room in the programmed tolerance for their arc."""
         wanted = self.tolerances[0] if np.isnan(move.tolerance) else move.tolerance
         used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
         if used > wanted * (1.0 + SAME_FEED) + _place(move):
@@ -353,8 +351,6 @@ class _Comparison:
 
 
 class _FollowPlaces(_Comparison):
-    """Follows the rows by their places, with motions whose lines are not known."""
-
     def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float]):
         super().__init__(blocks, machine, tolerances)
         self.tiny = 0  # motions shorter than the last digit, which may have rows

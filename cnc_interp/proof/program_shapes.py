@@ -130,8 +130,6 @@ class ProgrammedAxes:
 
 @dataclass(frozen=True)
 class _Search:
-    """The search for the best points on rows ``k`` for coordinates, tips and top points."""
-
     program: ProgrammedAxes
     k: IntArray
     here: FloatArray
@@ -139,7 +137,6 @@ class _Search:
     top: FloatArray
 
     def best(self) -> tuple[FloatArray, FloatArray]:
-        """Return shares of the rows, and the uses of the tolerances there, shape (K, 4)."""
         program, scale = self.program, self.program.scale
         step = program.step[self.k] * scale
         square = np.maximum((step**2).sum(axis=1), 1e-300)

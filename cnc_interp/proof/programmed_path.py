@@ -1,9 +1,7 @@
 """The programmed path of the proof, and the distance of a pose from it.
 
-In a program row the tool tip moves along a straight line. The tool axis turns on the great circle
-between both orientations, in proportion to the distance [B2013, Eq. 4]. So the point at flank
-height h moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``. The contour error is the distance of
-the tip from the lines, the orientation error that of ``tip + h axis`` from T.
+The point at flank height h moves along ``T(x) = p_0 + x (p_1 - p_0) + h o(x)``: the tip on a
+line, the tool axis on the great circle in proportion [B2013, Eq. 4].
 """
 
 from __future__ import annotations
@@ -227,7 +225,6 @@ def _distances_to_vertices(
     points: FloatArray, bulge: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
     unit: FloatArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Return the distance of each vertex from the motion, and the sample before that place."""
     zero = np.zeros(3)
     count = len(vertices)
     nearest = np.full(count, np.inf)

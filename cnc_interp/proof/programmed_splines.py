@@ -1,8 +1,4 @@
-"""Native splines as many short linear rows, so that the proof has one rule for all programs.
-
-SciPy evaluates the curve. Rows on it are so close that tip and point at flank height stay within
-``CHORD`` of chord and great circle. Samples get the number of the row that they have reached.
-"""
+"""Native splines as short linear rows, within ``CHORD`` of the curve: one rule for all."""
 
 from __future__ import annotations
 

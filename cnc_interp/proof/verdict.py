@@ -286,7 +286,6 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
 
 
 def machine_source(machine: Machine, file: Path) -> str:
-    """Say which file a machine was read from, and whether it is a bundled one."""
     if not machine.file:
         return f'the bundled {file.name}'
     try:

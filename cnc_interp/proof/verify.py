@@ -2,16 +2,7 @@
 
 It starts from the plan files alone. The only code shared with the planner reads the machine file,
 computes the forward kinematics, and simulates the drives where the error at the tool is limited.
-
-- Limits: first, second and third differences of the positions, at rest before and after.
-- Tolerances: distance of tip and point at flank height from the programmed lines and great
-  circles, of axes from lines of axes. At a corner, the smaller of both blocks' counts.
-- Order: the motion follows the program from vertex to vertex (``order.py``).
-- Completeness: the motion passes every vertex, and every axis its words (``completeness.py``).
-- Functions: each came out once, in order, at the begin of its block (``functions.py``).
-- Lines in step with the spindle: pitch, depth, limits (``followed.py``).
-- The error that simulated drives leave at the tool, if the plan limits it (``beside.py``).
-- The planner's path and the figures of the summary agree with the setpoints (``path_grid.py``).
+At a corner the smaller of both blocks' tolerances counts.
 """
 
 from __future__ import annotations

@@ -21,15 +21,11 @@ POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 class Blocks(Table):
     """The blocks of a part program in order; row 0 is the start pose.
 
-    ``interpolation`` says what a linear row interpolates. POSES: the tool tip moves on a straight
-    line to the end pose, and the tool axis turns on the great circle between both orientations
-    [B2013, Eq. 4]. ROTARY_LINEAR: the tip moves on a straight line, and the rotary axes run
-    linearly from ``rotary_from`` to ``rotary``. AXES_LINEAR: all machine axes run linearly, the
-    rotary axes likewise.
-
-    A spline row is one control point of a pair of cubic B-splines [B2013, section 4.1].
-    Consecutive spline rows form one curve. Its first row repeats the pose before it. A linear row
-    or an exact stop ends the curve.
+    A linear row of POSES is a straight line of the tip with the great circle of the tool axis
+    [B2013, Eq. 4]; of ROTARY_LINEAR, a line with rotary axes linear from ``rotary_from``; of
+    AXES_LINEAR, all machine axes are linear. Consecutive spline rows are the control points of a
+    pair of cubic B-splines [B2013, section 4.1], the first one at the pose before, up to a linear
+    row or an exact stop.
     """
 
     #: Tool tip ``p_WT`` in W at the end of the block, or control point of a spline row [m].

@@ -140,10 +140,7 @@ class HeidenhainFrames:
         return bool(self._mover.tool_axis @ self._mover.frames.turn[:, 2] > 1.0 - 1e-9)
 
     def before(self, named: Set[str], machine: bool) -> None:
-        """Prepare for words: those of the machine, and rotary words, move the axes alone.
-
-        X Y Z of the plane need the tool upright on it.
-        """
+        """Prepare for words; X Y Z of the plane need the tool upright on it."""
         mover = self._mover
         turns = machine or not named.isdisjoint(mover.rotary_letters)
         if turns and mover.tcp == ORIENTED:

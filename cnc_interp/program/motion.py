@@ -280,9 +280,7 @@ class Mover(ModalState):
     def machine_words(self, words: BlockWords) -> str:
         """Decide what machine coordinates mean while X Y Z are tool tips.
 
-        On Fanuc they are axis positions, for which tool-tip programming is switched off; the
-        result is the word that switches it on again. On LinuxCNC and Siemens they are tips without
-        offsets.
+        Where they are axis positions, tool-tip programming is off until the word that is returned.
         """
         turned = self.vector is not None or bool(self.rotary.any() or self.extra.any())
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)

@@ -74,10 +74,7 @@ class Moves:
         return some
 
     def _interpolation(self, settings: Settings) -> IntArray:
-        """Say what runs linearly; without tool-tip programming, the axes where one turns.
-
-        Short blocks whose poses run linearly as well become curves with their neighbours.
-        """
+        """Say what runs linearly; short blocks in axes become poses with their neighbours."""
         rows, cuts = self.rows, self.rows[:, col.RAPID] == 0.0
         linear = rows[:, col.GREAT_CIRCLE] == 0.0
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & linear
@@ -109,9 +106,7 @@ class Moves:
     def _ruled_by_words(self, words: IntArray, drifts: BoolArray, settings: Settings) -> BoolArray:
         """Return in which motions the rotary axes run linearly to their words, shape (n,).
 
-        Those near the pole do, and the long ones that corners join with them: no corner joins
-        poses with linear rotary axes while both turn. So do extra axes that move alone
-        (``drifts``).
+        Those near the pole do, what a corner may join with them, and the ``drifts``.
         """
         near = np.zeros(len(self.rows), dtype=np.bool_)
         near[words] = self._near_pole(words, settings.flank_height)
@@ -254,9 +249,7 @@ class Moves:
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Return feedrate [m/s] and duration [s] of the motions, (n,); one of both is NaN.
 
-        With axis positions F is the speed of X Y Z, or of the rotary axes where they turn alone;
-        where extra axes move, of the faster one of tip and extra axis. The duration follows from
-        it.
+        With axis positions F is the speed of X Y Z or of extra axes, or else of the rotary axes.
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)

@@ -27,11 +27,10 @@ _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
 class SetupTable:
-    """Offsets and tools of the machine.
+    """Offsets and tools of the machine, each change in the log first, then in the file, then here.
 
-    A change is in the log (``.log`` beside the file) first, then in the file, then here. While it
-    is open, no other table can keep the same file. The file need not be there yet; without one
-    nothing outlives this object.
+    While it is open, no other table keeps the same file, which may be new; without one nothing
+    outlives this object.
     """
 
     def __init__(self, file: Path | None):

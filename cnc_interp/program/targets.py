@@ -259,21 +259,16 @@ def blocks_of(
     share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
     feedrate, duration = moves.speeds()
     blocks = Blocks(
-        tip=tip,
-        axis=axis,
-        rotary=rotary,
-        feedrate=feedrate[row],
-        duration=duration[row] / counts[row],
-        rapid=end[:, col.RAPID] != 0.0,
+        tip=tip, axis=axis, rotary=rotary, feedrate=feedrate[row],
+        duration=duration[row] / counts[row], rapid=end[:, col.RAPID] != 0.0,
         exact_stop=(end[:, col.EXACT_STOP] != 0.0) & final,
         contour_tolerance=share * end[:, col.CONTOUR],
         orientation_tolerance=end[:, col.ORIENTATION].copy(),
         line_number=end[:, col.LINE].astype(np.int64),
         program_stop=np.where(final, waits_at(end), GO_ON),
         extra=moves.extra(row, u)[:, [column - col.EXTRA.start for column in extra]],
-        interpolation=interpolation,
-        rotary_from=rotary_from,
-    )
+        interpolation=interpolation, rotary_from=rotary_from,
+    )  # fmt: skip
     return blocks, row
 
 
@@ -331,18 +326,12 @@ def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
         if np.abs(axis - row[:, col.AXIS]).max() > SAME:
             rotary[:] = nan  # the tool axis came from a direction
     return Blocks(
-        tip=tip,
-        axis=row[:, col.AXIS].copy(),
-        rotary=rotary,
-        feedrate=np.full(1, inf),
-        duration=np.full(1, nan),
-        rapid=row[:, col.RAPID] != 0.0,
-        exact_stop=row[:, col.EXACT_STOP] != 0.0,
-        contour_tolerance=row[:, col.CONTOUR].copy(),
+        tip=tip, axis=row[:, col.AXIS].copy(), rotary=rotary, feedrate=np.full(1, inf),
+        duration=np.full(1, nan), rapid=row[:, col.RAPID] != 0.0,
+        exact_stop=row[:, col.EXACT_STOP] != 0.0, contour_tolerance=row[:, col.CONTOUR].copy(),
         orientation_tolerance=row[:, col.ORIENTATION].copy(),
-        line_number=row[:, col.LINE].astype(np.int64),
-        extra=row[:, extra],
-    )
+        line_number=row[:, col.LINE].astype(np.int64), extra=row[:, extra],
+    )  # fmt: skip
 
 
 def waits_at(rows: FloatArray) -> IntArray:

@@ -176,11 +176,7 @@ class TiltedPlane:
         self._mover.frames.update()
 
     def _orient(self, code: str, words: BlockWords) -> None:
-        """Process G53.1, G53.3 and G53.6: turn the tool upright on the plane, in a rapid.
-
-        P1 takes a tilting axis above zero, P2 below, P0 the nearest. X Y Z of the machine stay
-        with G53.1, the tool tip with G53.6; with G53.3 it moves to the words of the block.
-        """
+        """Process G53.1, G53.3, G53.6, in a rapid; P1: tilting axis above zero, P2: below."""
         choice = words.values.pop('P', 0.0)
         if choice not in (0.0, 1.0, 2.0):
             raise self.fault('P must be 0, 1 or 2', words.texts['P'])
@@ -255,11 +251,7 @@ class TiltedPlane:
         self.stand_up('G53.6' if tip_stays else 'G53.1', 1 if direction > 0.0 else 2, words)
 
     def _swivelled(self, mode: int, angles: FloatArray) -> FloatArray:
-        """Return the rotation that a mode of CYCLE800 makes of three angles, (3, 3).
-
-        ``mode``: the axes of the three rotations in two bits each, the first one lowest; then the
-        kind.
-        """
+        """Return the rotation, (3, 3); ``mode``: kind, then axes in two bits, the last first."""
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
         if kind == DIRECT:
             raise self.fault('positions of rotary axes give no plane here; turn the axes by G0, '

@@ -92,9 +92,7 @@ def _prove_rotary_words(
 ) -> None:
     """Check that rotary axes pass their words, each on its own branch and whole turn.
 
-    A rounded vertex may turn the tool axis by the tolerances at flank height, so each rotary axis
-    by this angle over the sine of the angle between both. ``where`` is replaced where they tell
-    better.
+    A rounded vertex may turn each by the tolerances at flank height over the sine between both.
     """
     rotary = np.array(plan.blocks['rotary'], dtype=float)
     rows = np.flatnonzero(np.isfinite(rotary).all(axis=1))

@@ -105,10 +105,7 @@ def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
 
 
 def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the rows that the path names, and the highest feed of the blocks around each [m/s].
-
-    A curve names one row for each half, so the rows up to the next named ones count.
-    """
+    """Return rows that the path names, and the highest feed up to the ones around each [m/s]."""
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     free = blocks['rapid'] | np.isfinite(blocks['duration']) | (blocks['interpolation'] != 0)

@@ -1,4 +1,4 @@
-"""The keys of a page: stops, start and reset, switches, overrides, outputs."""
+"""The keys of a page: stops, start and reset, switches, overrides; the outputs."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -32,12 +32,10 @@ class OverrideSlider:
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
         self._shown: float | None = None
-        with ui.element('div').classes('slide'):
-            ui.label('override')
-            self._slider = HeldSlider(min=0, max=MOST, step=STEP, value=100, on_change=self._set)
-            self._slider.props('dense data-mark="override slider"')
-            self._text = ui.label('100%').classes('value')
-        with ui.element('div').classes('steps'):
+        self._slider = HeldSlider(min=0, max=MOST, step=STEP, value=100, on_change=self._set)
+        self._slider.props('dense data-mark="override slider"')
+        with ui.element('div').classes('share'):
+            self._text = ui.label('feed 100%').props('data-mark="override"')
             keys = [
                 key('−', 'slower', lambda: self._move(self._slider.value - STEP)),
                 key('+', 'faster', lambda: self._move(self._slider.value + STEP)),
@@ -55,7 +53,7 @@ class OverrideSlider:
             return  # moved by this program, to show what others have set
         if self._may_set():
             self._shown = event.value / 100
-            self._text.set_text(f'{event.value:.0f}%')
+            self._text.set_text(f'feed {event.value:.0f}%')
             self._nodes.set_override(event.value / 100)
         else:
             self.show_again()
@@ -65,7 +63,7 @@ class OverrideSlider:
         if self._shown != value:
             self._shown = value
             self._slider.set_value(round(100 * value))
-            self._text.set_text(f'{value:.0%}')
+            self._text.set_text(f'feed {value:.0%}')
 
     def show_again(self) -> None:
         """Show what counts: what the user did while the connection was interrupted is lost."""
@@ -79,7 +77,7 @@ class RapidKeys:
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
         self._shown: float | None = None
-        with ui.element('div').classes('steps rapids'):
+        with ui.element('div').classes('share'):
             self._text = ui.label('rapids').props('data-mark="rapids"')
             self.keys = {
                 percent: key(
@@ -110,7 +108,7 @@ class SpindleKeys:
 
     def __init__(self, nodes: OperatorClient, may_set: Callable[[], bool]):
         self._nodes, self._may_set = nodes, may_set
-        with ui.element('div').classes('steps rapids'):
+        with ui.element('div').classes('share'):
             self._text = ui.label('spindle 100%').props('data-mark="spindle override"')
             self.keys = [
                 key('−', 'spindle slower', partial(self._move, -STEP)),
@@ -215,7 +213,6 @@ class Keys:
         self._override = OverrideSlider(desk.nodes, may_set)
         self._spindle = SpindleKeys(desk.nodes, may_set)
         self._rapids = RapidKeys(desk.nodes, may_set)
-        self._signals = SignalKeys(desk.nodes, in_sight)
         switches = (one.key for one in self._switches)
         rows = *self._rapids.keys.values(), *self._spindle.keys
         self._elements = (*keys, *switches, *self._override.elements, *rows)
@@ -242,4 +239,3 @@ class Keys:
         self._override.show()
         self._spindle.show()
         self._rapids.show()
-        self._signals.show()

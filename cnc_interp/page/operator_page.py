@@ -14,7 +14,7 @@ from cnc_interp.page.contact import AGAIN, LATE, VIEW_ONLY, Access, Act, Contact
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
-from cnc_interp.page.keys import Keys
+from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import NOTHING, Messages, ShownUnit, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
@@ -111,7 +111,6 @@ class Page:
         ui.label('feed').classes('heading')
         self._pair('actual', 'feed', 'mm/min', 'pair feed')
         self._pair('programmed', 'programmed', 'mm/min')
-        self._pair('override', 'override', '')
         self._pair('spindle', 'spindle', '')
         ui.label('run').classes('heading')
         self._pair('distance to go', 'to go', 'mm')
@@ -203,6 +202,7 @@ class Page:
         self._start = StartField(desk.choose_start, self._command)
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
         self._probe = ProbeDialog(self._mdi.give)
+        self._signals = SignalKeys(desk.nodes, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 
     # Commands: every one is allowed or refused here, on the server ----------------------------
@@ -353,6 +353,7 @@ class Page:
         share = progress(state, plan) if state is not None else 0.0
         if self._changed('bar', round(share, 3)):
             self._bar.style(f'transform: scaleX({share:.3f})')
+        self._signals.show()
         self._messages.show()
         self._mdi.show(*desk.modes())
         self._pad.show(state)

@@ -77,7 +77,6 @@ def feed_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, s
     return {
         'feed': unit.feed(state.feedrate),
         'programmed': unit.feed(programmed) if math.isfinite(programmed) else NOTHING,
-        'override': f'{desk.nodes.override:.0%}',
         'spindle': spindle_text(state),
     }
 

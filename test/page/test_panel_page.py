@@ -100,7 +100,9 @@ def set_override(panel, tab, percent):
     """
 
     def seen(share):
-        return tab.run(SLIDER) == f'{100 * share:.0f}' and tab.text('override') == f'{share:.0%}'
+        return (
+            tab.run(SLIDER) == f'{100 * share:.0f}' and tab.text('override') == f'feed {share:.0%}'
+        )
 
     while panel.override != percent / 100:
         tab.wait(lambda: not tab.run(REFUSED) and seen(panel.next_state().feed_override))

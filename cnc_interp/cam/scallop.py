@@ -16,6 +16,7 @@ For a flat mill (r_c = 0) P lies on its edge instead. Up to six roots exist. The
 on the front of the tool, on the side of the previous pass, and a tilt between 0 and 90 deg.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -136,7 +137,8 @@ Freedom = Literal['tilt', 'yaw']
 
 #: Further guesses of the free angle, if the first guess fails [rad].
 OTHER_GUESSES = (2.0 * DEG, 8.0 * DEG, 25.0 * DEG, 60.0 * DEG)
-LARGEST_STEP = 1.0 * MM, 0.3  #: Largest Newton step of the place [m] and of the angle [rad].
+#: Of the place [m] and of the angle [rad]: steps of the differences, and largest Newton step.
+STEPS, LARGEST_STEP = (1e-8, 1e-7), (1.0 * MM, 0.3)
 
 
 @dataclass(frozen=True)
@@ -231,6 +233,25 @@ def first_guess(
     return np.asarray(np.arccos(np.sqrt(np.clip(share, 0.01, 0.99))))
 
 
+Misses = tuple[FloatArray, FloatArray, BoolArray]
+
+
+def newton_step(
+    misses: Sequence[Misses], steps: tuple[float, float], largest: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the moves that meet both conditions: misses here, and a step of each unknown off."""
+    (first, second, _), *moved = misses
+    (a, c), (b, d) = (
+        ((x - first) / step, (y - second) / step)
+        for (x, y, _), step in zip(moved, steps, strict=True)
+    )
+    with np.errstate(invalid='ignore', divide='ignore'):
+        determinant = a * d - b * c
+        found = (b * second - d * first) / determinant, (c * first - a * second) / determinant
+    x, y = (np.clip(np.nan_to_num(x), -most, most) for x, most in zip(found, largest, strict=True))
+    return x, y
+
+
 def _newton(
     curve: GuidingCurve, cutter: Cutter, scallops: Scallops, freedom: Freedom, fixed_angle: float,
     s: FloatArray, angle: FloatArray,
@@ -246,22 +267,16 @@ def _newton(
     right = np.zeros(n, bool)
     done = np.zeros(n, bool)
     for _ in range(30):
-        first, second, right = conditions(at(s, angle), scallops)
-        done = (np.abs(first) < CLOSE) & (np.abs(second) < CLOSE)
+        misses = [
+            conditions(at(*places), scallops)
+            for places in ((s, angle), (s + STEPS[0], angle), (s, angle + STEPS[1]))
+        ]
+        right = misses[0][2]
+        done = np.abs(misses[0][:2]).max(axis=0) < CLOSE
         if not np.any(~done & scallops.found):
             break
         iterations += ~done
-        ds, da = 1e-8, 1e-7
-        by_place = conditions(at(s + ds, angle), scallops)
-        by_angle = conditions(at(s, angle + da), scallops)
-        a = (by_place[0] - first) / ds, (by_place[1] - second) / ds
-        b = (by_angle[0] - first) / da, (by_angle[1] - second) / da
-        with np.errstate(invalid='ignore', divide='ignore'):
-            determinant = a[0] * b[1] - a[1] * b[0]
-            move = (b[0] * second - b[1] * first) / determinant
-            turn = (a[1] * first - a[0] * second) / determinant
-        move = np.clip(np.nan_to_num(move), -LARGEST_STEP[0], LARGEST_STEP[0])
-        turn = np.clip(np.nan_to_num(turn), -LARGEST_STEP[1], LARGEST_STEP[1])
+        move, turn = newton_step(misses, STEPS, LARGEST_STEP)
         s = np.where(done, s, s + move)
         angle = np.where(done, angle, np.clip(angle + turn, -0.2, 1.8))
     tilt, yaw = (angle, fixed) if freedom == 'tilt' else (fixed, angle)

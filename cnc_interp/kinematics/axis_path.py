@@ -44,23 +44,23 @@ class AxisPath:
     @staticmethod
     def join(parts: list[AxisPath]) -> AxisPath:
         """Join pieces of one path; each begins at the grid point where the one before ends."""
-        first, rest = parts[0], parts[1:]
-        if not rest:
-            return first
-        stop = [first.stop]
-        for part in rest:
-            stop[-1] = np.concatenate([stop[-1][:-1], stop[-1][-1:] | part.stop[:1]])
-            stop.append(part.stop[1:])
-        return AxisPath(
-            s=np.concatenate([first.s] + [p.s[1:] for p in rest]),
-            cell_left=np.concatenate([p.cell_left for p in parts], axis=1),
-            cell_right=np.concatenate([p.cell_right for p in parts], axis=1),
-            tip=np.concatenate([first.tip] + [p.tip[1:] for p in rest]),
-            axis=np.concatenate([first.axis] + [p.axis[1:] for p in rest]),
-            cell_feed=np.concatenate([p.cell_feed for p in parts]),
-            cell_block=np.concatenate([p.cell_block for p in parts]),
-            stop=np.concatenate(stop),
-        )
+        if len(parts) == 1:
+            return parts[0]
+        columns = {
+            name: np.concatenate([getattr(p, name)[k > 0 :] for k, p in enumerate(parts)])
+            for name in OF_POINTS
+        }
+        joints = np.cumsum([len(p.cell_feed) for p in parts[:-1]])
+        columns['stop'][joints] |= [p.stop[0] for p in parts[1:]]
+        for name in OF_CELLS:
+            axis = 1 if name in BY_ENDS else 0
+            columns[name] = np.concatenate([getattr(p, name) for p in parts], axis=axis)
+        return AxisPath(**columns)
+
+
+OF_POINTS = 's', 'tip', 'axis', 'stop'  #: Columns with a row for each grid point.
+BY_ENDS = 'cell_left', 'cell_right'  #: Those with a cell along the second axis.
+OF_CELLS = *BY_ENDS, 'cell_feed', 'cell_block'
 
 
 @numba.njit(cache=True, nogil=True)
@@ -151,74 +151,31 @@ def evaluate(
 
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
-    s_new = np.sort(s_new[(s_new > path.s[0]) & (s_new < path.s[-1])])
-    curve = path.s, path.cell_left, path.cell_right, path.tip, path.axis, path.stop
-    s, cell, left, right, tip, axis, stop = _refined(s_new, *curve)
+    inside = (s_new > path.s[0]) & (s_new < path.s[-1])
+    s = np.unique(np.concatenate([path.s, s_new[inside]]))
     if len(s) == len(path.s):
         return path
-    feed, block = path.cell_feed[cell[:-1]], path.cell_block[cell[:-1]]
-    return AxisPath(s, left, right, tip, axis, feed, block, stop)
-
-
-@numba.njit(cache=True, nogil=True)
-def _refined(
-    s_new: FloatArray, old: FloatArray, cell_left: FloatArray, cell_right: FloatArray,
-    old_tip: FloatArray, old_axis: FloatArray, old_stop: BoolArray,
-) -> tuple[
-    FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray,
-]:  # fmt: skip
-    """Return the grid with sorted points, and the cells on it; first their numbers in the old."""
-    s, cell = np.empty(len(old) + len(s_new)), np.empty(len(old) + len(s_new), dtype=np.int64)
-    count, new, n_axes = 0, 0, cell_left.shape[2]
-    for i in range(len(old)):
-        s[count], cell[count] = old[i], i
-        count += 1
-        while new < len(s_new) and s_new[new] < old[min(i + 1, len(old) - 1)]:
-            if s_new[new] > s[count - 1]:
-                s[count], cell[count] = s_new[new], i
-                count += 1
-            new += 1
-    s, cell = s[:count], cell[:count]
-    left, right = np.empty((4, len(s) - 1, n_axes)), np.empty((4, len(s) - 1, n_axes))
-    tip, axis, stop = np.empty((len(s), 3)), np.empty((len(s), 3)), np.zeros(len(s), np.bool_)
-    coefficients, known, h = np.empty((n_axes, 8)), -1, 1.0
-    for p in range(len(s) - 1):
-        i = cell[p]
-        if i != known:
-            known, h = i, old[i + 1] - old[i]
-            for k in range(n_axes):
-                septic_coefficients(cell_left[:, i, k], cell_right[:, i, k], h, coefficients[k])
-        for side in range(2):
-            u = (s[p + side] - old[i]) / h
-            out, end = right if side else left, cell_left if u <= 0.0 else cell_right
-            for k in range(n_axes):
-                if 0.0 < u < 1.0:
-                    q, q_s, q_ss, q_sss = septic_jet(coefficients[k], u, h)
-                    out[0, p, k], out[1, p, k], out[2, p, k], out[3, p, k] = q, q_s, q_ss, q_sss
-                    continue
-                for order in range(4):
-                    out[order, p, k] = end[order, i, k]
-    for p in range(len(s)):
-        i = cell[p]
-        if s[p] == old[i]:
-            tip[p], axis[p], stop[p] = old_tip[i], old_axis[i], old_stop[i]
-            continue
-        for k in range(3):
-            slope = (old_tip[i + 1, k] - old_tip[i, k]) / (old[i + 1] - old[i])
-            tip[p, k] = slope * (s[p] - old[i]) + old_tip[i, k]
-            slope = (old_axis[i + 1, k] - old_axis[i, k]) / (old[i + 1] - old[i])
-            axis[p, k] = slope * (s[p] - old[i]) + old_axis[i, k]
-        axis[p] /= np.sqrt(axis[p, 0] ** 2 + axis[p, 1] ** 2 + axis[p, 2] ** 2)
-    return s, cell, left, right, tip, axis, stop
+    at = np.searchsorted(path.s, s, 'right') - 1
+    cell, new = at[:-1], s > path.s[at]
+    way = s[:-1] - path.s[cell]
+    left = evaluate_cells(path.s, path.cell_left, path.cell_right, way, cell)
+    right = np.roll(left, -1, axis=1)
+    right[:, ~new[1:]] = path.cell_right
+    tip, axis = path.tip[at], path.axis[at]
+    before, after, part = at[new], at[new] + 1, way[new[:-1], None]
+    whole = (path.s[after] - path.s[before])[:, None]
+    for rows, old in ((tip, path.tip), (axis, path.axis)):
+        rows[new] = (old[after] - old[before]) / whole * part + old[before]
+    axis[new] /= np.sqrt((axis[new] ** 2).sum(axis=1))[:, None]
+    feed, block = path.cell_feed[cell], path.cell_block[cell]
+    return AxisPath(s, left, right, tip, axis, feed, block, path.stop[at] & ~new)
 
 
 def cut(path: AxisPath, first: int, last: int) -> AxisPath:
     if first == 0 and last == len(path.s) - 1:
         return path
-    points, cells = slice(first, last + 1), slice(first, last)
-    return AxisPath(
-        s=path.s[points].copy(), cell_left=path.cell_left[:, cells].copy(),
-        cell_right=path.cell_right[:, cells].copy(), tip=path.tip[points].copy(),
-        axis=path.axis[points].copy(), cell_feed=path.cell_feed[cells].copy(),
-        cell_block=path.cell_block[cells].copy(), stop=path.stop[points].copy(),
-    )  # fmt: skip
+    columns = {name: getattr(path, name)[first : last + 1].copy() for name in OF_POINTS}
+    for name in OF_CELLS:
+        cells = getattr(path, name)
+        columns[name] = (cells[:, first:last] if name in BY_ENDS else cells[first:last]).copy()
+    return AxisPath(**columns)

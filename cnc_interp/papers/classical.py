@@ -17,7 +17,7 @@ from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.scallop import Scallops, conditions, scallop_points
+from cnc_interp.cam.scallop import Scallops, conditions, newton_step, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core.arrays import BoolArray, FloatArray
 from cnc_interp.core.units import DEG, MM, UM
@@ -178,31 +178,19 @@ class _Run:
         self, right: Scallops, along: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Solve both conditions for u and v by Newton's method; directions have shape (n, 3)."""
-        step_u, step_v = self.surface.growth(1e-8)
-        limit_u, limit_v = self.surface.growth(FARTHEST)
-
-        def miss(u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-            first, second, valid = conditions(self.resting(u, v, along), right)
-            return first, second, valid | self.cutter.is_ball
-
-        valid = np.zeros(len(u), bool)
-        done = valid
+        steps, largest = self.surface.growth(1e-8), self.surface.growth(FARTHEST)
+        valid = done = np.zeros(len(u), bool)
         for _ in range(25):
-            first, second, valid = miss(u, v)
-            done = (np.abs(first) < CLOSE) & (np.abs(second) < CLOSE)
+            misses = [
+                conditions(self.resting(*places, along), right)
+                for places in ((u, v), (u + steps[0], v), (u, v + steps[1]))
+            ]
+            valid = misses[0][2] | self.cutter.is_ball
+            done = np.abs(misses[0][:2]).max(axis=0) < CLOSE
             if done.all():
                 break
-            by_u, by_v = miss(u + step_u, v), miss(u, v + step_v)
-            a, c = (by_u[0] - first) / step_u, (by_u[1] - second) / step_u
-            b, d = (by_v[0] - first) / step_v, (by_v[1] - second) / step_v
-            with np.errstate(invalid='ignore', divide='ignore'):
-                determinant = a * d - b * c
-                du, dv = (
-                    (b * second - d * first) / determinant,
-                    (c * first - a * second) / (determinant),
-                )
-            u = np.where(done, u, u + np.clip(np.nan_to_num(du), -limit_u, limit_u))
-            v = np.where(done, v, v + np.clip(np.nan_to_num(dv), -limit_v, limit_v))
+            du, dv = newton_step(misses, steps, largest)
+            u, v = np.where(done, u, u + du), np.where(done, v, v + dv)
         return u, v, done & valid
 
     def resting(self, u: FloatArray, v: FloatArray, along: FloatArray) -> Postures:

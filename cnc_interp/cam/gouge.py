@@ -23,16 +23,12 @@ def gouge_depth(surface: Surface, postures: Postures) -> FloatArray:
     if cutter.is_ball:
         return depth
     turn = np.linspace(0.0, 2.0 * np.pi, RAYS, endpoint=False)
-    e = (
-        postures.front[:, None, :] * np.cos(turn)[None, :, None]
-        + postures.turned[1][:, None, :] * np.sin(turn)[None, :, None]
-    )
+    front, across = postures.front[:, None], postures.turned[1][:, None]
+    e = front * np.cos(turn)[:, None] + across * np.sin(turn)[:, None]
     for part in CIRCLES:
         points = postures.centre[:, None, :] + part * cutter.tool_radius * e
-        guess = np.broadcast_to(frames.u[:, None], points.shape[:2])
-        u, v, above = surface.project(
-            points, guess, np.broadcast_to(frames.v[:, None], guess.shape)
-        )
+        guess = (np.broadcast_to(x[:, None], points.shape[:2]) for x in (frames.u, frames.v))
+        u, v, above = surface.project(points, *guess)
         ours = surface.contains(u, v, BEYOND)
         deep = np.where(ours & np.isfinite(above), cutter.corner_radius - above, 0.0)
         depth = np.maximum(depth, deep.max(axis=1))
@@ -49,12 +45,8 @@ HALVINGS = 14  #: Halvings of the interval of tilts.
 
 def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
     step = float(np.median(np.diff(s))) / FINER
-    return np.concatenate(
-        [
-            np.linspace(*ends, max(2, int(np.ceil((ends[1] - ends[0]) / step)) + 1))
-            for ends in parts
-        ]
-    )
+    counts = (max(2, int(np.ceil((last - first) / step)) + 1) for first, last in parts)
+    return np.concatenate([np.linspace(*ends, n) for ends, n in zip(parts, counts, strict=True)])
 
 
 def raised(

@@ -1,9 +1,4 @@
-"""Heights on the disk: a Zarr store, chunk by chunk, and a record of each tile that is whole.
-
-    DIR/heights.zarr   height (rows, columns) [m], NaN where nothing was cut; u, v: where needles
-                       stand; level/N/lowest, highest, mean: the same with 2 ** N needles a cell
-    DIR/tiles          one small file for each tile: what it was cut from, and its figures
-    DIR/index.html     the page, with DIR/page
+"""Heights of needles on the disk, in tiles, levels and figures (docs/how_it_works/cam.md).
 
 A record is written after its chunk. A tile without a record is cut again.
 """

@@ -1,9 +1,7 @@
 """5-axis iso-scallop passes along parallel planes [TL2008]: the choices, and all passes.
 
-The strips of neighbouring passes share their border: the half width on the left is the plane
-distance minus that on the right of the pass before. This recursion has the multiplier -1, so
-errors do not decay. It therefore starts with a constant half width instead of a constant tilt, and
-afresh, with a small overlap, if a pass cannot be found or strays.
+Strips share their border, so errors of half widths do not decay: the recursion starts with a
+constant half width, and afresh, with a small overlap, if a pass cannot be found or strays.
 """
 
 from __future__ import annotations

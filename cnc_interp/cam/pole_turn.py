@@ -1,10 +1,7 @@
 """Passes beside the pole, and the turn of the workpiece that keeps them away from it.
 
-Where the tool axis o passes the pole u at the angle d, the outer rotary axis has to turn at the
-rate ``|(o x o') . u| / sin(d)^2``. Between two poses o turns on a great circle, so ``o x o'`` is
-constant, and the rate is largest where d is smallest. A pass is near the pole if the outer axis
-would have to turn twice as fast as it can at the programmed feed. A pass within the orientation
-tolerance is not: the interpolator moves it through the pole.
+Where the tool axis o passes the pole u at the angle d, the outer axis turns at the rate
+``|(o x o') . u| / sin(d)^2``. On a great circle ``o x o'`` is constant, so the smallest d counts.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Faces of STEP files (ISO 10303-21) as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md).
-
-Planes, cylinders, spheres and tori become our own shapes. B-splines keep their knots, weights and
-control points. Others are converted exactly to rational B-splines. The package
-``cadquery-ocp-novtk`` (module ``OCP``) is optional.
-"""
+"""Faces of STEP files as surfaces, read by OpenCASCADE (docs/how_it_works/cam.md)."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

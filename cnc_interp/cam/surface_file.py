@@ -1,11 +1,7 @@
 """Surface files: STEP, or JSON in mm and degrees (docs/how_it_works/cam.md).
 
-{"kind": "bumps", "size_mm": [40, 30], "bumps_mm": [[x, y, height, width], ...],
-"placement": {"rotation_deg": [rx, ry, rz], "shift_mm": [x, y, z]}}
-
-OpenCASCADE reads a STEP file in a process of its own, with bounds on memory and time. It may
-crash, or compute without end, for a file that is wrong on purpose. Then only that process ends,
-and the file is refused. It writes the surface, or a reason, to its standard output.
+OpenCASCADE may crash, or compute without end, for a STEP file that is wrong on purpose. So it has
+a process of its own, which writes the surface, or a reason, to its standard output.
 """
 
 import os
@@ -29,21 +25,18 @@ from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_jso
 from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
-#: Keys of each kind of surface, and whether they are optional.
-KEYS: dict[str, dict[str, bool]] = {
-    'plane': {'size_mm': False},
-    'bumps': {'size_mm': False, 'bumps_mm': False},
-    'cap': {'size_mm': False, 'radius_mm': False, 'blend_mm': False, 'angle_deg': False},
-    'cylinder': {'radius_mm': False, 'angle_deg': False, 'length_mm': False, 'hollow': True},
-    'sphere': {'radius_mm': False, 'u_angle_deg': False, 'v_angle_deg': False},
-    'torus': {
-        'ring_mm': False, 'radius_mm': False, 'u_angle_deg': False, 'v_angle_deg': False,
-    },
-    'bspline': {
-        'knots_u': False, 'knots_v': False, 'points_mm': False, 'degree': True, 'flip': True,
-    },
-    'grid': {'points_mm': False, 'flip': True},
-}  # fmt: skip
+#: Keys of each kind of surface, and those that may be left out.
+KEYS = {
+    'plane': ('size_mm',),
+    'bumps': ('size_mm', 'bumps_mm'),
+    'cap': ('size_mm', 'radius_mm', 'blend_mm', 'angle_deg'),
+    'cylinder': ('radius_mm', 'angle_deg', 'length_mm', 'hollow'),
+    'sphere': ('radius_mm', 'u_angle_deg', 'v_angle_deg'),
+    'torus': ('ring_mm', 'radius_mm', 'u_angle_deg', 'v_angle_deg'),
+    'bspline': ('knots_u', 'knots_v', 'points_mm', 'degree', 'flip'),
+    'grid': ('points_mm', 'flip'),
+}
+OPTIONAL = ('hollow', 'degree', 'flip')
 
 
 class _File:
@@ -92,8 +85,8 @@ def read_part(
     for key in contents:
         if key not in known:
             raise file.fault(f'{key} has no meaning for {kind}; it has {", ".join(KEYS[kind])}')
-    for key, optional in KEYS[kind].items():
-        if not optional and key not in contents:
+    for key in KEYS[kind]:
+        if key not in contents and key not in OPTIONAL:
             raise file.fault(f'{key} is missing')
     try:
         surface = _surface(file, kind)

@@ -1,8 +1,7 @@
 """The work of `cam simulate --tiles`: needles in tiles, their figures, levels and the page.
 
-The page zooms without a network or a server. A page from the disk may not read files beside it,
-but may load scripts. So each tile is a script with its heights: whole nanometres in three planes
-of bytes, deflated, in base 64.
+A page from the disk may load scripts, not files: so each tile is a script with its heights, whole
+nanometres in three planes of bytes, deflated, in base 64.
 """
 
 import argparse

@@ -1,8 +1,6 @@
 """Build the AxisPath of a stream of segments: branch, whole turns, travel, singular poses.
 
-The branch is chosen at the first pose and kept. Rotary axes are never wrapped. They rest where the
-tool axis rests, so a 3-axis path on the pole is no singularity. Nearer to the pole than the
-tolerance, the outer axis is given (``pole_passage.py``), or turns first, about the resting tip.
+The branch is chosen at the first pose and kept; rotary axes rest where the tool axis rests.
 """
 
 from dataclasses import dataclass, replace

@@ -1,17 +1,8 @@
-"""Passages of the pole: where a path of poses comes to the pole nearer than its tolerance.
+"""Passages of the pole (docs/how_it_works/corner_rounding.md): where the outer axis C is given.
 
-Near the pole a turn of the outer rotary axis C hardly moves the tool axis, but a tool axis that
-passes beside the pole asks C for almost half a turn. Here C is given instead. On a stretch of the
-path around such a place, C is the septic of the path length that takes C and three derivatives of
-both ends. The tilt follows from the tool axis (``guided_jets``) and may change its sign, so C
-needs a quarter of a turn at most. The tool axis then deviates. On a straight pass at the distance
-d, with x from -1 to 1 along the stretch, it deviates by ``d (1 - x^2)^4``: smooth in three
-derivatives, and largest at the pole.
-
-The deviation is bounded without gaps (``gap_bounds``). The longest stretch is taken whose
-bound fits into what corners and curves leave of the orientation tolerance. A stretch is chosen
-when the path after it is known so far that nothing later can change it. So the result does not
-depend on how the segments arrive. ``path_at_pole.py`` answers questions about the path.
+On a stretch around the pole, C is the septic of the path length that takes C and three derivatives
+of both ends; the tilt may change its sign, so C needs a quarter of a turn at most. A stretch is
+chosen when nothing later can change it: the result does not depend on how the segments arrive.
 """
 
 from dataclasses import dataclass, replace

@@ -1,10 +1,7 @@
-"""The classical iso-scallop path, for comparison: the angles are constant, the passes are free.
+"""The classical iso-scallop path: constant angles, each pass from the scallop of the one before.
 
-Every pass follows from the scallop of the previous pass [TL2008, 1]. Stage 1 is that of the
-parallel planes. Then the guided point moves over the guiding surface until the mill, with its
-constant tilt, leaves the same scallop point with the same tangent. These are two conditions for u
-and v. The feed direction is first that of the scallop, then that of the pass just found. Such
-passes may turn back or cross themselves [TL2008, Fig. 1 and 5a]; the result says where.
+[TL2008, 1]. The guided point moves over the guiding surface until the mill leaves the same scallop
+point with the same tangent. Such passes may turn back or cross themselves; the result says where.
 """
 
 from collections.abc import Callable

@@ -1,18 +1,8 @@
-"""VPOp: the motion law by steps forward in time, after [B2012]; offline, to compare with.
+"""VPOp: the motion law by steps forward in time, after [B2012] (docs/how_it_works/feedrate.md).
 
-Each step (``vpop_steps.py``) takes the largest jerk that all axes allow. If they allow none, the
-motion came too fast. Then the law goes back to an earlier step, brakes with the lowest j, and goes
-on with the largest j; bisection finds the first step of going on that passes the place. Of all
-earlier steps, the one with the highest least speed counts. If none passes, the law brakes to a
-constant speed and holds it until the place is passed. If nothing passes, the law is stuck, and
-there is no plan.
-
-At the end of the path it brakes to rest: j is the lowest one until v = a^2 / (2 j) with nearly the
-jerk of a straight line, and stays constant from there on. The moment at which braking begins is
-found by bisection to rounding.
-
-The idea is that of [B2012], the searches are our own. The constraints are applied to derivatives
-of the exact path.
+Where the axes allow no jerk, the law goes back to the earlier step with the highest least speed,
+brakes, and goes on; if none passes, it holds a constant speed until the place is passed. At the
+end j is the lowest one until v = a^2 / (2 j), and stays constant from there on.
 """
 
 import numba

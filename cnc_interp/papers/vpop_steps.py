@@ -37,14 +37,8 @@ def _leave(
     septics: FloatArray, u: float, h: float, v: float, a: float, table: FloatArray, out: FloatArray
 ) -> None:
     """Write lowest and highest j, lowest and highest a, highest j on a straight line, and v."""
-    out[0], out[1], out[2], out[3], out[4], out[5] = (
-        -np.inf,
-        np.inf,
-        -np.inf,
-        np.inf,
-        np.inf,
-        np.inf,
-    )
+    out[:] = np.inf
+    out[0], out[2] = -np.inf, -np.inf
     for i in range(len(septics)):
         q, q_s, q_ss, q_sss = septic_jet(septics[i], u, h)
         bent = q_ss * v * v
@@ -112,11 +106,8 @@ def go_forward(
         if v > min(cap, now[5]) * (1 + 0.5 * SLACK_FEED):
             return FAILED, k
         brakes = release > 0.0 or v > target
-        releasing = releasing or (
-            a < 0.0
-            and 2 * release * now[4] * v > 0.0
-            and 2 * release * now[4] * v <= a * a * (1 + 1e-12)
-        )
+        least = 2 * release * now[4] * v
+        releasing = releasing or (a < 0.0 and 0.0 < least <= a * a * (1 + 1e-12))
         dt = longest
         if releasing:
             to_rest = -2 * v / a

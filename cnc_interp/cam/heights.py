@@ -150,7 +150,6 @@ class HeightStore:
         self.folder, self.shape = folder, grid.shape
         self._zarr = _zarr()
         place = folder / 'heights.zarr'
-        self._refuse_others(place)
         if not self._fits(place, grid):
             for old in (place, folder / 'tiles', folder / 'page'):
                 shutil.rmtree(old, ignore_errors=True)
@@ -164,27 +163,21 @@ class HeightStore:
         self._group.attrs.update(about | {'unit': 'm'})
         self._height = self._group['height']
 
-    def _refuse_others(self, place: Path) -> None:
-        if place.exists():
-            try:
-                attributes = dict(self._zarr.open_group(place, mode='r').attrs)
-            except (OSError, ValueError, KeyError):
-                attributes = {}
-            if attributes.items() >= MADE_BY.items():
-                return
-        if self.folder.exists() and any(self.folder.iterdir()):
-            raise InterpError(f'{self.folder}: it holds other files; choose a new folder')
-
     def _fits(self, place: Path, grid: NeedleGrid) -> bool:
+        """Tell whether a store of these needles is there; refuse a folder of somebody else."""
+        ours = False
         try:
             found = self._zarr.open_group(place, mode='r')
-            return (
-                found['height'].shape == grid.shape
-                and np.array_equal(found['u'][:], grid.u)
-                and np.array_equal(found['v'][:], grid.v)
+            ours = dict(found.attrs).items() >= MADE_BY.items()
+            return ours and all(
+                np.array_equal(found[name][:], needles)
+                for name, needles in (('u', grid.u), ('v', grid.v))
             )
         except (OSError, ValueError, KeyError):
             return False
+        finally:
+            if not ours and self.folder.exists() and any(self.folder.iterdir()):
+                raise InterpError(f'{self.folder}: it holds other files; choose a new folder')
 
     @staticmethod
     def _array(group: Any, name: str, shape: tuple[int, int]) -> Any:

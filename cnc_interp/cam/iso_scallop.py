@@ -23,7 +23,6 @@ from cnc_interp.cam.passes import (
     WideStripError,
     constant_tilt,
     constant_width,
-    evenly,
     kept_places,
     kept_ranges,
     places_around,
@@ -298,7 +297,7 @@ class PassRecursion:
     def finished(
         self, curve: GuidingCurve, angles: Angles, iterations: IntArray, fresh: bool, number: int
     ) -> Pass:
-        s = evenly(curve, self.count(curve))
+        s = np.linspace(0.0, curve.length, self.count(curve))
         postures = angles.postures(curve, self.cutter, s)
         right = scallop_points(self.surface, postures, self.options.scallop_height)
         kept = kept_places(

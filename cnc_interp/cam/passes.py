@@ -93,12 +93,8 @@ def plane_distance(postures: Postures, scallops: Scallops, normal: FloatArray) -
     return np.abs(dot(lifted - postures.frames.position, normal))
 
 
-def evenly(curve: GuidingCurve, count: int) -> FloatArray:
-    return np.linspace(0.0, curve.length, count)
-
-
 def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> Angles:
-    s = evenly(curve, count)
+    s = np.linspace(0.0, curve.length, count)
     return Angles(s, np.full(count, tilt), np.full(count, yaw))
 
 
@@ -107,7 +103,7 @@ def constant_width(
     limits: tuple[float, float], yaw: float, count: int, overrun: float, strict: bool = True,
 ) -> Angles:  # fmt: skip
     """Find the tilts for which the scallop lies in a plane parallel to the guiding plane."""
-    s = evenly(curve, count)
+    s = np.linspace(0.0, curve.length, count)
     kept = kept_places(curve, s, np.full(count, half_width), overrun)
     bend = curve.frames(s).curvature
     local = half_width / np.maximum(1.0 + cutter.corner_radius * bend, 0.1)

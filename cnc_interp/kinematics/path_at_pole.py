@@ -79,9 +79,9 @@ class PathAtPole:
     height: float  #: Flank height [m].
     segments: PathSegments  #: The segments, n of them.
     motion: IntArray  #: (n,): How their rotary axes move.
-    #: What was decided so far, see ``Released``; ``bound`` is that of the deviation [rad].
-    guides: FloatArray
-    bound: FloatArray
+    guides: FloatArray  #: (n, 13): Where the outer axis is given, as far as it is decided.
+    bound: FloatArray  #: (n,): That of the deviation there [rad].
+    #: (n,): Position to which the outer axis turns at rest before a segment [rad], else NaN.
     turn_first: FloatArray
     shapes: FloatArray
     beside: FloatArray

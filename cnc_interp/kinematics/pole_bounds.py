@@ -41,13 +41,7 @@ from cnc_interp.kinematics.segment_axes import (
     guide_jet,
     pose_jets,
 )
-from cnc_interp.machine_model.transform_kernels import (
-    OUTER,
-    PRIMARY,
-    SECONDARY,
-    guided_gap,
-    vector_at,
-)
+from cnc_interp.machine_model.transform_kernels import guided_gap, outer_and_inner
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
 
@@ -107,7 +101,7 @@ def _parameter_bounds(spans: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def pole_sine(packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, u: float) -> float:
     o = pose_jets(kind, shape, f, u, u)[1]
-    pole = vector_at(packed, SECONDARY if packed[OUTER] > 0.5 else PRIMARY)
+    pole, _ = outer_and_inner(packed)
     x = o[1][0] * pole[2] - o[2][0] * pole[1]
     y = o[2][0] * pole[0] - o[0][0] * pole[2]
     z = o[0][0] * pole[1] - o[1][0] * pole[0]
@@ -216,7 +210,7 @@ def gap_bounds(
     exact each bound should be [rad]; ``rates`` as ``rates_of``, others as in ``sample``.
     """
     bounds = np.zeros(len(kinds))
-    w = vector_at(packed, PRIMARY if packed[OUTER] > 0.5 else SECONDARY)
+    _, w = outer_and_inner(packed)
     latitude = atan2(abs(w[2]), sqrt(w[0] * w[0] + w[1] * w[1]))
     for i in range(len(kinds)):
         kind, shape, spans, length, guide = kinds[i], shapes[i], f[i], lengths[i], guides[i]

@@ -23,15 +23,6 @@ SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and th
 
 
 @dataclass(frozen=True)
-class Released:
-    segments: PathSegments  #: The segments. Their deviation counts the passages of the pole.
-    motion: IntArray  #: (n,): How the rotary axes move.
-    guides: FloatArray  #: (n, 13): Where the outer axis is given.
-    #: (n,): Position to which the outer axis turns at rest before a segment [rad], else NaN.
-    turn_first: FloatArray
-
-
-@dataclass(frozen=True)
 class _Core:
     """Where the path is at the pole, by path length [m]; the tool may rest there for long."""
 
@@ -84,8 +75,11 @@ class PolePassages:
             f'instead and the motion slows down (passes: {len(self.forbidden)})'
         )
 
-    def take(self, segments: PathSegments, motion: IntArray) -> Released:
-        """Take segments and how their rotary axes move; return those that are decided."""
+    def take(self, segments: PathSegments, motion: IntArray) -> PathAtPole:
+        """Take segments and how their rotary axes move; return those that are decided.
+
+        Their deviation counts the passages of the pole.
+        """
         path = PathAtPole.look_at(self._transform, self._height, segments, motion)
         if self._waiting is not None:
             path = self._waiting.and_more(path)
@@ -115,13 +109,10 @@ class PolePassages:
         if at:
             self._free = False
         self._waiting = path[at:]
-        return self._released(path[:at])
-
-    def _released(self, path: PathAtPole) -> Released:
-        deviation = path.segments.deviation.copy()
-        deviation[:, 1] += self._height * path.bound
-        segments = replace(path.segments, deviation=deviation)
-        return Released(segments, path.motion, path.guides, path.turn_first)
+        done = path[:at]
+        deviation = done.segments.deviation.copy()
+        deviation[:, 1] += self._height * done.bound
+        return replace(done, segments=replace(done.segments, deviation=deviation))
 
     def _step_over(self, path: PathAtPole, i: int) -> None:
         one = path.segments

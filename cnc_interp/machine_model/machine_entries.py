@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -317,9 +318,13 @@ def require_known(values: dict[str, Any], known: Collection[str], where: str) ->
             raise MachineError(f'unknown; known: {", ".join(known)}', f'{where}.{key}')
 
 
+def is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
 def number(value: Any, key: str, low: float, high: float) -> float:
     """Check one positive number against the range in which its unit makes sense."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+    if not is_number(value):
         raise MachineError(f'must be a number, not {value!r}', key)
     if value <= 0.0:
         raise MachineError(f'must be positive, not {value}', key)
@@ -332,7 +337,7 @@ def numbers(value: Any, count: int, key: str) -> list[float]:
     if not isinstance(value, list) or len(value) != count:
         raise MachineError(f'must be a list of {count} numbers', key)
     for x in value:
-        if isinstance(x, bool) or not isinstance(x, (int, float)) or not np.isfinite(x):
+        if not is_number(x):
             raise MachineError(f'must hold numbers, not {x!r}', key)
     return [float(x) for x in value]
 

@@ -15,6 +15,7 @@ from typing import Any
 from cnc_interp.core.errors import MachineError
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
+from cnc_interp.machine_model.machine_entries import is_number
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
 LETTERS = ('S', 'T', 'P', 'Q')
@@ -257,7 +258,7 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
         low, high = _range(values['range'], where) if 'range' in values else (0.0, 1.0)
         if turns:
             ramp = values.get('ramp_rpm_per_s', inf)
-            if not (_is_number(ramp) and ramp > 0.0) and ramp is not inf:
+            if not (is_number(ramp) and ramp > 0.0) and ramp is not inf:
                 raise MachineError('must be above 0', f'{where}.ramp_rpm_per_s')
             yield Signal(name, True, 'rev', -1e12, 1e12, ramp=ramp / 60.0)
             continue
@@ -268,20 +269,16 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
 
 
 def _range(given: Any, where: str) -> tuple[float, float]:
-    if isinstance(given, list) and len(given) == 2 and all(map(_is_number, given)):
+    if isinstance(given, list) and len(given) == 2 and all(map(is_number, given)):
         low, high = map(float, given)
         if low < high:
             return low, high
     raise MachineError('must be [lowest, highest]', f'{where}.range')
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-
-
 def _time(values: Mapping[str, Any], key: str, where: str, default: float) -> float:
     value = values.get(key, default)
-    if value is not default and not (_is_number(value) and 0.0 < value <= 3600.0):
+    if value is not default and not (is_number(value) and 0.0 < value <= 3600.0):
         raise MachineError(f'must be a time in s, not {value!r}', f'{where}.{key}')
     return float(value)
 
@@ -297,7 +294,7 @@ def _step(
     output, value = known.index(names[0]), values[names[0]]
     value = int(value) if isinstance(value, bool) else value
     if value not in LETTERS or word in STOPS:
-        if not _is_number(value):
+        if not is_number(value):
             raise MachineError(f'write a number, or {", ".join(LETTERS)}', f'{where}.{names[0]}')
         value = float(value)
         if fault := outputs[output].fault_of(value):

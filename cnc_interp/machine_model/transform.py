@@ -26,6 +26,7 @@ import numpy as np
 from cnc_interp.core import jet
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import BlockError
+from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_kernels import (
     HEAD_ZERO,
@@ -106,18 +107,18 @@ class Transform:
         arm = np.broadcast_to(tip_arm - up if on_head else -up, stands.shape)
         levers = np.zeros((len(stands), 2))
         if second_on_head:
-            levers[:, 1] = norm_of(np.cross(u2, arm))
+            levers[:, 1] = norm(np.cross(u2, arm))
             arm = rotated(u2, rotary[:, 1], arm)
         arm = arm + (head_arm if on_head else 0.0)
         if first_on_head:
-            levers[:, 0] = norm_of(np.cross(u1, arm))
+            levers[:, 0] = norm(np.cross(u1, arm))
             arm = rotated(u1, rotary[:, 0], arm)
         point = stands - arm + self.packed[HEAD_ZERO : HEAD_ZERO + 3] - machine.offsets[2]
         if not first_on_head:
-            levers[:, 0] = norm_of(np.cross(u1, point))
+            levers[:, 0] = norm(np.cross(u1, point))
             point = rotated(u1, -rotary[:, 0], point)
         if not second_on_head:
-            levers[:, 1] = norm_of(np.cross(u2, point - machine.offsets[1]))
+            levers[:, 1] = norm(np.cross(u2, point - machine.offsets[1]))
         return levers
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
@@ -151,10 +152,6 @@ class Transform:
                 pair = [tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]]
                 found.append(np.array(pair))
         return found
-
-
-def norm_of(rows: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt((rows**2).sum(axis=1)))
 
 
 def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:

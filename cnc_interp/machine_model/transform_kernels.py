@@ -26,6 +26,13 @@ def vector_at(packed: FloatArray, place: int) -> Vector:
 
 
 @njit(cache=True, nogil=True)
+def outer_and_inner(packed: FloatArray) -> tuple[Vector, Vector]:
+    """Return the directions of the outer and of the inner rotary axis."""
+    first, second = vector_at(packed, PRIMARY), vector_at(packed, SECONDARY)
+    return (second, first) if packed[OUTER] > 0.5 else (first, second)
+
+
+@njit(cache=True, nogil=True)
 def near(angle: float, reference: float) -> float:
     """Return the angle plus the whole turns that bring it nearest to the reference [rad]."""
     return angle + 2.0 * pi * floor((reference - angle) / (2.0 * pi) + 0.5)
@@ -49,9 +56,7 @@ def rotary_jets(
     Returns inner and outer axis [rad], and the squared sine of the tilt: negative out of reach;
     zero at the pole, where the jets are not finite.
     """
-    outer = int(packed[OUTER])
-    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
-    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    u, w = outer_and_inner(packed)
     c0 = w[2] * (w[0] * u[0] + w[1] * u[1] + w[2] * u[2])
     c1 = u[2] - c0
     c2 = w[1] * u[0] - w[0] * u[1]  # (w x e_z) . u
@@ -105,9 +110,7 @@ def guided_jets(
     The nearest point to o' = Rot(u, -a) o on it has the azimuth of o' about w. So the tool axis
     deviates by the difference of the angles that o' and e_z have with w, and no pole exists.
     """
-    outer = int(packed[OUTER])
-    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
-    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    u, w = outer_and_inner(packed)
     s, c = jet.sine_cosine(jet.scale(turn, -packed[OUTER_SIGN]))
     o = jet.rotated(u, s, c, o)
     y = jet.subtract(jet.scale(o[0], w[1]), jet.scale(o[1], w[0]))  # (w x e_z) . o'
@@ -121,9 +124,7 @@ def guided_jets(
 @njit(cache=True, nogil=True)
 def guided_gap(packed: FloatArray, o: VectorJet, turn: float) -> float:
     """Return the angle by which the tool axis of ``guided_jets`` deviates from o [rad]."""
-    outer = int(packed[OUTER])
-    u = vector_at(packed, SECONDARY if outer == 1 else PRIMARY)
-    w = vector_at(packed, PRIMARY if outer == 1 else SECONDARY)
+    u, w = outer_and_inner(packed)
     s, c = jet.sine_cosine(jet.constant(-packed[OUTER_SIGN] * turn))
     o = jet.rotated(u, s, c, o)
     along = w[0] * o[0][0] + w[1] * o[1][0] + w[2] * o[2][0]

@@ -48,7 +48,6 @@ class Cutter:
         return self.tool_radius == 0.0
 
     def tip(self, centre: FloatArray, axis: FloatArray) -> FloatArray:
-        """Return the tool tip, the lowest point on the axis, (..., 3) [m]."""
         return np.asarray(centre - self.corner_radius * axis)
 
     def effective_radius(self, tilt: float) -> float:

@@ -158,7 +158,6 @@ class GuidingPlanes:
         return curve
 
     def _onto(self, uv: FloatArray, plane: float) -> FloatArray:
-        """Move parameters, shape (n, 2), onto the plane along the gradient of the level."""
         for _ in range(6):
             point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
             level = point.position @ self.plane_normal - plane
@@ -173,7 +172,6 @@ class GuidingPlanes:
         return uv
 
     def _arc(self, uv: FloatArray) -> FloatArray:
-        """Return arc lengths of K from chords and the turn between them, shape (n,) [m]."""
         point = self.surface.at(uv[:, 0], uv[:, 1]).offset(self.offset)
         g = cross(point.normal, np.broadcast_to(self.plane_normal, point.normal.shape))
         f = scaled(1.0 / norm(g), g)
@@ -188,8 +186,6 @@ NEAR = 1.0 * UM  #: Distance of the points that show the change of direction of 
 
 @dataclass(frozen=True)
 class SurfaceCurve:
-    """A curve of the guided point K on the guiding surface."""
-
     surface: Surface  #: The surface to machine.
     offset: float  #: Corner radius r_c [m].
     parameters: BSpline  #: u and v by the approximate arc length of K.
@@ -203,7 +199,6 @@ class SurfaceCurve:
         return SurfaceCurve(surface, offset, spline, float(s[-1]))
 
     def _feed(self, s: FloatArray) -> tuple[SurfacePoint, FloatArray, FloatArray]:
-        """Return surface points, feed directions and the speed of K by s, shapes (n, ...)."""
         u, v = self.parameters(s).T
         u_s, v_s = self.parameters(s, 1).T
         point = self.surface.at(u, v)

@@ -240,7 +240,6 @@ class HeightStore:
 
     @cached_property
     def levels(self) -> int:
-        """Number of levels; the last one is a single tile."""
         count = 1
         while max(self.level_shape(count - 1)) > TILE:
             count += 1

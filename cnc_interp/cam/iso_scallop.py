@@ -148,7 +148,6 @@ class PassRecursion:
         return self.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=number)
 
     def next_pass(self, before: Pass, number: int) -> Pass:
-        """Return the next pass: exact if the last one can be continued, else a new start."""
         reach, stepover = before.kept_reach, self.options.stepover
         middle = self.half_width_at(before.plane) if stepover is None else 0.5 * stepover
         stray = self.options.stray
@@ -240,7 +239,6 @@ class PassRecursion:
         return float(np.nanmin(both[before.kept] if before.kept.any() else both))
 
     def distance(self, before: Pass) -> float:
-        """Return the distance to the next plane: the stepover, or the largest for the tilt [m]."""
         if self.options.stepover is not None:
             return self.options.stepover
         distance = 2.0 * float(before.kept_reach.min())
@@ -251,7 +249,6 @@ class PassRecursion:
         return distance
 
     def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
-        """Return how far the next pass cuts towards each scallop point, shape (n,) [m]."""
         frames = curve.frames(nearest_places(curve, before.right))
         postures = resting(self.cutter, frames, tilt, self.options.yaw)
         left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)

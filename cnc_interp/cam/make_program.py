@@ -121,7 +121,6 @@ def _left_by_passes(options: argparse.Namespace) -> float:
 
 
 def _tolerance(cutter: Cutter, options: argparse.Namespace) -> float:
-    """Return the tolerance for tip and tool axis; of a reserve the mill uses a part at most."""
     if not options.reserve:
         return float(SMOOTHING * options.scallop * UM)
     widest = 1.0 + (cutter.tool_radius + cutter.corner_radius) / Settings().flank_height
@@ -159,7 +158,6 @@ def _machined(
 
 
 def _all(faces: list[MachinedFace], around: Neighbours | None) -> Neighbours | None:
-    """Return points of the whole part, at least of all machined faces; None for a single face."""
     if around is not None or len(faces) == 1:
         return around
     found = []
@@ -192,7 +190,6 @@ def _drawn(
 
 
 def _part(options: argparse.Namespace) -> Part:
-    """Read the faces, and turn them about X, then Y, then Z."""
     part = read_part(options.surface, options.face or [], _note)
     turns = options.turn_x, options.turn_y, options.turn_z
     if not any(turns):

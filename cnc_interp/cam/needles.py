@@ -52,7 +52,6 @@ class Needles:
 
     @property
     def ball(self) -> tuple[FloatArray, float]:
-        """Centre, shape (3,), and radius of a ball around the bases [m]."""
         points = self.base.reshape(-1, 3)
         low, high = points.min(axis=0), points.max(axis=0)
         return 0.5 * (low + high), 0.5 * float(norm(high - low))
@@ -92,8 +91,6 @@ class Needles:
 
 @dataclass(frozen=True)
 class NeedleGrid:
-    """A grid of needles over a surface, of which any part can be made."""
-
     surface: Surface  #: The surface.
     u: FloatArray  #: (rows,): First parameter of the rows.
     v: FloatArray  #: (columns,): Second parameter of the columns.
@@ -133,7 +130,6 @@ class NeedleGrid:
 
 
 def patches(rows: int, columns: int, tall: int, wide: int) -> Iterator[tuple[int, int]]:
-    """Yield first row and first column of the rectangles that cover a grid."""
     for i in range(0, rows, tall):
         for j in range(0, columns, wide):
             yield i, j
@@ -195,7 +191,6 @@ class MotionPieces:
         return (2, 0.25) if self.cutter.corner_radius > 0.05 * MM else (14, 1.0)
 
     def near(self, centre: FloatArray, radius: float) -> MotionPieces:
-        """Return the pieces that can reach needles; the others change none of them."""
         v = centre - self.middle[:, :3]
         along = dot(v, self.middle[:, 3:])
         across = np.sqrt(np.maximum(dot(v, v) - along * along, 0.0))

@@ -24,8 +24,6 @@ RowsAt = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Points of faces that are not milled."""
-
     points: FloatArray  #: (n, 3): Points on the faces and their edges [m].
     face: IntArray  #: (n,): Number of the face of each point.
 

@@ -16,8 +16,6 @@ from cnc_interp.core.vectors import dot, scaled
 
 
 class UnfitError(SurfaceError):
-    """A pass that does not fit the surface."""
-
     def __init__(self, what: str, remedy: str):
         super().__init__(f'{what}; {remedy}')
         self.what = what
@@ -80,7 +78,6 @@ class Pass:
 
     @property
     def kept_reach(self) -> FloatArray:
-        """Half widths where the pass is milled, all if it is milled nowhere."""
         return self.reach[self.kept] if self.kept.any() else self.reach
 
 
@@ -162,7 +159,6 @@ LINES = 9  #: Lines along the strip that are compared with the border, over its 
 def kept_ranges(
     curve: GuidingCurve | SurfaceCurve, s: FloatArray, reach: FloatArray, overrun: float
 ) -> list[tuple[float, float]]:
-    """Return the milled parts of a pass: where its strip lies on the surface, and overruns."""
     dense = np.linspace(0.0, curve.length, max(60, int(curve.length / SPACING)))
     known = np.isfinite(reach)
     width = np.interp(dense, s[known], reach[known]) if known.any() else np.zeros(len(dense))

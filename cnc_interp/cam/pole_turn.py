@@ -77,8 +77,6 @@ def pole_turn(
 
 @dataclass(frozen=True)
 class _Turns:
-    """Tool axes at both ends of short turns, and how fast each is passed [1/s]."""
-
     start: FloatArray
     end: FloatArray
     rate: FloatArray
@@ -93,7 +91,6 @@ class _Turns:
         return _Turns(rotation.apply(self.start), rotation.apply(self.end), self.rate)
 
     def nearest(self, pole: FloatArray, limit: float, fastest: float) -> tuple[float, float]:
-        """Return the smallest angle to the pole [rad], and the outer axis' rate over its limit."""
         normal = cross(self.start, self.end)
         theta = np.arctan2(norm(normal), dot(self.start, self.end))
         normal = normal / np.maximum(norm(normal), 1e-15)[:, None]

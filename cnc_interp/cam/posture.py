@@ -43,19 +43,16 @@ class Postures:
 
     @property
     def axis(self) -> FloatArray:
-        """Tool axis u, (n, 3) [-]."""
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), self.frames.normal) + scaled(np.sin(self.tilt), f_y)
 
     @property
     def front(self) -> FloatArray:
-        """Direction from C_L to K."""
         f_y = self.turned[0]
         return scaled(np.cos(self.tilt), f_y) - scaled(np.sin(self.tilt), self.frames.normal)
 
     @property
     def centre(self) -> FloatArray:
-        """Centre of the corner circle C_L, (n, 3) [m]."""
         return np.asarray(self.frames.position - self.cutter.tool_radius * self.front)
 
     @property
@@ -64,7 +61,6 @@ class Postures:
 
     @property
     def contact(self) -> FloatArray:
-        """Contact point K - r_c n, (n, 3) [m]."""
         return self.frames.position - self.cutter.corner_radius * self.frames.normal
 
     @property

@@ -68,7 +68,6 @@ def section_figure(section: Section, scallop: float) -> Any:
 
 
 def tilt_figure(paths: IsoScallopPaths) -> Any:
-    """Draw the tilt along some passes [TL2008, Fig. 5b]."""
     figure = go.Figure()
     chosen = np.unique(np.linspace(0, len(paths.passes) - 1, CURVES).astype(int))
     for k in chosen:

@@ -52,13 +52,11 @@ class Scallops:
     refined: IntArray
 
     def half_width(self, postures: Postures) -> FloatArray:
-        """Return the distance of P from K across the feed, (n,) [m]."""
         away = self.position - postures.frames.position
         return np.abs(dot(away, postures.frames.across))
 
 
 def envelope_point(postures: Postures, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the points at which the envelope touches the corner torus."""
     e, e_d = postures.rim(angle)
     centre = postures.centre + postures.cutter.tool_radius * e
     m = unit(cross(postures.velocity(centre), e_d))

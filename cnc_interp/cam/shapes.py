@@ -45,8 +45,6 @@ class Plane(Graph):
 
 
 class Bumps(Graph):
-    """A plane with bell-shaped bumps, like the surface of the paper's application."""
-
     def __init__(self, size: tuple[float, float], bumps: Any):
         super().__init__(size)
         self.bumps = np.asarray(bumps, float)
@@ -197,8 +195,6 @@ class BSplineSurface(Surface):
 
 
 class RationalSurface(Surface):
-    """Rational B-spline surface S = A / w; A and w are B-splines."""
-
     def __init__(
         self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
         weights: FloatArray, degree: tuple[int, int] = (3, 3), flip: bool = False,
@@ -259,7 +255,6 @@ class Trimmed(Surface):
         return inside
 
     def _boundary(self) -> FloatArray:
-        """Return points along the boundary at distances of at most ``BOUNDARY`` [m]."""
         a, b = self.pieces[:, :2], self.pieces[:, 2:]
         ends = [self.derivatives(*x.T)[0] for x in (a, b)]
         count = np.ceil(norm(ends[1] - ends[0]) / BOUNDARY).astype(int).clip(1, 10_000)

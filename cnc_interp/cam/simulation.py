@@ -74,8 +74,6 @@ def executed(plan: PlanFiles, machine: Machine, model: Machine | None = None) ->
 
 @dataclass(frozen=True)
 class Section:
-    """Heights along lines across the passes."""
-
     way: FloatArray  #: (m,): Distance along the first line [m].
     height: FloatArray  #: (n, m): Heights on n lines; NaN where a line is not on the face [m].
     ridges: FloatArray  #: (k,): Heights of all scallop ridges on all lines [m].

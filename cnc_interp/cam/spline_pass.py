@@ -88,7 +88,6 @@ class SplinePass:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """First and last place of the splines [m]."""
         return float(self.spline.t[0]), float(self.spline.t[-1])
 
     @property

@@ -100,7 +100,6 @@ class StepFace:
         return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
 
     def _curves(self) -> Iterator[Callable[[int], FloatArray]]:
-        """Yield for each edge what returns u and v at so many places along it, (n, 2)."""
         from OCP.BRepAdaptor import BRepAdaptor_Curve2d
         from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopoDS import TopoDS
@@ -149,7 +148,6 @@ class StepFace:
         return self.points(np.concatenate([np.stack([u, v], axis=1)[inside], *lines]))
 
     def _own_parameters(self, surface: Surface, uv: FloatArray) -> FloatArray:
-        """Return u and v of our surface for those of OpenCASCADE, shape (n, 2)."""
         low, high = np.transpose(surface.domain)
         if self.kind == SPLINE:
             # A patch that closes on itself may have edges in its next turn.
@@ -202,7 +200,6 @@ class StepFace:
         return _patch(GeomConvert.SurfaceToBSplineSurface_s(trimmed), self.flip)
 
     def _limits(self) -> Domain:
-        """Return the ranges of u and v of the boundary [mm, rad]."""
         u0, u1, v0, v1 = self.bounds
         # Either kind of parameter: 1e-7 mm or 1e-7 rad.
         if u1 - u0 < 1e-7 or v1 - v0 < 1e-7:
@@ -215,7 +212,6 @@ class StepFace:
         return (u0, u1), (v0, v1)
 
     def _distance_inside(self, surface: Surface) -> float:
-        """Return how far the boundary lies inside the border of the surface at most [m]."""
         if self.kind == SPLINE:
             low, high = (np.array(ends) for ends in zip(*surface.domain, strict=True))
         else:
@@ -242,7 +238,6 @@ def _parts(shape: Any, kind: Any) -> list[Any]:
 
 
 def _vector(one: Any) -> FloatArray:
-    """Return a point or a direction of OpenCASCADE as an array, shape (3,) [mm or 1]."""
     return np.array([one.X(), one.Y(), one.Z()])
 
 

@@ -98,7 +98,6 @@ class Surface(ABC):
     def project(
         self, points: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Find the foot points of points near the surface by Newton's method."""
         u, v = np.array(u, float), np.array(v, float)
         longest = 0.25 * np.array([high - low for low, high in self.domain])
         moved = np.full(u.shape, np.inf)
@@ -139,7 +138,6 @@ class Surface(ABC):
         return extension / float(np.median(norm(s_u))), extension / float(np.median(norm(s_v)))
 
     def contains(self, u: FloatArray, v: FloatArray, margin: float = 0.0) -> BoolArray:
-        """Tell which points lie on the machined part, or no further than a margin outside."""
         (u0, u1), (v0, v1) = self.domain
         grow = self.growth(margin) if margin else (0.0, 0.0)
         grow_u, grow_v = grow[0] + 1e-9 * (u1 - u0), grow[1] + 1e-9 * (v1 - v0)

@@ -156,7 +156,6 @@ class TilePage:
         (self._store.folder / 'index.html').write_text(html, encoding='utf-8')
 
     def _places(self) -> tuple[list[Any], list[float]]:
-        """Return points of the surface on a coarse grid, and its lengths along u and v [mm]."""
         u, v = (np.linspace(p[0], p[-1], POINTS) for p in (self._grid.u, self._grid.v))
         points = self._grid.surface.at(*np.meshgrid(u, v, indexing='ij')).position / MM
         middle = POINTS // 2

@@ -102,7 +102,6 @@ def link(
 def _in_order(
     passes: Sequence[Sequence[SplinePass]], options: LinkOptions
 ) -> list[tuple[SplinePass, bool]]:
-    """Return the parts in the order of cutting, and whether the way to them may be low."""
     found = []
     for k, parts in enumerate(passes):
         turned = options.linking == 'zigzag' and k % 2
@@ -123,8 +122,6 @@ def _clear(
 
 @dataclass(frozen=True)
 class ToolPath:
-    """Poses of a whole program, joined by straight lines."""
-
     tip: FloatArray  #: (n, 3): Tool tips [m].
     axis: FloatArray  #: (n, 3): Unit tool axes [-].
     rapid: BoolArray  #: (n,): True where the move to this pose is a rapid.

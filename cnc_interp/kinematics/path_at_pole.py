@@ -52,8 +52,6 @@ TO_BEZIER = [
 
 @dataclass(frozen=True)
 class PassageEnd:
-    """One end of a stretch on which the outer axis is given."""
-
     segment: int
     u: float
     s: float  #: Path length [m].
@@ -94,7 +92,6 @@ class PathAtPole:
     def look_at(
         cls, transform: Transform, height: float, segments: PathSegments, motion: IntArray
     ) -> PathAtPole:
-        """Find out what is needed of further segments, and where they are near to the pole."""
         n = len(segments)
         shapes, beside, rates = shapes_of(segments), beside_of(segments), rates_of(segments)
         lengths, sine = np.zeros(n), np.ones(n)
@@ -130,7 +127,6 @@ class PathAtPole:
         return int(self.motion[i]) in (RESTING, FOLLOWING)
 
     def ends_of(self, first: int, last: int, begun: float) -> FloatArray:
-        """Return the path length at the ends of segments; the first begins at ``begun`` [m]."""
         return np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
 
     # Places ----------------------------------------------------------------------------------
@@ -180,7 +176,6 @@ class PathAtPole:
     def guides_between(
         self, first: int, ends: FloatArray, left: PassageEnd, right: PassageEnd
     ) -> Guides:
-        """Give the outer axis between two ends, and bound what that does."""
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
         guides = np.tile(NO_GUIDE, (end - begin, 1))
@@ -199,7 +194,6 @@ class PathAtPole:
         return Guides(rows, guides, *self._bounds(rows, guides))
 
     def _bounds(self, rows: slice, guides: FloatArray) -> tuple[FloatArray, float]:
-        """Bound the deviation on the segments of a stretch [rad], and C' there [rad/m]."""
         segments = self.segments[rows]
         slope, length = guides[0, GUIDE], guides[0, GUIDE_LENGTH]
         turning = np.zeros(2)

@@ -158,7 +158,6 @@ class AxisPathBuilder:
         return np.where(own == POSES, motion, np.where(own == AXES_LINEAR, ALL_AXES, LINEAR))
 
     def _linear(self, one: PathSegments) -> list[Cells]:
-        """Cut a rotation with linear rotary axes; they turn to its start first if they must."""
         start, end = one.rotary[0, :2]
         parts = []
         if np.abs(start - self._rotary).max() > SAME_ANGLE:
@@ -170,7 +169,6 @@ class AxisPathBuilder:
         return parts
 
     def _turn_outer(self, one: PathSegments, turn: float) -> list[Cells]:
-        """Turn the outer axis at rest under a tool on the pole, before a segment leaves it."""
         outer, target = self.transform.outer, self._rotary.copy()
         gap = turn - target[outer]
         target[outer] += gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
@@ -190,7 +188,6 @@ class AxisPathBuilder:
         return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
-        """Insert whole turns missing at the start of coordinates; refuse other differences."""
         start = run.rotary[0, 0]
         gap = start - self._rotary
         if np.abs(gap).max() <= SAME_ANGLE:

@@ -24,8 +24,6 @@ SHORTER, SHORTEST = 0.8, 1e-7  #: Factor by which a stretch is shortened, and th
 
 @dataclass(frozen=True)
 class _Core:
-    """Where the path is at the pole, by path length [m]; the tool may rest there for long."""
-
     start: float
     end: float
     rests_before: bool = False
@@ -34,8 +32,6 @@ class _Core:
 
 @dataclass(frozen=True)
 class _Stretch:
-    """Where the outer axis is given, and whether the path begins there."""
-
     left: PassageEnd
     right: PassageEnd
     guides: Guides
@@ -43,8 +39,6 @@ class _Stretch:
 
 
 class PolePassages:
-    """Choose where the outer rotary axis is given, segment by segment."""
-
     def __init__(self, transform: Transform, height: float):
         self._transform, self._height = transform, height
         self._outer = transform.outer
@@ -121,7 +115,6 @@ class PolePassages:
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, first: int, last: int, closed: bool) -> int:
-        """Decide on the passages in the segments ``first`` to ``last``, which join smoothly."""
         ends = path.ends_of(first, last, self._begun)
         total, hold = float(ends[-1]), np.inf
         moves = bool((path.motion[first:last] == FOLLOWING).any())
@@ -216,7 +209,6 @@ class PolePassages:
     def _leaves(
         self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, whole: _Core
     ) -> bool:
-        """Tell whether the path goes far away from the pole between a core and the end of all."""
         at = (ends[:-1] > core.end) & (ends[:-1] < whole.end)
         rows = first + np.flatnonzero(at)
         room = path.segments.room[rows] + path.segments.deviation[rows, 1]

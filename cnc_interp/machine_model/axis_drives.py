@@ -38,7 +38,6 @@ class DriveLoad:
         return np.array([self.torque, self.coulomb, self.viscous]) / self.inertia
 
     def least_acceleration(self, velocity: float) -> float:
-        """Return the acceleration that is left at a velocity [m or rad, per s, per s2]."""
         return (self.torque - self.coulomb - self.viscous * velocity) / self.inertia
 
 

@@ -94,7 +94,6 @@ def place_text(axes: Sequence[Axis], position: Iterable[float]) -> str:
 
 
 def error_text(error: float, unit: str) -> str:
-    """Return a small difference of positions [m or rad] as text with its unit."""
     return f'{error / UM:.1f} um' if unit == 'm' else f'{error / DEG:.4f} deg'
 
 
@@ -163,7 +162,6 @@ class Machine:
 
     @cached_property
     def limits(self) -> FloatArray:
-        """Velocity, acceleration and jerk limits, shape (3, n_axes) [m or rad, per s, s2, s3]."""
         table = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
         table.flags.writeable = False
         return table

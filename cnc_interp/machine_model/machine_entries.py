@@ -56,7 +56,6 @@ PLAUSIBLE = {
 
 
 def control(content: dict[str, Any]) -> dict[str, str]:
-    """Read what the control of the machine means by a program, where the command does not say."""
     given = content.get('control') or {}
     known = {choice.name: choice for choice in choices(Settings)}
     if not isinstance(given, dict) or not set(given) <= set(CONTROL):
@@ -69,8 +68,6 @@ def control(content: dict[str, Any]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class BlockPace:
-    """How fast the control of a machine goes through short blocks; see ``block_pace.py``."""
-
     jump: float  #: Largest change of velocity at a vertex [m/s].
     block_time: float  #: Least time of a block [s].
     jerk: float  #: Jerk between two vertices [m/s3].
@@ -92,8 +89,6 @@ def block_pace(content: dict[str, Any], jerk: float) -> BlockPace | None:
 
 @dataclass(frozen=True)
 class Standstill:
-    """How long the path rests for what a program switches."""
-
     tool_change: float = 0.0  #: [s]
     #: Until the spindle turns, and until it rests [s per rev/min].
     start: float = 0.0
@@ -323,7 +318,6 @@ def is_number(value: Any) -> bool:
 
 
 def number(value: Any, key: str, low: float, high: float) -> float:
-    """Check one positive number against the range in which its unit makes sense."""
     if not is_number(value):
         raise MachineError(f'must be a number, not {value!r}', key)
     if value <= 0.0:

@@ -31,15 +31,12 @@ ROUNDS = 20
 
 @dataclass(frozen=True)
 class RotaryCentres:
-    """The geometry that fits, with its uncertainty."""
-
     machine: Machine  #: With the new offsets.
     spread: FloatArray  #: (5, 3): Standard deviations of ``offsets`` and ``tool_offset`` [m].
     ball: FloatArray  #: (3,): Its centre in W [m].
     residuals: FloatArray  #: (n,): What is left of each touch [m].
 
     def text(self) -> str:
-        """Return the offsets as a machine file says them, with their standard deviations."""
         offsets = np.concatenate([self.machine.offsets, self.machine.tool_offset])
         return '\n'.join(
             f'{key}: [{", ".join(f"{x / MM:.4f}" for x in row)}]  # +- '
@@ -50,13 +47,11 @@ class RotaryCentres:
 
 
 def centres_of(machine: Machine, q: FloatArray, beyond: float) -> FloatArray:
-    """Return the centres of the probe's ball in W, (n, 3) [m], ``beyond`` the tip of the tool."""
     tip, axis = Transform.of(machine).forward(q)
     return tip - beyond * axis
 
 
 def ball_of(machine: Machine, q: FloatArray, reach: float, beyond: float) -> FloatArray:
-    """Return the centre of the ball touched, (3,) [m], by the geometry as it is."""
     c = centres_of(machine, q, beyond)
     b = c[0] - [0.0, 0.0, reach]
     for _ in range(ROUNDS):

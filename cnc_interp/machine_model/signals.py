@@ -81,7 +81,6 @@ class Signal:
     ramp: float = inf  #: How fast a spindle changes its speed, for its ``ANGLE`` [rev/s2].
 
     def fault_of(self, value: float) -> str:
-        """Return why the signal cannot have a value; empty if it can."""
         if not isfinite(value):
             return f'{self.name} cannot be {value}'
         if not self.is_number and value not in (0.0, 1.0):

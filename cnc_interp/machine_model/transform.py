@@ -122,7 +122,6 @@ class Transform:
         return levers
 
     def tool_axis(self, rotary: FloatArray) -> FloatArray:
-        """Return the tool axes, (n, 3), of rotary positions (n, 2) [rad]."""
         q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
         return np.asarray(forward(self.packed, q)[1])
 
@@ -155,7 +154,6 @@ class Transform:
 
 
 def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:
-    """Rotate vectors, shape (n, 3), about a unit axis by angles, shape (n,) [rad]."""
     s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
     return np.asarray(v * c + np.cross(u, v) * s + u * ((v @ u)[:, None] * (1.0 - c)))
 
@@ -171,7 +169,6 @@ class ToolLine(NamedTuple):
 
 
 def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
-    """Return the line along the tool through axis positions, shape (n_axes,) [m, rad]."""
     n = len(stands)
     tip, axis = transform.forward(stands + np.eye(4, n, -1))
     direction = np.zeros(n)

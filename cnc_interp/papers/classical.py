@@ -40,7 +40,6 @@ class ClassicalPass:
         return self.right.half_width(self.postures)
 
     def tool(self, s: FloatArray) -> Postures:
-        """Return the postures at places ``s`` of the pass, (m,) [m]."""
         p, zero = self.postures, np.zeros(len(s))
         return Postures(
             p.cutter, self.curve.frames(s), zero + p.tilt[0], zero + p.yaw[0], zero, zero
@@ -126,7 +125,6 @@ class _Run:
         return ClassicalPass(curve, s, postures, right)
 
     def longer(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Drop points far outside the surface, and extend ends that lie on it; shapes (n,)."""
         far = self.surface.contains(u, v, self.beyond)
         kept = slice(int(np.argmax(far)), len(far) - int(np.argmax(far[::-1])))
         u, v = u[kept], v[kept]
@@ -174,13 +172,12 @@ class _Run:
     def solved(
         self, right: Scallops, along: FloatArray, u: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Solve both conditions for u and v by Newton's method; directions have shape (n, 3)."""
         steps, largest = self.surface.growth(1e-8), self.surface.growth(FARTHEST)
         valid = done = np.zeros(len(u), bool)
         for _ in range(25):
             misses = [
-                conditions(self.resting(*places, along), right)
-                for places in ((u, v), (u + steps[0], v), (u, v + steps[1]))
+                conditions(self.resting(a, b, along), right)
+                for a, b in ((u, v), (u + steps[0], v), (u, v + steps[1]))
             ]
             valid = misses[0][2] | self.cutter.is_ball
             done = np.abs(misses[0][:2]).max(axis=0) < CLOSE
@@ -191,7 +188,6 @@ class _Run:
         return u, v, done & valid
 
     def resting(self, u: FloatArray, v: FloatArray, along: FloatArray) -> Postures:
-        """Return postures at n points of the surface with given feed directions, shape (n, 3)."""
         point = self.surface.at(u, v)
         n = point.normal
         feed = unit(along - scaled(dot(along, n), n))

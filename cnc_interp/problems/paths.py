@@ -68,19 +68,16 @@ def problem(name: str) -> Problem:
 
 
 def stretches(path: AxisPath) -> list[AxisPath]:
-    """Cut a path at its stops."""
     stops = np.unique(np.concatenate([[0], np.flatnonzero(path.stop), [len(path.s) - 1]]))
     return [cut(path, int(a), int(b)) for a, b in pairwise(stops)]
 
 
 def of_blocks(name: str, blocks: Blocks, machine: Machine, curves: bool = False) -> Problem:
-    """Make a problem of blocks, their corners rounded one by one, or as curves."""
     path = smooth_path(blocks, Transform.of(machine), Settings(compress=curves))
     return Problem(name, path, machine, blocks)
 
 
 def example(name: str, tolerance: float) -> Problem:
-    """Make a problem of a bundled program [B2013, section 5]."""
     machine = Machine.load('xyzac')
     file = config_directory().parent / 'examples' / f'{name}.apt'
     blocks = read_program(file, Transform.of(machine)).blocks
@@ -141,7 +138,6 @@ def _corner(turn: float) -> Problem:
 
 
 def _past_pole(distance: float) -> Problem:
-    """Tilt from -20 to 20 deg along 56 mm, past the pole."""
     off, tilt = distance * DEG, np.array([-20.0, 20.0]) * DEG
     nearest, side = np.array([[np.sin(off), 0.0, np.cos(off)], [0.0, 1.0, 0.0]])
     axis = np.cos(tilt)[:, None] * nearest + np.sin(tilt)[:, None] * side

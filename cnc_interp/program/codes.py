@@ -53,7 +53,10 @@ RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
 CYCLES = {'G73', 'G74', 'G76', 'G84.2', 'G84.3', *(f'G{number}' for number in range(81, 90))}
 
 #: What a start of the spindle is told as, because the tool moves all the same.
-NO_SPINDLE = f'{WARNING}the spindle is NOT started; start it by hand before the tool cuts'
+NO_SPINDLE = (
+    f'{WARNING}the spindle is NOT started, the machine file has no output for it; write '
+    'signals: milling there, or start the spindle by hand before the tool cuts'
+)
 HARMLESS_G: dict[str, str] = {
     **dict.fromkeys(
         ('G15', 'G50', 'G50.1', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'

@@ -37,7 +37,7 @@ WAIT = 60.0
 #: Axes of the file, and their units in HAL [m, rad].
 AXES, UNITS = 'xyzac', np.array([1e-3] * 3 + [np.pi / 180.0] * 2)
 #: Periods that the witness keeps until they are read.
-WITNESSED = 100_000
+WITNESSED = 400_000
 
 
 def why_not() -> str:

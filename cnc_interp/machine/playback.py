@@ -16,25 +16,12 @@ import numpy as np
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.machine import cycle_kernels as kernel
+from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints
 from cnc_interp.machine.buffer import Buffer, BufferedChunk, SourcedSetpoints
 from cnc_interp.machine.cycle import Cycle, Records
-from cnc_interp.machine.cycle_kernels import (
-    ALARM_SHIFT,
-    ALARMED,
-    ASTRAY,
-    CHUNK,
-    ENDED,
-    FAILED,
-    FOLLOW,
-    PROBED,
-    REFUSED,
-    REST,
-    STARVED,
-    TAIL,
-    WAITED,
-    follow_ideally,
-)
+from cnc_interp.machine.cycle_kernels import follow_ideally
 from cnc_interp.machine.drives import (
     AxisRows,
     CycleDrives,
@@ -43,18 +30,10 @@ from cnc_interp.machine.drives import (
     Drives,
     HomedDrives,
 )
-from cnc_interp.machine.spindle import (
-    ANGLE,
-    FORWARD,
-    INPUT,
-    OVERRIDE,
-    RAMP,
-    REVERSE,
-    SPEED,
-    Spindle,
-)
+from cnc_interp.machine.spindle import Spindle
 from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import SINCE
 from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_state import Event, Reason, RunState, State
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
@@ -91,7 +70,7 @@ class Executed(NamedTuple):
 class Contact(NamedTuple):
     run_id: RunId
     line: int  #: Of the source.
-    position: FloatArray  #: (n_axes,): Where the axes were in that period [m, rad].
+    position: FloatArray  #: (n_axes,): Where the axes were then [m, rad].
     at_once: bool  #: It had answered before the line began.
 
 
@@ -456,18 +435,19 @@ class Playback:
     # Outputs ------------------------------------------------------------------------------------
 
     def override_spindle(self, share: float) -> None:
-        self.spindle.words[OVERRIDE] = share
+        self.spindle.words[spin.OVERRIDE] = share
 
     @property
     def turning(self) -> tuple[float, float]:
         """Speed of the spindle [rev/min] and its angle [rev], by an encoder if there is one."""
-        places = self._signals.spindle
-        if places and places[INPUT] >= 0:
-            return 60.0 * float(self.spindle.words[ANGLE + 1]), self.drives.inputs[places[INPUT]]
-        if not places or places[FORWARD] < 0 or places[REVERSE] < 0:
+        places, drives = self._signals.spindle, self.drives
+        if places and places[spin.INPUT] >= 0:
+            rate = float(self.spindle.words[spin.ANGLE + 1])
+            return 60.0 * rate, drives.inputs[places[spin.INPUT]]
+        if not places or places[spin.FORWARD] < 0 or places[spin.REVERSE] < 0:
             return 0.0, math.nan
-        forward, reverse = self.drives.outputs[[places[FORWARD], places[REVERSE]]]
-        return float(self.drives.outputs[places[SPEED]] * (forward - reverse)), math.nan
+        forward, reverse = drives.outputs[[places[spin.FORWARD], places[spin.REVERSE]]]
+        return float(drives.outputs[places[spin.SPEED]] * (forward - reverse)), math.nan
 
     def switch(self, acts: Sequence[Act]) -> None:
         """Set outputs at rest without a program, one after the other; else StreamError."""
@@ -507,7 +487,9 @@ class Playback:
         if self.last is None or self.state.state not in moving:
             return
         at_once = number <= self._probes_from + 1
-        position = self.feedback.position[0].copy()
+        position, since = self.feedback.position[0].copy(), self._signals.input(SINCE)
+        if since >= 0:  # else it is that at the end of the period
+            position -= self.feedback.velocity[0] * self.drives.inputs[since]
         self.contacts.append(Contact(self.run_id, self.last.line, position, at_once))
         self._answered = True
         self._handle(Event.HOLD, Reason.PROBE)
@@ -618,41 +600,41 @@ class Playback:
         """Read some periods of one source; only the first one may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
-            source = REST  # delayed drives have failed in the meantime
-        if source in (CHUNK, FOLLOW):
+            source = kernel.REST  # delayed drives have failed in the meantime
+        if source in (kernel.CHUNK, kernel.FOLLOW):
             self._find(int(records.serial[0]))
-        if events & ALARMED:
+        if events & kernel.ALARMED:
             assert isinstance(self.drives, CycleDrives)
-            self._alarm(self.drives.fault(events >> ALARM_SHIFT))
-        if events & STARVED:
+            self._alarm(self.drives.fault(events >> kernel.ALARM_SHIFT))
+        if events & kernel.STARVED:
             self._starve()
-        if source == TAIL and not self._on_tail:
+        if source == kernel.TAIL and not self._on_tail:
             current = self._current
             self._empty()
             self._current, self._on_tail = current, True
-        if events & WAITED and self._follows:
+        if events & kernel.WAITED and self._follows:
             self.state = self.state.after(Event.FILL)
             self._passing = True
-        elif events & (ENDED | WAITED):
-            self._rest(bool(events & ENDED))
-        if events & ASTRAY and self.state.leaves_plan:
+        elif events & (kernel.ENDED | kernel.WAITED):
+            self._rest(bool(events & kernel.ENDED))
+        if events & kernel.ASTRAY and self.state.leaves_plan:
             self._rest(on_tail=True)
-        elif events & ASTRAY:
+        elif events & kernel.ASTRAY:
             text = f'line {self._line}: {self.spindle.cause(self.axes.machine.axis_names)}'
             self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, text)
-        self._follows = source == FOLLOW
-        if events & (REFUSED | FAILED):
+        self._follows = source == kernel.FOLLOW
+        if events & (kernel.REFUSED | kernel.FAILED):
             self._fail(records)
         if self._follows:
             self._measure_followed(records)
-        elif source == REST or self.state.resting:
+        elif source == kernel.REST or self.state.resting:
             self._measure(None, records)
         else:
             first = int(records.row[0])
             self._row = first + len(records.row) - 1
             number = self.played
             self._play(self._played.part(first, self._row + 1), records)
-            if events & PROBED:
+            if events & kernel.PROBED:
                 self._see_answer(number)
 
     def _find(self, serial: int) -> None:
@@ -698,7 +680,7 @@ class Playback:
     def _fail(self, records: Records) -> None:
         """Go to FAULT: the cycle has refused a setpoint, or the drives have."""
         row = int(records.row[0])
-        if int(records.events[0]) & FAILED:
+        if int(records.events[0]) & kernel.FAILED:
             assert isinstance(self.drives, CycleDrives)
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))
             return
@@ -719,10 +701,9 @@ class Playback:
         wanted, answered = records.setpoint, records.answered
         self.feedback = self.axes.measure(wanted, records.position, records.velocity, answered)
         assert self._current is not None
-        block, ramp = int(self._current.rows.samples.block[0]), float(self.spindle.words[RAMP])
-        self.followed.append(
-            Followed(self.run_id, block, self._line, ramp, wanted, records.angle, self._later)
-        )
+        block, ramp = self._current.rows.samples.block[0], float(self.spindle.words[spin.RAMP])
+        line = self.run_id, int(block), self._line, ramp
+        self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
     def _pass_over(self) -> None:
         """Count the setpoints of a line that has followed the spindle as played."""

@@ -32,6 +32,7 @@ from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import SINCE as STAMPED
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.transform_kernels import SIZE, forward
 
@@ -45,10 +46,13 @@ GIVEN: Mapping[int, Mapping[str, Any]] = {
 PROBE = {'radius_mm': 1.5, 'length_mm': 0.0, 'noise_um': 0.0, 'delay_ms': 0.0}
 COLUMNS = 8  #: Of a surface: kind, place, normal or half sizes, radius or angle.
 #: Words of the memory, as integers: the step and the memory of the drives, the input, surfaces,
-#: geometry and noise by their addresses, and their numbers; periods of delay and since a change.
-STEP, MEMORY, INPUT, SURFACES, COUNT, GEOMETRY, EXTRA, NOISE, AT, DELAY, SINCE, WORDS = range(12)
-#: Numbers after them: radius of the ball, and its centre beyond the tip of the machine file [m].
-RADIUS, BEYOND, SIZE_OF_MEMORY = WORDS, WORDS + 1, WORDS + 2
+#: geometry and noise by their addresses, and their numbers; periods of delay and since a change;
+#: the address of the input of the time stamp, or 0.
+STEP, MEMORY, INPUT, SURFACES, COUNT, GEOMETRY, EXTRA, NOISE, AT, DELAY, SINCE = range(11)
+STAMP, WORDS = 11, 12
+#: Numbers after them: radius of the ball, and its centre beyond the tip of the machine file [m];
+#: its gap a period before [m], the share of a period since the contact, the period [s].
+RADIUS, BEYOND, GAP, PART, PERIOD, SIZE_OF_MEMORY = range(WORDS, WORDS + 6)
 TOUCHES = 1024  #: Touches after which the noise repeats.
 
 
@@ -94,13 +98,19 @@ def probe_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
         nearest = min(nearest, distance(row, centre))
     noise = carray(pointer(np.uintp(head[NOISE])), (TOUCHES,))[head[AT] % TOUCHES]
     told = carray(pointer(np.uintp(head[INPUT])), (1,))
-    touches = 1.0 if nearest <= numbers[RADIUS] + noise else 0.0
+    gap, before = nearest - numbers[RADIUS] - noise, numbers[GAP]
+    touches, numbers[GAP] = 1.0 if gap <= 0.0 else 0.0, gap
     if touches == told[0]:
         head[SINCE] = 0
     else:
+        if head[SINCE] == 0:
+            numbers[PART] = gap / (gap - before) if gap * before < 0.0 else 0.0
         head[SINCE] += 1
         if head[SINCE] > head[DELAY]:
             told[0], head[SINCE] = touches, 0
+            if head[STAMP]:
+                stamp = carray(pointer(np.uintp(head[STAMP])), (1,))
+                stamp[0] = numbers[PART] * numbers[PERIOD]
             head[AT] += 1
     return int(fault)
 
@@ -125,7 +135,9 @@ class ProbingDrives(SimulatedDrives):
         head[[SURFACES, COUNT]] = self._surfaces.ctypes.data, len(self._surfaces)
         head[GEOMETRY], head[EXTRA] = self._geometry.ctypes.data, len(machine.extra_names)
         head[NOISE], head[DELAY] = self._noise.ctypes.data, round(probe['delay_ms'] / 1e3 / period)
-        radius = probe['radius_mm'] * MM
+        if (stamp := machine.signals.input(STAMPED)) >= 0:
+            head[STAMP] = self.inputs[stamp:].ctypes.data
+        radius, self.memory[PERIOD] = probe['radius_mm'] * MM, period
         self.memory[RADIUS], self.memory[BEYOND] = radius, probe['length_mm'] * MM - radius
         self.step = int(probe_once.address)
 

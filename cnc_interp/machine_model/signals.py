@@ -28,6 +28,7 @@ TOWARD, AWAY = 'G38.2', 'G38.4'
 #: The input of the probe, and the output that is 1 or 2 while the machine watches it: until it is
 #: on, or off. The machine sets it back itself.
 PROBE, ARMED = 'probe', 'probe_armed'
+SINCE = 'probe_since'  #: Input: the time from the last contact to the end of its period [s].
 #: Words that stop, call or return, which are no functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Inputs of reference switches, as home_x.
@@ -35,6 +36,7 @@ NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
 #: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
+NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's'}  #: Inputs that are numbers, and units.
 FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
 SURFACE = ('surface_zero', 'surface_limit', 'surface_speed')
@@ -129,8 +131,11 @@ class Signals:
             return ()
         names = [signal.name for signal in self.outputs]
         found = [names.index(name) if name in names else -1 for name in (SPEED, FORWARD, REVERSE)]
-        angles = [k for k, signal in enumerate(self.inputs) if signal.name == ANGLE]
-        return (*found, angles[0] if angles else -1, self.wired)
+        return (*found, self.input(ANGLE), self.wired)
+
+    def input(self, name: str) -> int:
+        """Return the number of an input; -1 without."""
+        return next((k for k, signal in enumerate(self.inputs) if signal.name == name), -1)
 
     @property
     def probe(self) -> tuple[int, int] | None:
@@ -245,8 +250,8 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
     for name, values in _mapping(given, section).items():
         where, values = f'signals.{section}.{name}', values or {}
         known = {'unit', 'range'} if section == 'outputs' else {'follows', 'after_s'}
-        turns = name == ANGLE and section == 'inputs'
-        known = {'ramp_rpm_per_s'} if turns else known
+        number = section == 'inputs' and name in NUMBERS
+        known = {'ramp_rpm_per_s'} if number else known
         taken = name == OPERATOR or name in STATES
         if not isinstance(values, dict) or set(values) - known or taken:
             raise MachineError(f'may have {" and ".join(sorted(known))}', where)
@@ -255,11 +260,11 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
         if not set(follows) <= set(outputs):
             raise MachineError('must name outputs', f'{where}.follows')
         low, high = _range(values['range'], where) if 'range' in values else (0.0, 1.0)
-        if turns:
+        if number:
             ramp = values.get('ramp_rpm_per_s', inf)
             if not (is_number(ramp) and ramp > 0.0) and ramp is not inf:
                 raise MachineError('must be above 0', f'{where}.ramp_rpm_per_s')
-            yield Signal(name, True, 'rev', -1e12, 1e12, ramp=ramp / 60.0)
+            yield Signal(name, True, NUMBERS[name], -1e12, 1e12, ramp=ramp / 60.0)
             continue
         yield Signal(
             name, 'range' in values, str(values.get('unit', '')), low, high,

@@ -11,6 +11,8 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from test_functions_played import MACHINE, NAMES, Bench
 
 from cnc_interp.core.errors import InterpError, MachineError, ProgramError
+from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import read_yaml
 from cnc_interp.machine.simulated_probe import COLUMNS, ProbingDrives, distance, read_surfaces
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
@@ -262,3 +264,27 @@ def test_the_ball_touches_where_the_tool_leads_it(tmp_path, name):
     settle = 400  # periods until the drives stand
     assert not touches(1e-6, settle) and touches(-1e-6, settle)
     assert not touches(5e-3, settle)
+
+
+@pytest.mark.parametrize('delay', [0, 3])
+def test_a_time_stamp_tells_when_within_its_period_the_ball_has_touched(tmp_path, delay):
+    file = tmp_path / 'part.yaml'
+    file.write_text(
+        f'probe: {{radius_mm: 0, delay_ms: {delay}}}\n'
+        'surfaces: [{plane: [4.0137, 0, 0], normal: [-1, 0, 0]}]'
+    )
+    given = read_yaml(config_directory() / 'signals' / 'milling.yaml')
+    given['inputs']['probe_since'] = None
+    machine = replace(MACHINE, signals=signals({'signals': given}))
+    drives = ProbingDrives(machine, T, np.zeros(3), file)
+    step = ctypes.CFUNCTYPE(*[ctypes.c_int64] * 5)(drives.step)
+    feedback, speed, k = np.zeros(12), 0.02, 0  # 20 um in a period
+    while not drives.inputs[PROBE]:
+        k += 1
+        setpoint = np.array([speed * T * k, 0, 0, speed, 0, 0])
+        step(drives.memory.ctypes.data, setpoint.ctypes.data, feedback.ctypes.data, 3)
+    since = drives.inputs[machine.signals.input('probe_since')]
+    wall = Transform.of(machine).linear(np.array([[4.0137e-3, 0, 0]]), np.zeros((1, 2)))[0, 0]
+    late = speed * 1e-3 * delay
+    assert 0.0 < since < T and abs(feedback[0] - wall - late) > 0.5e-6
+    assert feedback[0] - feedback[3] * since - late == pytest.approx(wall, abs=20e-9)

@@ -37,7 +37,7 @@ def pytest_configure(config):
     tiers.thorough = config.getoption('--all')
     settings.register_profile(  # a busy computer changes no verdict
         'any speed', deadline=None, suppress_health_check=[HealthCheck.too_slow],
-        max_examples=tiers.examples(30, 100),
+        max_examples=tiers.examples(15, 100),
     )  # fmt: skip
     settings.load_profile('any speed')
     if not hasattr(config, 'workerinput'):

@@ -80,14 +80,14 @@ def assert_sound(piece: PlannedPiece, path: AxisPath, limits: Limits) -> None:
     assert abs(piece.law.evaluate(np.array([np.inf]))[0][0] - path.s[-1]) < 1e-12
 
 
-@tried(25, 500)
+@tried(12, 500)
 @given(problems())
 def test_samples_keep_every_limit(problem):
     path, limits, _ = problem
     assert_sound(plan_path(path, limits), path, limits)
 
 
-@tried(15, 250)
+@tried(8, 250)
 @given(problems(), st.integers(8, 200))
 def test_samples_keep_every_limit_in_short_windows(problem, cells):
     """Windows far shorter than a stop: every plan begins in motion, much is driven as planned."""
@@ -154,7 +154,7 @@ def test_going_on_from_a_state_of_motion():
     assert refused[1.0] <= 0.03 * (planned[1.0] + refused[1.0])
 
 
-@tried(15, 250)
+@tried(8, 250)
 @given(
     problems(4),
     st.sampled_from([0, 1, 2, slice(None)]),

@@ -18,7 +18,7 @@ from cnc_interp.proof.plan_files import Stored, read_plan
 from cnc_interp.proof.verify import verify
 
 ROOT = Path(__file__).parents[2]
-MUTANTS = examples(150, 10_000)
+MUTANTS = examples(50, 10_000)
 MACHINE = Machine.load('xyzac')
 SETUP = (
     'work_offsets:\n  G54: {X: 1, Y: 2.5, Z: -3}\ntools:\n  T1: 80.5\n'

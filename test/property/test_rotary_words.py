@@ -54,7 +54,7 @@ def distances(points, start, end):
     return np.linalg.norm(points[:, None] - start - share[..., None] * way, axis=2)
 
 
-@pytest.mark.parametrize('name', few_of(2, MACHINES))
+@pytest.mark.parametrize('name', few_of(6, MACHINES))
 def test_axes_run_on_lines_to_their_words(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)
@@ -81,7 +81,7 @@ def test_axes_run_on_lines_to_their_words(name):
         assert plan.segments.stop.sum() == 1 + reversals.sum()
 
 
-@pytest.mark.parametrize('name', few_of(3, MACHINES))
+@pytest.mark.parametrize('name', few_of(6, MACHINES))
 def test_words_near_the_pole_are_met_with_tool_tips(name):
     machine = Machine.load(name)
     transform = Transform.of(machine)
@@ -201,7 +201,7 @@ def other_branch(transform, q):
     return other
 
 
-@pytest.mark.parametrize(('name', 'tcp'), few_of(3, MACHINES, (False, True)))
+@pytest.mark.parametrize(('name', 'tcp'), few_of(9, MACHINES, (False, True)))
 def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
     """The poses are right at every moment; only axes and words differ."""
     machine, transform, files = planned_words(name, tcp)
@@ -218,7 +218,7 @@ def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
         assert any('rotary word missed' in failure for failure in failures), failures
 
 
-@pytest.mark.parametrize('name', few_of(3, MACHINES))
+@pytest.mark.parametrize('name', few_of(6, MACHINES))
 def test_check_finds_each_axis_beside_its_line(name):
     """With TCP off every axis is compared, also where the others hide it from the tool."""
     machine, _, files = planned_words(name, tcp=False)

@@ -18,7 +18,7 @@ from cnc_interp.client.recorded_run import recorded_run
 from cnc_interp.core.errors import InterpError
 
 HELD = Path(__file__).parent / 'held'
-MUTANTS = examples(20, 5000)
+MUTANTS = examples(10, 5000)
 #: Words that mutations put in: lengths that nothing has, and YAML.
 WORDS = (b'\xff' * 8, b'\xff' * 7 + b'\x7f', b'\0' * 30, b'\0\0\0\x40', b'9' * 400, b': ', b'- *a')
 

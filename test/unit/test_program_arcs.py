@@ -116,7 +116,7 @@ def test_an_arc_with_rotary_motion_keeps_both():
 NUMBERS = st.integers(-50000, 50000).map(lambda n: n / 1000)
 
 
-@settings(max_examples=examples(30, 300))
+@settings(max_examples=examples(15, 300))
 @given(
     start=st.tuples(NUMBERS, NUMBERS),
     end=st.tuples(NUMBERS, NUMBERS),
@@ -148,7 +148,7 @@ def test_any_radius_arc_is_within_its_share_of_the_tolerance(
     assert np.sign(angle) == (1 if code == 'G3' else -1)
 
 
-@settings(max_examples=examples(30, 300))
+@settings(max_examples=examples(15, 300))
 @given(
     radius=st.floats(0.02, 200.0),
     angles=st.tuples(st.floats(0, 6.28), st.floats(-1.0, 1.0)),

@@ -223,7 +223,7 @@ def test_deviations_are_bounds_within_tolerance_by_dense_sampling(blocks):
             assert top_gap <= segments.deviation[i, 1] + 1e-10
 
 
-@settings(max_examples=examples(40, 150))
+@settings(max_examples=examples(15, 150))
 @given(
     turn=st.floats(1.0, 175.9),
     lengths=st.tuples(st.floats(-5.5, -0.5), st.floats(-5.5, -0.5)),

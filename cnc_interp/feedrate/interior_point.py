@@ -144,25 +144,51 @@ def predict(
     return 1.0 / worst, square
 
 
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def _dual_step(
+    predicted: float, step: float, inverse: float, y: float, aim: float, second_order: float
+) -> tuple[float, float]:
+    """Return the step of the dual of one side, and how much of it the dual may take, inverted."""
+    product = -y * predicted * (1.0 + predicted * inverse)
+    dy = ((aim if y > 0.0 else 0.0) - second_order * product - y * step) * inverse - y
+    return dy, (-dy / y if y > 0.0 else 0.0)
+
+
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
     target: float, second_order: float, c0: FloatArray, c1: FloatArray, c2: FloatArray,
     constant: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, x0: FloatArray,
-    x1: FloatArray, x2: FloatArray, sign: float, weight: FloatArray, w: FloatArray, y: FloatArray,
-    dw: FloatArray, dy: FloatArray, primal: FloatArray, adjoint: FloatArray,
+    x1: FloatArray, x2: FloatArray, weight: FloatArray, w0: FloatArray, w1: FloatArray,
+    y0: FloatArray, y1: FloatArray, dw0: FloatArray, dw1: FloatArray, dy0: FloatArray,
+    dy1: FloatArray, primal: FloatArray, adjoint: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the steps of one side of the rows: sign g <= 1; p, x are terms after both steps."""
+    """Write the steps of the rows of one axis and place; p, x are terms after both steps."""
     for j in range(len(c0)):
-        f0, f1, f2 = sign * c0[j], sign * c1[j], sign * c2[j]
-        inverse, there = 1.0 / w[j], 1.0 - w[j] - sign * constant[j]
-        predicted = there - (f0 * p0[j] + f1 * p1[j] + f2 * p2[j])
-        step = there - (f0 * x0[j] + f1 * x1[j] + f2 * x2[j])
-        product = -y[j] * predicted * (1.0 + predicted * inverse)
-        aim = target * weight[j] if y[j] > 0.0 else 0.0
-        next_dual = (aim - second_order * product - y[j] * step) * inverse - y[j]
-        primal[j] = max(primal[j], -step * inverse)
-        adjoint[j] = max(adjoint[j], -next_dual / y[j] if y[j] > 0.0 else 0.0)
-        dw[j], dy[j] = step, next_dual
+        f0, f1, f2 = c0[j], c1[j], c2[j]
+        g_p, g_x = f0 * p0[j] + f1 * p1[j] + f2 * p2[j], f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
+        i0, i1, aim = 1.0 / w0[j], 1.0 / w1[j], target * weight[j]
+        t0, t1 = 1.0 - w0[j] - constant[j], 1.0 - w1[j] + constant[j]
+        dy0[j], a0 = _dual_step(t0 - g_p, t0 - g_x, i0, y0[j], aim, second_order)
+        dy1[j], a1 = _dual_step(t1 + g_p, t1 + g_x, i1, y1[j], aim, second_order)
+        dw0[j], dw1[j] = t0 - g_x, t1 + g_x
+        primal[j] = max(primal[j], max(-(t0 - g_x) * i0, -(t1 + g_x) * i1))
+        adjoint[j] = max(adjoint[j], max(a0, a1))
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+def _step_cap(
+    target: float, second_order: float, cap: FloatArray, p: FloatArray, x: FloatArray,
+    weight: FloatArray, w: FloatArray, y: FloatArray, dw: FloatArray, dy: FloatArray,
+    primal: FloatArray, adjoint: FloatArray,
+) -> None:  # fmt: skip
+    for j in range(len(cap)):
+        inverse, there = 1.0 / w[j], 1.0 - w[j]
+        step = there - cap[j] * x[j]
+        dy[j], most = _dual_step(
+            there - cap[j] * p[j], step, inverse, y[j], target * weight[j], second_order
+        )
+        dw[j], primal[j] = step, max(primal[j], -step * inverse)
+        adjoint[j] = max(adjoint[j], most)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -187,23 +213,21 @@ def advance(
         for q in range(places):
             p, x = term_rows(predicted, q, lo, hi), term_rows(reached, q, lo, hi)
             for k in range(n_axes):
-                c0, c1 = rows[k, 3 * q, here], rows[k, 3 * q + 1, here]
-                c2, constant = rows[k, 3 * q + 2, here], constant_of(rows, k, q, lo, hi, zero)
-                for side in range(2):
-                    r = 2 * (places * k + q) + side
-                    _step_rows(
-                        target, second_order, c0, c1, c2, constant, *p, *x, 1.0 - 2.0 * side,
-                        weight[here], slack[r, here], dual[r, here],
-                        change[r, here], next_dual[r, here], f[0], f[1],
-                    )  # fmt: skip
+                c, r = 3 * q, 2 * (places * k + q)
+                _step_rows(
+                    target, second_order, rows[k, c, here], rows[k, c + 1, here],
+                    rows[k, c + 2, here], constant_of(rows, k, q, lo, hi, zero), *p, *x,
+                    weight[here], slack[r, here], slack[r + 1, here], dual[r, here],
+                    dual[r + 1, here], change[r, here], change[r + 1, here],
+                    next_dual[r, here], next_dual[r + 1, here], f[0], f[1],
+                )  # fmt: skip
         for which in range(2):
-            r, cap = 2 * places * n_axes + which, inverse_caps[which, here]
-            p0 = m_predicted[here] if which == 0 else predicted[4, here]
-            x0 = m_reached[here] if which == 0 else reached[4, here]
-            _step_rows(
-                target, second_order, cap, zero, zero, zero, p0, zero, zero, x0, zero, zero, 1.0,
-                weight[here], slack[r, here], dual[r, here],
-                change[r, here], next_dual[r, here], f[0], f[1],
+            r = 2 * places * n_axes + which
+            _step_cap(
+                target, second_order, inverse_caps[which, here],
+                m_predicted[here] if which == 0 else predicted[4, here],
+                m_reached[here] if which == 0 else reached[4, here], weight[here],
+                slack[r, here], dual[r, here], change[r, here], next_dual[r, here], f[0], f[1],
             )  # fmt: skip
         for j in range(hi - lo):
             primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])

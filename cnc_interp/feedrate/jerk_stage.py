@@ -90,6 +90,8 @@ def without_braking(
 ) -> BoolArray:
     """Find the cells of a law in which braking is not possible for long."""
     found, part = np.zeros((2, len(duration)), dtype=bool), _braking_left(jet, v, a, table)
+    if part.min() >= LEAST:
+        return found
     time = np.concatenate([[0.0], np.cumsum(duration)])
     for row in np.flatnonzero(part.min(axis=1) < LEAST) if time[-1] >= LASTING else ():
         left = part[row]

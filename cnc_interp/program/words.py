@@ -50,6 +50,8 @@ _GROUP_BEFORE = re.compile(
     r'(?:CYCLE|HOLES|SLOT|POCKET|LONGHOLE)\d*)\s+))$'
 )
 
+_NAMED = re.compile(r'#<[^<>]*>\s*$')  # > ends a name here, and compares nothing
+
 
 @dataclass
 class BlockWords:
@@ -84,7 +86,8 @@ def without_comments(line: str, fault: Fault) -> str:
         elif not quoted and sign == ';':
             break
         elif not quoted and sign == '(':
-            if not depth and not _GROUP_BEFORE.search(line[max(0, at - 80) : at]):
+            before = line[max(0, at - 80) : at]
+            if not depth and (_NAMED.search(before) or not _GROUP_BEFORE.search(before)):
                 at = _end_of_comment(line, at, fault)
                 kept.append(' ')
                 continue

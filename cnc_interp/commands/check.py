@@ -45,8 +45,8 @@ def check_command(options: Namespace) -> int:
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.beside import with_beside
     from cnc_interp.proof.plan_files import read_plan
-    from cnc_interp.proof.program_again import compare_with_text
-    from cnc_interp.proof.verdict import given_of, with_program
+    from cnc_interp.proof.program_again import compare_with_text, with_program
+    from cnc_interp.proof.verdict import given_of
     from cnc_interp.proof.verify import verify
 
     proofs = []

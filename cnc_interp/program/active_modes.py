@@ -21,13 +21,13 @@ MOST_STATES, MOST_CHANGES = 10_000, 1_000_000
 @dataclass(frozen=True)
 class ActiveModes:
     codes: tuple[str, ...]  #: The active code of each modal group, such as G1, G17, G21, G90.
-    feedrate: float  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
-    duration: float  #: Duration of a block with G93 [s]; NaN where none is set.
-    spindle_speed: float  #: Programmed spindle speed [rev/min].
-    tool: int  #: Number of the active tool; 0 where none is chosen.
     #: Tolerances [m].
     contour_tolerance: float
     orientation_tolerance: float
+    spindle_speed: float = 0.0  #: Programmed spindle speed [rev/min].
+    tool: int = 0  #: Number of the active tool; 0 where none is chosen.
+    feedrate: float = nan  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
+    duration: float = nan  #: Duration of a block with G93 [s]; NaN where none is set.
 
     def moving(self, motion: float, feed: float) -> ActiveModes:
         codes = self.codes if motion == NONE else (f'G{motion:.0f}', *self.codes)
@@ -36,12 +36,6 @@ class ActiveModes:
         if 'G93' in codes:
             return replace(self, codes=codes, duration=MINUTE / feed)
         return replace(self, codes=codes, feedrate=feed * (MINUTE if 'G95' in codes else 1.0))
-
-
-def modes_without_motion(
-    codes: tuple[str, ...], contour: float, orientation: float, spindle: float = 0.0, tool: int = 0
-) -> ActiveModes:
-    return ActiveModes(codes, nan, nan, spindle, tool, contour, orientation)
 
 
 class ModesOfBlocks:

@@ -65,16 +65,7 @@ class Blocks(Table):
     def of_poses(
         tip: FloatArray, axis: FloatArray, feedrate: float, tolerance: float = 0.02 * MM
     ) -> Blocks:
-        """Make linear blocks of poses, the first one being the start.
-
-        Parameters
-        ----------
-        tip, axis : FloatArray
-            (N, 3): tool tips [m] and unit tool axes, in the frame of the workpiece.
-        feedrate, tolerance : float
-            Speed of the tip [m/s]; tolerance of contour and orientation [m].
-
-        """
+        """Make linear blocks of tips and tool axes in W, (N, 3) [m, -], the start pose first."""
         n = len(tip)
         return Blocks(
             tip=tip, axis=axis, rotary=np.full((n, 2), nan), feedrate=np.full(n, feedrate),

@@ -14,7 +14,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
-from cnc_interp.program.active_modes import NONE, modes_without_motion
+from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_words import IDENTITY, ClFrames, moves, system_of
 from cnc_interp.program.cycles import RAPID, Hole
@@ -219,9 +219,7 @@ class ClReader:
     def _state(self, rapid: bool) -> tuple[float, float, float]:
         unit = 'UNITS/MM' if self.unit == MM else 'UNITS/INCHES'
         words = (*(['RAPID'] if rapid else []), unit, *self._outputs.values())
-        number = self.targets.modes.number(
-            words, lambda: modes_without_motion(words, *self._tolerances)
-        )
+        number = self.targets.modes.number(words, lambda: ActiveModes(words, *self._tolerances))
         return number, NONE, NONE if self.feedrate is None else self.feedrate
 
     def _unit_vector(self, numbers: list[float], word: str) -> tuple[float, float, float]:

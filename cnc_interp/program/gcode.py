@@ -19,7 +19,6 @@ from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
 from cnc_interp.program.cycles import TAPPING, CannedCycle, SiemensCycle
-from cnc_interp.program.dialect_words import NamedWords
 from cnc_interp.program.expressions import UNSET, ExpressionError, ProgramVariables
 from cnc_interp.program.flow import Flow
 from cnc_interp.program.functions import Acting, acting
@@ -77,9 +76,8 @@ class GcodeReader:
         self.waits_at_probes = False  # so that what follows is read with its answer
         self.probe: Probe | None = None  # that is waited for
         self._in_flow = False  # whether a refusal leaves it open which line is the next
-        self._modes = Modes(self.mover)
         self._plane = TiltedPlane(self.mover)
-        self._named = NamedWords(self.mover, self._modes, self._plane, self.variables)
+        self._modes = Modes(self.mover, self._plane, self.variables)
 
     @property
     def used(self) -> set[str]:
@@ -278,7 +276,7 @@ class GcodeReader:
             values.pop(letter, None)
         words.g += probing.measuring(words)
         drilling = self._siemens_cycle(words)
-        self._named.execute(words)
+        self._modes.execute_named(words)
         changes = 'M6' in words.m or 'M61' in words.m
         if 'M61' in words.m and 'Q' not in values:
             raise self.fault('give the number of the tool as Q', 'M61')

@@ -14,7 +14,7 @@ from cnc_interp.core.units import DEG, INCH, MINUTE, MM
 from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes
-from cnc_interp.program.active_modes import NONE, ActiveModes, modes_without_motion
+from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.contact_normal import ContactPath
 from cnc_interp.program.control_profiles import LINUXCNC, PLAIN
 from cnc_interp.program.flow import Flow
@@ -196,9 +196,7 @@ class ModalState:
             *outputs.values(),
         )  # fmt: skip
         codes = tuple(code for code in found if code)
-        return modes_without_motion(
-            codes, self.contour, self.orientation, self.spindle_speed, tool
-        )
+        return ActiveModes(codes, self.contour, self.orientation, self.spindle_speed, tool)
 
     @property
     def feed_word(self) -> float:

@@ -32,12 +32,9 @@ FARTHEST = 1000  #: At most so many motions before one near the pole are joined 
 class Moves:
     """Motions between consecutive targets, which can be evaluated at any parameter.
 
-    ``interpolation`` (n,): what runs linearly in each motion, as in ``Blocks``; ``undecided``:
-    number of last motions whose ``interpolation`` depends on the next ones; ``beside`` (n,):
-    motions of axes in which extra axes move and rotary axes do not; ``rests`` (n,): words turn the
-    rotary axes about a resting tip; ``beside_arcs`` (n,): motions with the tolerance of an arc:
-    arcs and short lines beside them, because a curve of dense programs ends where the tolerance
-    changes.
+    ``interpolation`` (n,): as in ``Blocks``; of the ``undecided`` last ones it depends on the next
+    motions; ``beside`` (n,): extra axes move and rotary axes do not; ``rests`` (n,): words turn
+    the rotary axes about a resting tip; ``beside_arcs`` (n,): arcs, and short lines beside them.
     """
 
     def __init__(

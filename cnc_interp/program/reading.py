@@ -36,9 +36,7 @@ class Program:
 class ProgramStream:
     """A part program that is read while its blocks are taken, whatever its length.
 
-    Iteration yields batches of blocks; the first row of all is the start pose. Without ``setup``
-    the file that the settings name is read. Raises ProgramError for that file, and during
-    iteration.
+    Iteration yields batches of blocks, the start pose first, or raises ProgramError.
     """
 
     def __init__(
@@ -155,20 +153,10 @@ def read_program(
     path: Path, geometry: Transform, settings: Settings | None = None,
     setup: JobSetup | None = None,
 ) -> Program:  # fmt: skip
-    """Read a whole part program; its words tell the dialect.
+    """Read a whole part program, or raise ProgramError with file and line of refused words.
 
-    Parameters
-    ----------
-    settings : Settings, optional
-        ``feedrate`` and tolerances count where the program has none.
-    setup : JobSetup, optional
-        Work offsets and tools; by default those of the file that the settings name.
-
-    Raises
-    ------
-    ProgramError
-        A word is refused; the message names file and line.
-
+    Feedrate and tolerances of the settings count where the program has none. Without ``setup`` the
+    file that the settings name is read.
     """
     return open_program(path, geometry, settings or Settings(), setup).read()
 

@@ -170,13 +170,8 @@ def touch_off_changes(
 ) -> list[SetupChange]:
     """Return the change of a work offset after which coordinates read given values here.
 
-        machine = work offset + Rz (value + G92) + length of the tool in the spindle (Z)
-
-    Rz is the rotation of the work offset about Z. Where it is not 0, the zeros of X and Y both
-    change, so that the other coordinate reads what it did.
-
     ``values``: what they shall read; ``machine``: where the axes stand; ``zero``: workpiece zero
-    of the machine file [m, rad]. Raises InterpError if it is not possible.
+    of the machine file [m, rad]. In a rotated offset the zeros of X and Y both change.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')

@@ -19,8 +19,6 @@ from cnc_interp.program.motion import Mover
 from cnc_interp.program.target_row import NO_ARC
 from cnc_interp.program.words import BlockWords
 
-Point = tuple[float, float, float]
-
 #: Names of words for curves and second points; they are written with an equals sign.
 _SECOND = ('XH', 'YH', 'ZH')
 CURVE_WORDS = frozenset((*_SECOND, 'PL', 'SD', 'PW'))
@@ -28,124 +26,92 @@ _SHORTEST_TOOL = 1e-6  #: Smallest distance between tip and second point [m].
 #: Largest difference between the start of a curve and the tool: tip [m] and tool axis [-].
 _SAME, _SAME_AXIS = 1e-9, 1e-6
 _LEAST_POINTS = 4
+NO_SECOND = 'give XH YH ZH, all three at first, as a point above X Y Z'
 #: A knot that is repeated this often makes the curve pass through a control point.
 _MOST_REPEATED = 3
-
-
-def tool_vector(tip: Point, second: Point) -> Point:
-    """Return the unit vector from the tip to the second point; NaN if they are too close."""
-    x, y, z = (b - a for a, b in zip(tip, second, strict=True))
-    length = sqrt(x * x + y * y + z * z)
-    if not (isfinite(length) and length > _SHORTEST_TOOL):
-        return nan, nan, nan
-    return x / length, y / length, z / length
 
 
 class ProgrammedCurve:
     """The control points of one curve; ``height``: of second points that are not named [m]."""
 
-    def __init__(self, tip: Point, axis: Point, second: Point | None, height: float, source: str):
+    def __init__(
+        self, tip: FloatArray, axis: FloatArray, second: FloatArray | None, height: float,
+        source: str,
+    ):  # fmt: skip
         self._tip, self._axis, self._height, self._source = tip, axis, height, source
-        self.second = second
-        self._first_second = second
+        self._second = self._first_second = second
         self._named: bool | None = None  # whether the program names second points
         self._rows: list[tuple[float, ...]] = []
 
     def add(
-        self, tip: Point, second: Point | None, interval: float,
-        speed_and_tolerances: tuple[float, float, float], line_number: int,
+        self, tip: FloatArray, second: FloatArray | None, interval: float,
+        speed_and_tolerances: tuple[float, float, float], line: int,
     ) -> None:  # fmt: skip
         """Add a control point and second point [m]; speed and tolerances are in [m/s] and [m]."""
-        named = second is not None
         if self._named is None:
-            self._named = named
-        elif named and not self._named:
-            raise self._fault(
-                line_number, 'XH YH ZH must stand in the first block of a spline, or in none'
-            )
+            self._named = second is not None
+        elif second is not None and not self._named:
+            raise self._fault(line, 'XH YH ZH must stand in the first block of a spline, or in '
+                              'none')  # fmt: skip
         if not self._named:
-            second = _along(tip, self._axis, self._height)
-        second = second or self.second
+            second = tip + self._height * self._axis
+        second = self._second if second is None else second
         assert second is not None
-        axis = tool_vector(tip, second)
-        if not isfinite(axis[0]):
-            raise self._fault(
-                line_number, 'give XH YH ZH, all three at first, as a point above X Y Z'
-            )
-        self.second = second
-        if not self._rows and _apart(tip, self._tip) <= _SAME:
+        length = _length(second - tip)
+        if not (isfinite(length) and length > _SHORTEST_TOOL):
+            raise self._fault(line, NO_SECOND)
+        self._second = second
+        if not self._rows and _length(tip - self._tip) <= _SAME:
             # A program may write the first control point as a block of its own.
-            if _apart(axis, self._axis) > _SAME_AXIS:
-                raise self._fault(
-                    line_number,
-                    'the tool axis at the start of the spline differs from that of the tool; '
-                    'turn the tool before BSPLINE',
-                )
+            if _length((second - tip) / length - self._axis) > _SAME_AXIS:
+                raise self._fault(line, 'the tool axis at the start of the spline differs from '
+                                  'that of the tool; turn the tool before BSPLINE')  # fmt: skip
             self._first_second = second
             return
         if not self._rows and interval == 0.0:
-            raise self._fault(
-                line_number,
-                'PL of the first interval must be greater than 0; the two zeros that close a '
-                'spline belong to its last two blocks',
-            )
-        self._rows.append((*tip, *second, interval, *speed_and_tolerances, line_number))
+            raise self._fault(line, 'PL of the first interval must be greater than 0; the two '
+                              'zeros that close a spline belong to its last two '
+                              'blocks')  # fmt: skip
+        self._rows.append((*tip, *second, interval, *speed_and_tolerances, line))
 
     def _fault(self, line: float, message: str) -> ProgramError:
         return ProgramError(message, self._source, int(line))
 
-    def blocks(self, line_number: int) -> Blocks | None:
+    def blocks(self, line: int) -> Blocks | None:
         count = len(self._rows) + 1
         if count == 1:
             return None
         if count < _LEAST_POINTS:
-            raise self._fault(
-                line_number, f'a cubic B-spline needs at least {_LEAST_POINTS} control points, '
-                f'the start included; this one has {count}: add control points',
-            )  # fmt: skip
+            raise self._fault(line, f'a cubic B-spline needs at least {_LEAST_POINTS} control '
+                              f'points, the start included; this one has {count}: add control '
+                              'points')  # fmt: skip
         table = np.array([self._rows[0], *self._rows])
         length = sqrt(float(((table[1, 3:6] - table[1, 0:3]) ** 2).sum()))
         if self._first_second is not None:
-            length = _apart(self._tip, self._first_second)
-        table[0, 0:3], table[0, 3:6] = self._tip, _along(self._tip, self._axis, length)
+            length = _length(self._first_second - self._tip)
+        table[0, 0:3], table[0, 3:6] = self._tip, self._tip + length * self._axis
         table[0, 6] = table[-2, 6] = table[-1, 6] = 0.0
         intervals = np.flatnonzero(table[:, 6])
         torn = np.flatnonzero(np.diff(intervals) > _MOST_REPEATED)
         if len(torn):
-            raise self._fault(
-                table[intervals[torn[0] + 1], 10], 'three or more knot intervals (PL) of 0 in a '
-                'row interrupt the spline; end it there and begin another one',
-            )  # fmt: skip
+            line = table[intervals[torn[0] + 1], 10]
+            raise self._fault(line, 'three or more knot intervals (PL) of 0 in a row interrupt '
+                              'the spline; end it there and begin another one')  # fmt: skip
         if intervals[-1] != len(table) - 3:
-            raise self._fault(
-                table[-3, 10], 'the knot interval (PL) two blocks before the end of a spline must '
-                'be greater than 0',
-            )  # fmt: skip
+            raise self._fault(table[-3, 10], 'the knot interval (PL) two blocks before the end of '
+                              'a spline must be greater than 0')  # fmt: skip
         tool = table[:, 3:6] - table[:, 0:3]
-        n = len(table)
-        return Blocks(
-            tip=table[:, 0:3].copy(),
-            axis=tool / np.sqrt((tool**2).sum(axis=1))[:, None],
-            rotary=np.full((n, 2), np.nan),
-            feedrate=table[:, 7].copy(),
-            duration=np.full(n, np.nan),
-            rapid=np.zeros(n, dtype=np.bool_),
-            exact_stop=np.zeros(n, dtype=np.bool_),
-            contour_tolerance=table[:, 8].copy(),
-            orientation_tolerance=table[:, 9].copy(),
-            line_number=table[:, 10].astype(np.int64),
-            top=table[:, 3:6].copy(),
+        axis = tool / np.sqrt((tool**2).sum(axis=1))[:, None]
+        return replace(
+            Blocks.of_poses(table[:, 0:3].copy(), axis, 1.0), feedrate=table[:, 7].copy(),
+            contour_tolerance=table[:, 8].copy(), orientation_tolerance=table[:, 9].copy(),
+            line_number=table[:, 10].astype(np.int64), top=table[:, 3:6].copy(),
             knot_interval=table[:, 6].copy(),
-        )
+        )  # fmt: skip
 
 
-def _apart(a: Point, b: Point) -> float:
-    return sqrt(sum((y - x) ** 2 for x, y in zip(a, b, strict=True)))
-
-
-def _along(tip: Point, axis: Point, length: float) -> Point:
-    x, y, z = (p + length * o for p, o in zip(tip, axis, strict=True))
-    return x, y, z
+def _length(way: FloatArray) -> float:
+    return sqrt(sum(x**2 for x in way.tolist()))
 
 
 class Splines:
@@ -178,12 +144,11 @@ class Splines:
             raise mover.fault(
                 'a spline with a tool length; put it into the machine file', 'BSPLINE'
             )
-        second = None if self._second is None else _point(mover.frames.point(self._second))
-        self._changed = None
+        second = None if self._second is None else mover.frames.point(self._second)
+        self._changed, height = None, mover.settings.flank_height
         self._curve = ProgrammedCurve(
-            _point(mover.point), _point(mover.tool_axis), second, mover.settings.flank_height,
-            mover.flow.main.name,
-        )  # fmt: skip
+            mover.point, mover.tool_axis, second, height, mover.flow.main.name
+        )
 
     def take(self, words: BlockWords, feed_given: bool) -> bool:
         mover = self._mover
@@ -205,7 +170,7 @@ class Splines:
         second = self._second_point(given)
         rate, _, _ = mover.feed(feed_given)
         self._curve.add(
-            _point(point), None if second is None else _point(mover.frames.point(second)),
+            point, None if second is None else mover.frames.point(second),
             given.get('PL', 1.0), (rate, mover.contour, mover.orientation), mover.flow.main_line,
         )  # fmt: skip
         mover.point, self._passes = point, mover.targets.start.passes
@@ -275,10 +240,5 @@ class Splines:
             return
         tip = mover.target(replace(words, values=dict(words.values)))[:3]
         if not np.isfinite(second).all():
-            raise mover.fault('give XH YH ZH, all three at first, as a point above X Y Z')
+            raise mover.fault(NO_SECOND)
         words.sets += zip(('A3', 'B3', 'C3'), (second - tip).tolist(), strict=True)
-
-
-def _point(values: FloatArray) -> Point:
-    x, y, z = values.tolist()
-    return x, y, z

@@ -47,11 +47,9 @@ def piece_counts(
 ) -> IntArray:  # fmt: skip
     """Return how many equal pieces, (n,), keep curved motion near chords and great circles.
 
-    ``poses``: function of block indices and parameters in [0, 1], (m,), to tips [m] and unit tool
-    axes; ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``,
-    ``allowed_top`` (n,): largest distance from the chord of the tip and of the point at flank
-    height [m]. The second also bounds the turn of the axis times the height. A piece turns below
-    90 deg. A count above ``MOST_PIECES`` is only a lower bound.
+    ``poses``: from block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
+    ``turned`` (n,): turn of the rotary axes or of the arc [rad]; ``allowed_tip``, ``allowed_top``
+    (n,): largest distance from the chord [m]. A count above ``MOST_PIECES`` is a lower bound.
     """
     fewest = np.maximum(np.ceil(turned / _LARGEST_SWEEP), 1.0)
     trial = np.maximum(np.ceil(turned / _TRIAL_SWEEP), 1.0)

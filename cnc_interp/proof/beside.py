@@ -58,8 +58,8 @@ def with_beside(
 
 
 def with_tool_error(proof: Proof, plan: PlanFiles, machine: Machine) -> Proof:
-    told = plan.summary.get('settings')
-    if not isinstance(told, dict) or told.get('tool_error') is None:
+    told = plan.settings
+    if told.get('tool_error') is None:
         return proof
     name, limit, height = told.get('compensation'), told['tool_error'], plan.flank_height
     model = compensated_model(name, machine) if name else None

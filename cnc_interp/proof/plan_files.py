@@ -53,13 +53,7 @@ FUNCTION_COLUMNS = {
 #: Files that only some plans have: what the program switches, and lines in step with the spindle.
 SELDOM = {
     'functions': FUNCTION_COLUMNS,
-    'followed': {
-        'block': WHOLE,
-        'ramp': REAL,
-        'later': WHOLE,
-        'angle': REAL,
-        'position': AXES,
-    },
+    'followed': {'block': WHOLE, 'ramp': REAL, 'later': WHOLE, 'angle': REAL, 'position': AXES},
 }
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
@@ -185,6 +179,11 @@ class PlanFiles:
         return replace(self, setpoints=columns)
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        told = self.summary.get('settings')
+        return told if isinstance(told, dict) else {}
+
+    @property
     def starts_inside(self) -> bool:
         """Tell whether the run started inside the program; row 0 is the end of the row before."""
         return bool(self.summary.get('start'))
@@ -225,9 +224,8 @@ def read_plan(directory: Path) -> PlanFiles:
     path = _read_columns(directory / 'path.npz', PATH_COLUMNS)
     blocks = _read_columns(directory / 'blocks.npz', BLOCK_COLUMNS)
     if setpoints['position'].shape[1] != path['q'].shape[1]:
-        raise InterpError(
-            f'{directory}: setpoints.npz and path.npz have different numbers of axes; plan again'
-        )
+        text = 'setpoints.npz and path.npz have different numbers of axes'
+        raise _unsound(directory, text)
     if len(setpoints['position']) < 2 or len(path['s']) < 2 or len(blocks['tip']) < 2:
         raise InterpError(f'{directory}: the plan contains no motion; plan another program')
     cells = (4, len(path['s']) - 1, path['q'].shape[1])
@@ -235,10 +233,8 @@ def read_plan(directory: Path) -> PlanFiles:
         found = path.get(name, np.zeros(0))
         real = found.dtype.kind == 'f' and found.shape == cells
         if not real or not all(np.isfinite(found[:, a:b]).all() for a, b in spans(cells[1])):
-            raise InterpError(
-                f'{directory / "path.npz"}: column {name} has shape {found.shape} of '
-                f'{found.dtype}, expected {cells} of finite float64; plan again'
-            )
+            text = f'column {name} has shape {found.shape} of {found.dtype}, expected {cells} of'
+            raise _unsound(directory / 'path.npz', f'{text} finite float64')
     for name, columns in (('setpoints.npz', setpoints), ('path.npz', path)):
         rows = columns['block']
         ends = [(rows[a:b].min(), rows[a:b].max()) for a, b in spans(len(rows))]
@@ -248,9 +244,8 @@ def read_plan(directory: Path) -> PlanFiles:
                 f'{directory / name}: block runs from {least} to {most}, but '
                 f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
             )
-    fault = _nonsense(blocks)
-    if fault:
-        raise InterpError(f'{directory / "blocks.npz"}: {fault}; plan again')
+    if fault := _nonsense(blocks):
+        raise _unsound(directory / 'blocks.npz', fault)
     plan = PlanFiles(setpoints, path, blocks, summary)
     seldom = {
         name: _read_columns(file, columns)
@@ -258,6 +253,10 @@ def read_plan(directory: Path) -> PlanFiles:
         if (file := directory / f'{name}.npz').exists()
     }
     return replace(plan, **seldom)
+
+
+def _unsound(file: Path, text: str) -> InterpError:
+    return InterpError(f'{file}: {text}; plan again')
 
 
 def _nonsense(blocks: Columns) -> str:
@@ -302,7 +301,7 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
     try:
         summary = read_json(file)
     except (OSError, UnreadableError) as fault:
-        raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
+        raise _unsound(file, f'cannot be read ({_reason(fault)})') from fault
     for key in ('interpolation_period', 'flank_height'):
         value = summary.get(key) if isinstance(summary, dict) else None
         if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
@@ -323,17 +322,17 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
             wanted = {*declared, *(PATH_CELLS if 'q' in declared else ())}
             unknown = sorted(set(archive.files) - wanted)
             if unknown:
-                raise InterpError(f'{file}: nothing is known of column {unknown[0]!r}; plan again')
+                raise _unsound(file, f'nothing is known of column {unknown[0]!r}')
             whole = declared in (BLOCK_COLUMNS, *SELDOM.values())
             stored = {} if whole else _stored(file)
             columns = {
                 name: stored[name] if name in stored else archive[name] for name in archive.files
             }
     except READING_FAULTS as fault:
-        raise InterpError(f'{file}: cannot be read ({_reason(fault)}); plan again') from fault
+        raise _unsound(file, f'cannot be read ({_reason(fault)})') from fault
     missing = [n for n, of in declared.items() if of.default is None and n not in columns]
     if missing:
-        raise InterpError(f'{file}: column {missing[0]} is missing; plan again')
+        raise _unsound(file, f'column {missing[0]} is missing')
     first = columns[next(iter(declared))]
     rows = len(first) if first.ndim else 1
     for name, of in declared.items():
@@ -341,15 +340,11 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
             columns[name] = of.filled(rows)
         column = columns[name]
         if not of.fits(column.shape, rows):
-            raise InterpError(
-                f'{file}: column {name} has shape {column.shape}, expected '
-                f'{of.shape_text(rows)}; plan again'
-            )
+            text = f'column {name} has shape {column.shape}, expected {of.shape_text(rows)}'
+            raise _unsound(file, text)
         kinds = {np.int64: 'iu', np.bool_: 'b'}.get(of.kind, 'iuf')
         if column.dtype.kind not in kinds:
-            raise InterpError(
-                f'{file}: column {name} holds {column.dtype}, which it cannot; plan again'
-            )
+            raise _unsound(file, f'column {name} holds {column.dtype}, which it cannot')
         for begin, end in spans(rows):
             values = column[begin:end]
             if name in MAY_BE_INFINITE:
@@ -359,7 +354,7 @@ def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:
                 bad = np.isinf(values) if missing_allowed else ~np.isfinite(values)
             if bad.any():
                 row = begin + int(np.argwhere(bad)[0][0])
-                raise InterpError(f'{file}: column {name} is not finite in row {row}; plan again')
+                raise _unsound(file, f'column {name} is not finite in row {row}')
         if not isinstance(column, Stored) or column.dtype != of.kind:
             columns[name] = np.asarray(column).astype(of.kind, copy=False)
     return columns

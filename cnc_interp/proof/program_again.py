@@ -25,6 +25,7 @@ from cnc_interp.proof.linuxcnc_reader import (
 )
 from cnc_interp.proof.plain_reader import ReadMove, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
+from cnc_interp.proof.verdict import Proof
 
 # Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
@@ -48,39 +49,39 @@ class Agreement:
     readers: str = ''  #: Who has read the text, and who has not, and why.
 
 
+def with_program(proof: Proof, found: Agreement) -> Proof:
+    said = 'agree with' if not found.faults else 'were compared with'
+    line = f'program text   {found.motions} motions, {found.arcs} arcs {said} the blocks'
+    line += f'; {found.readers}'
+    return replace(proof, failures=(*proof.failures, *found.faults), program=line)
+
+
 def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agreement:
     """Compare rows with the program read by other readers; InterpError if none knows all words."""
-    settings = plan.summary.get('settings')
-    settings = settings if isinstance(settings, dict) else {}
-    if settings.get('rotary_sense') == 'shortest':
-        raise InterpError(
-            f'{program}: planned with --rotary-sense shortest, which no second reader knows; this '
-            'program cannot be compared'
-        )
+    settings = plan.settings
+
+    def demand(holds: bool, why_not: str) -> None:
+        if not holds:
+            raise InterpError(f'{program}: {why_not}')
+
+    unknown = 'which no second reader knows; this program cannot be compared'
+    shortest = settings.get('rotary_sense') == 'shortest'
+    demand(not shortest, f'planned with --rotary-sense shortest, {unknown}')
     for name, usual in (('arc_centres', 'start'), ('units', 'mm'), ('numbers', 'units')):
         choice = settings.get(name, 'auto')
         choice = machine.control.get(name, usual) if choice == 'auto' else choice
-        if choice != usual:
-            raise InterpError(
-                f'{program}: planned with {name} {choice}, which no second reader knows; this '
-                'program cannot be compared'
-            )
-    if plan.starts_inside:
-        raise InterpError(
-            f'{program}: the plan starts inside the program; compare a plan from its top'
-        )
-    if settings.get('setup') and not plan.summary.get('setup'):
-        raise InterpError(
-            f'{program}: the plan does not tell the values of its setup, so it cannot be compared'
-        )
+        demand(choice == usual, f'planned with {name} {choice}, {unknown}')
+    inside = 'the plan starts inside the program; compare a plan from its top'
+    demand(not plan.starts_inside, inside)
+    told = not settings.get('setup') or bool(plan.summary.get('setup'))
+    demand(told, 'the plan does not tell the values of its setup, so it cannot be compared')
     setup = setup_of(plan.summary.get('setup'), machine)
     try:
         with program.open('rb') as file:
             text = file.read(LONGEST + 1).decode('utf-8-sig', errors='replace')
     except OSError as problem:
         raise ProgramError(f'cannot be opened: {problem.strerror}', str(program)) from None
-    if len(text) > LONGEST:
-        raise InterpError(f'{program}: longer than {LONGEST >> 20} MB; cannot be compared')
+    demand(len(text) <= LONGEST, f'longer than {LONGEST >> 20} MB; cannot be compared')
     feed, skip = settings.get('feedrate'), bool(settings.get('skip_blocks'))
     names = machine.axis_names
     given = (settings.get(f'{name}_tolerance') for name in ('contour', 'orientation'))

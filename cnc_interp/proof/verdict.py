@@ -17,7 +17,6 @@ from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import MM, MS
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.proof.plan_files import Columns, PlanFiles
-from cnc_interp.proof.program_again import Agreement
 
 # Differences of the positions that have limits, and the power of the second in their units.
 DIFFERENCES = (('velocity', ''), ('acceleration', '2'), ('jerk', '3'))
@@ -104,13 +103,6 @@ class Proof:
         elif self.machine_file:
             verdict = f'proven for the machine file {self.machine_file}, which is not bundled'
         return '\n'.join([*lines, *self.failures, verdict])
-
-
-def with_program(proof: Proof, found: Agreement) -> Proof:
-    said = 'agree with' if not found.faults else 'were compared with'
-    line = f'program text   {found.motions} motions, {found.arcs} arcs {said} the blocks'
-    line += f'; {found.readers}'
-    return replace(proof, failures=(*proof.failures, *found.faults), program=line)
 
 
 class Ledger:

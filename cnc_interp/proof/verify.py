@@ -19,8 +19,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.beside import with_tool_error
 from cnc_interp.proof.completeness import prove_completeness
-from cnc_interp.proof.followed import prove_followed
-from cnc_interp.proof.functions import prove_functions
+from cnc_interp.proof.functions import prove_followed, prove_functions
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans, with_override
@@ -250,8 +249,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
 
 
 def longest_block(plan: PlanFiles) -> float:
-    settings = plan.summary.get('settings')
-    length = settings.get('longest_block') if isinstance(settings, dict) else None
+    length = plan.settings.get('longest_block')
     return float(length) if isinstance(length, int | float) else LONGEST_BLOCK
 
 

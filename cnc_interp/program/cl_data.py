@@ -227,9 +227,8 @@ class ClReader:
         what = 'normal' if word == 'CIRCLE' else 'tool axis'
         length = sqrt(i * i + j * j + k * k)
         if not abs(length - 1.0) <= _UNIT_VECTOR:
-            raise self._fault(
-                f'the {what} is not a unit vector, its length is {length:g}; correct i, j, k', word
-            )
+            why = f'is not a unit vector, its length is {length:g}; correct i, j, k'
+            raise self._fault(f'the {what} {why}', word)
         return i / length, j / length, k / length
 
     def _other(self, statement: str) -> None:
@@ -399,9 +398,8 @@ class ClReader:
         rise = float((end - start) @ circle.normal)
         if first:
             if not off <= allowed:
-                raise self._fault(
-                    f'this point is {off / self.unit:.4g} away from its circle; correct it', 'GOTO'
-                )
+                away = f'this point is {off / self.unit:.4g} away'
+                raise self._fault(f'{away} from its circle; correct it', 'GOTO')
             circle.pitch = rise / angle
         elif (
             off > allowed

@@ -128,16 +128,13 @@ class Cursor:
         )  # fmt: skip
         # Brent's search for a cycle: what comes back to a state that it had goes on for ever.
         if control == self._seen[0] and self.variables.stands_as(self._seen[1]):
-            raise self.fault(
-                'this loop does not end, because nothing changes in it; correct its condition'
-            )
+            why = 'this loop does not end, because nothing changes in it'
+            raise self.fault(f'{why}; correct its condition')
         if self._jumps & (self._jumps - 1) == 0:
             self._seen = control, self.variables.state()
         if self._jumps > self._most_jumps:
-            raise self.fault(
-                f'more than {self._most_jumps:,} loops or calls: this program does not end; '
-                'correct its conditions'
-            )
+            why = f'more than {self._most_jumps:,} loops or calls: this program does not end'
+            raise self.fault(f'{why}; correct its conditions')
 
     def call(
         self, stem: str, pattern: bytes, rounds: int, arguments: dict[int, float],

@@ -140,9 +140,8 @@ def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
         rest = text[column - 1 :] if isinstance(column, int) and column > 0 else ''
         at = f'at {rest[:12].strip()!r}' if rest.strip() else 'at the end of the line'
         example = 'Q1 = Q2 + 5' if start == 'formula' else 'X[#1 + 2.5] or X=R1+2.5'
-        raise ExpressionError(
-            f'the expression cannot be read {at}; write for example {example}'
-        ) from None
+        how = f'write for example {example}'
+        raise ExpressionError(f'the expression cannot be read {at}; {how}') from None
 
 
 def formula(text: str, variables: ProgramVariables) -> float:

@@ -385,10 +385,8 @@ class GcodeReader:
                 raise self.fault(codes.REFUSED_G[code], code)
             elif code in codes.SETTINGS:
                 attribute, value = codes.SETTINGS[code]
-                if attribute in set_here:
-                    raise self.fault(
-                        f'{set_here[attribute]} is in the same block; keep one of them', code
-                    )
+                if other := set_here.get(attribute):
+                    raise self.fault(f'{other} is in the same block; keep one of them', code)
                 set_here[attribute] = code
                 setattr(mover, attribute, value)
                 if attribute == 'motion':
@@ -580,10 +578,8 @@ class GcodeReader:
             elif letter in 'ABCUVW':
                 raise self.fault(mover.why_not(letter), words.texts[letter])
             elif letter == 'L' and len(values) == 1:
-                raise self.fault(
-                    f'the subprogram L{values[letter]:g} is not supported; put it into this file',
-                    words.texts[letter],
-                )
+                why = 'is not supported; put it into this file'
+                raise self.fault(f'the subprogram L{values[letter]:g} {why}', words.texts[letter])
             elif self._cycle is None or letter not in 'QRPKL':
                 raise self.fault('this word has no meaning here', words.texts[letter])
 

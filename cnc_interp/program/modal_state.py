@@ -316,10 +316,9 @@ class ModalState:
             return
         which = int(np.argmax(turned))
         if turned[which] > LONG_WAY and self.settings.rotary_sense == 'programmed':
-            self.notice(
-                f'{self.rotary_letters[which]} turns by more than 180 deg in a cutting block',
-                'done as programmed; --rotary-sense shortest takes the short way',
-            )
+            what = f'{self.rotary_letters[which]} turns by more than 180 deg in a cutting block'
+            how = '--rotary-sense shortest takes the short way'
+            self.notice(what, f'done as programmed; {how}')
 
     def feed(self, given: bool) -> tuple[float, float, float]:
         """Return feedrate [m/s], duration [s] and turn rate [rad/s] of a cutting block."""
@@ -334,9 +333,8 @@ class ModalState:
                 raise self.fault('feed per revolution (G95) at a surface speed (G96); write G97 S',
                                  'G95')  # fmt: skip
             if not self.spindle_speed > 0.0:
-                raise self.fault(
-                    'feed per revolution (G95) without a spindle speed; write S first', 'G95'
-                )
+                why = 'feed per revolution (G95) without a spindle speed; write S first'
+                raise self.fault(why, 'G95')
             return self.feedrate * self.spindle_speed, nan, self.turn_rate * self.spindle_speed
         if self.blocks_per_minute is None:
             raise self.fault('no F in inverse-time feed (G93); give F in 1/min in each G1 block')

@@ -146,11 +146,8 @@ class Modes:
         frames = self._mover.frames
         known = code in self._mover.setup.work_offsets
         if not known and frames.named not in ('', code):
-            raise self.fault(
-                f'the program began with {frames.named}; set where {code} lies in a setup '
-                'file (--setup)',
-                code,
-            )
+            how = f'set where {code} lies in a setup file (--setup)'
+            raise self.fault(f'the program began with {frames.named}; {how}', code)
         if not known:
             self.notice(code, 'taken as the workpiece zero')
         frames.named, before = code, self._mover.here()

@@ -24,6 +24,10 @@ NO_CORNER = Corner('', 0.0)
 SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].
 #: The plane that two centre letters of an arc tell.
 _PLANE_OF = {'IJ': 'G17', 'IK': 'G18', 'JK': 'G19'}
+_TWO_MEANINGS = (
+    'machine coordinates with tool-tip programming on: axis positions on Fanuc, tip positions on '
+    'LinuxCNC; switch it off before (TRAFOOF, G49)'
+)
 _SHORT = 1e-6  #: The tool is drawn back up to so far from the travel [m].
 MOST_TURN = 1e3 * 360.0 * DEG
 
@@ -286,10 +290,7 @@ class Mover(ModalState):
         turned = turned or any(words.values.get(letter) for letter in self.rotary_letters)
         if self.tcp and turned:
             if not self.dialect.is_sure or self.oriented:
-                raise self.fault(
-                    'machine coordinates with tool-tip programming on: axis positions on Fanuc, '
-                    'tip positions on LinuxCNC; switch it off before (TRAFOOF, G49)'
-                )
+                raise self.fault(_TWO_MEANINGS)
             if self.dialect.machine_axes:
                 word = self.tcp
                 self.switch_tcp('')
@@ -463,10 +464,9 @@ class Mover(ModalState):
             for letters, plane in _PLANE_OF.items():
                 other = given <= set(letters) and plane != self.plane
                 if other and self._fits(target, offset, absolute, plane):
-                    self.notice(
-                        'WARNING: arcs in another plane than the active one',
-                        'their letters I J K tell it; most controls need G17, G18 or G19',
-                    )
+                    what = 'WARNING: arcs in another plane than the active one'
+                    why = 'their letters I J K tell it; most controls need G17, G18 or G19'
+                    self.notice(what, why)
                     return plane
         return self.plane
 
@@ -499,9 +499,8 @@ class Mover(ModalState):
                 self.rotary_of_vector()
             return None
         if not self.tcp:
-            raise self.fault(
-                f'a tool direction needs tool-tip programming; write {codes.TCP_ON_WORDS}', 'A3'
-            )
+            why = 'a tool direction needs tool-tip programming'
+            raise self.fault(f'{why}; write {codes.TCP_ON_WORDS}', 'A3')
         if any(letter in words.values for letter in self.rotary_letters):
             raise self.fault('a tool direction and rotary words in one block; keep one of them')
         if arc_words is None:

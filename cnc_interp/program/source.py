@@ -104,8 +104,7 @@ class Source:
 
     def window(self, place: LineStart) -> LineWindow:
         if self._window is None or self._window.start != place:
-            text = self.lines(place)
-            self._window = _scanned(place, text)
+            self._window = _scanned(place, self.lines(place))
         return self._window
 
     def lines(self, place: LineStart) -> bytes:
@@ -123,12 +122,9 @@ class Source:
         longest = max(map(len, text.split(b'\n')))
         if longest > _LONGEST_LINE:
             at = next(i for i, line in enumerate(text.split(b'\n')) if len(line) == longest)
-            raise ProgramError(
-                f'a line of more than {_LONGEST_LINE} characters; give a part program',
-                self.name,
-                place.line + at,
-                text.split(b'\n')[at][:20].decode('ascii', 'replace'),
-            )
+            begin = text.split(b'\n')[at][:20].decode('ascii', 'replace')
+            why = f'a line of more than {_LONGEST_LINE} characters; give a part program'
+            raise ProgramError(why, self.name, place.line + at, begin)
         return text if text.endswith(b'\n') else text + b'\n'
 
     def find(self, pattern: re.Pattern[bytes], place: LineStart) -> LineStart | None:
@@ -196,10 +192,8 @@ CL_SUFFIXES = frozenset(('.apt', '.cl', '.cls', '.ncl', '.aptsource'))
 #: Suffixes by which programs are found in a folder, in lower case.
 PROGRAM_SUFFIXES = CL_SUFFIXES | {'.ngc', '.nc', '.tap', '.mpf', '.cnc', '.gcode', '.h'}
 #: What may name a subprogram: ``o<name>``, or a number after O or P.
-_CALLED, _NUMBER = (
-    re.compile(rb'[Oo]\s*<\s*([\w-]+)\s*>'),
-    re.compile(rb'[OoPp]\s*(\d{1,9})(?!\d)'),
-)
+_CALLED = re.compile(rb'[Oo]\s*<\s*([\w-]+)\s*>')
+_NUMBER = re.compile(rb'[OoPp]\s*(\d{1,9})(?!\d)')
 #: A number that is computed.
 _COMPUTED = re.compile(rb'[OoPp]\s*[#\[]')
 

@@ -136,14 +136,11 @@ class Splines:
         if mover.feed_mode == 'G93':
             raise mover.fault('inverse-time feed (G93) in a spline is not supported', 'BSPLINE')
         if mover.by_axes:
-            raise mover.fault(
-                f'a spline needs tool-tip programming; switch it on with {codes.TCP_ON_WORDS}',
-                'BSPLINE',
-            )
+            how = f'switch it on with {codes.TCP_ON_WORDS}'
+            raise mover.fault(f'a spline needs tool-tip programming; {how}', 'BSPLINE')
         if mover.frames.length:
-            raise mover.fault(
-                'a spline with a tool length; put it into the machine file', 'BSPLINE'
-            )
+            why = 'a spline with a tool length; put it into the machine file'
+            raise mover.fault(why, 'BSPLINE')
         second = None if self._second is None else mover.frames.point(self._second)
         self._changed, height = None, mover.settings.flank_height
         self._curve = ProgrammedCurve(

@@ -289,14 +289,11 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
         counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
     curved = np.flatnonzero(moves.curved())
     if len(curved):
-        turned = np.abs(moves.sweep[curved]).sum(axis=1) + np.nan_to_num(
-            np.abs(rows[curved, col.SWEEP])
-        )
+        turned = np.abs(moves.sweep[curved]).sum(axis=1)
+        turned = turned + np.nan_to_num(np.abs(rows[curved, col.SWEEP]))
         if (turned > _MOST_TURN).any():
-            worst = rows[curved[np.argmax(turned)]]
-            raise fault(
-                worst, 'more than 500 turns in one block; correct it or cut it into blocks'
-            )
+            why = 'more than 500 turns in one block; correct it or cut it into blocks'
+            raise fault(rows[curved[np.argmax(turned)]], why)
         pieces = piece_counts(
             lambda block, u: moves.chordal(curved[block], u),
             turned,
@@ -305,10 +302,8 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
             settings.flank_height,
         )
         if pieces.max() > MOST_PIECES:
-            worst = rows[curved[np.argmax(pieces)]]
-            raise fault(
-                worst, f'more than {MOST_PIECES:,} chords in one block; widen the tolerances'
-            )
+            why = f'more than {MOST_PIECES:,} chords in one block; widen the tolerances'
+            raise fault(rows[curved[np.argmax(pieces)]], why)
         counts[curved] = np.maximum(counts[curved], pieces)
     turning = moves.interpolation == ROTARY_LINEAR
     if turning.any():

@@ -41,11 +41,8 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
         gap, room = max(gaps), np.zeros(2)
         if name == 'first' and plan.starts_inside:  # on a corner, beside its vertex
             room = np.array([contour[:2].min(), orientation[:2].min()])
-        ledger.require(
-            (gaps <= room + SLACK).all(),
-            f'the motion is {gap * 1e3:.3g} mm away from the {name} pose of the program '
-            f'(line {blocks["line"][row]})',
-        )
+        text = f'the motion is {gap * 1e3:.3g} mm away from the {name} pose of the program'
+        ledger.require((gaps <= room + SLACK).all(), f'{text} (line {blocks["line"][row]})')
     if machine.has_rotary:
         _prove_rotary_words(ledger, plan, program, search, where)
     if machine.extra_names:
@@ -78,9 +75,7 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
         moving = [row for row in stops if moves(row)]
         if moving:
             line = int(blocks['line'][moving[0]])
-            ledger.require(
-                False, f'no rest at the exact stop of line {line}; {len(moving)} stops missed'
-            )
+            ledger.fail(f'no rest at the exact stop of line {line}; {len(moving)} stops missed')
 
 
 def _rests(position: FloatArray, crawl: FloatArray) -> bool:
@@ -140,7 +135,7 @@ def _prove_extra_words(
 ) -> None:
     words, machine = plan.blocks['extra_axes'], program.machine
     if words.shape[1] != len(machine.extra_names):
-        ledger.require(False, f'blocks.npz has no words for the axes {machine.extra_names}')
+        ledger.fail(f'blocks.npz has no words for the axes {machine.extra_names}')
         return
     rows = np.arange(len(words))
     after = np.clip(search.starts[1:], 1, search.count - 1)

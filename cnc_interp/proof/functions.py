@@ -38,9 +38,7 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     def demand(good: BoolArray, text: str) -> None:
         for k in np.flatnonzero(~np.asarray(good, dtype=np.bool_))[:1]:
             name, place = signals.text(signals.steps[step[k]].output, found['value'][k]), sample[k]
-            ledger.require(
-                False, f'line {found["line_number"][k]}: {name} {text} (setpoint {place})'
-            )
+            ledger.fail(f'line {found["line_number"][k]}: {name} {text} (setpoint {place})')
 
     demand(np.diff(block, prepend=0) >= 0, 'is out of order')
     came = sample != MISSING
@@ -136,11 +134,7 @@ def _prove_line(
     ledger.judge('beside the thread', aside, tolerance, rows=row[: len(q)], quiet=True)
     ledger.require(cut or len(off) > 0, f'line {line} was never in step with the spindle')
     end = 0.0 if turns < 0.0 else turns
-    ledger.require(
-        cut or lead * abs(place[-1] - end) <= SLACK, f'line {line} did not follow to its end'
-    )
-    deepest = float(place.max())
-    ledger.require(
-        cut or deepest >= abs(turns) - SHALLOW,
-        f'line {line} went {deepest:.3g} turns deep, not {abs(turns):.3g}',
-    )
+    ended, deepest = lead * abs(place[-1] - end) <= SLACK, float(place.max())
+    ledger.require(cut or ended, f'line {line} did not follow to its end')
+    text = f'line {line} went {deepest:.3g} turns deep, not {abs(turns):.3g}'
+    ledger.require(cut or deepest >= abs(turns) - SHALLOW, text)

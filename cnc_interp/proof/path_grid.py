@@ -58,10 +58,8 @@ def prove_grid(ledger: Ledger) -> None:
         _prove_programmed_feed(ledger, rows, (a, b), written)
     ledger.require(rising, 'path.npz: s must increase at every grid point')
     for order, count in jumps.items():
-        ledger.require(
-            not count,
-            f'path.npz: derivatives of order {order} jump at {count} grid points without a stop',
-        )
+        text = f'path.npz: derivatives of order {order} jump at'
+        ledger.require(not count, f'{text} {count} grid points without a stop')
     if rising:
         _prove_setpoints(ledger, s, rows)
 
@@ -161,18 +159,14 @@ def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
         if len(wrong):
             others, other = others + len(wrong), a + int(wrong[0]) if other < 0 else other
         _prove_speeds(ledger, grid, rows, (a, b))
-    ledger.require(
-        not others,
-        f'block of setpoints.npz and of path.npz differ at {others} samples, the first is {other}',
-    )
+    text = 'block of setpoints.npz and of path.npz differ at'
+    ledger.require(not others, f'{text} {others} samples, the first is {other}')
     stops = np.flatnonzero(plan.blocks['exact_stop'])
     stops = stops[(stops >= rows[0]) & (stops < len(plan.blocks['exact_stop']))]
     place = np.minimum(np.searchsorted(rows, stops, 'right'), len(rows) - 1)
     left_out = stops[~np.asarray(path['stop'])[place]]
-    ledger.require(
-        not len(left_out),
-        f'path.npz has no stop after lines {plan.blocks["line"][left_out].tolist()[:5]}',
-    )
+    lines = plan.blocks['line'][left_out].tolist()[:5]
+    ledger.require(not lines, f'path.npz has no stop after lines {lines}')
 
 
 def _near_cells(cell: IntArray) -> Iterator[tuple[int, int]]:

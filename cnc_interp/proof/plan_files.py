@@ -240,10 +240,9 @@ def read_plan(directory: Path) -> PlanFiles:
         ends = [(rows[a:b].min(), rows[a:b].max()) for a, b in spans(len(rows))]
         least, most = min(low for low, _ in ends), max(high for _, high in ends)
         if least < 0 or most >= len(blocks['tip']):
-            raise InterpError(
-                f'{directory / name}: block runs from {least} to {most}, but '
-                f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}; plan the program again'
-            )
+            rows_known = f'blocks.npz has rows 0 to {len(blocks["tip"]) - 1}'
+            text = f'block runs from {least} to {most}, but {rows_known}; plan the program again'
+            raise InterpError(f'{directory / name}: {text}')
     if fault := _nonsense(blocks):
         raise _unsound(directory / 'blocks.npz', fault)
     plan = PlanFiles(setpoints, path, blocks, summary)

@@ -176,9 +176,12 @@ class Ledger:
     #: Judge a consistency check: the same, but recorded only if it fails.
     check = partialmethod(judge, quiet=True)
 
+    def fail(self, fault: str) -> None:
+        self._faults.append(fault)
+
     def require(self, holds: bool | np.bool_, fault: str) -> None:
         if not holds:
-            self._faults.append(fault)
+            self.fail(fault)
 
     def close(self) -> Proof:
         plan, machine, until = self.plan, self.machine, ''

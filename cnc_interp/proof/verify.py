@@ -39,19 +39,15 @@ def verify_plan(directory: Path, machine: Machine) -> Proof:
 def verify(plan: PlanFiles, machine: Machine) -> Proof:
     """Check a plan, without the grid if ``path`` is empty; uses and failures, or InterpError."""
     if machine.has_rotary and plan.flank_height <= 0.0:
-        raise InterpError(
-            'flank_height is 0, so that the tool axis would not be checked; plan again'
-        )
+        why = 'so that the tool axis would not be checked'
+        raise InterpError(f'flank_height is 0, {why}; plan again')
     plan = with_override(plan)
     ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):
         count = plan.position.shape[1]
-        ledger.require(
-            False,
-            f'the plan has {count} axes, machine {machine.name} has {len(axes)}; '
-            'check it with the machine that it was planned for',
-        )
+        text = f'the plan has {count} axes, machine {machine.name} has {len(axes)}'
+        ledger.fail(f'{text}; check it with the machine that it was planned for')
         return ledger.close()
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
@@ -107,10 +103,6 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
         )
 
 
-def _first(numbers: IntArray) -> int:
-    return int(numbers[0]) if len(numbers) else -1
-
-
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     time, block = plan.setpoints['time'], plan.block
     worst, late = -1.0, 0
@@ -121,19 +113,15 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
         worst, late = max((worst, late), (float(uneven[at]), a + at), key=itemgetter(0))
         if not back:
             back = [a + int(k) for k in np.flatnonzero(np.diff(block[a : b + 1]) < 0)[:1]]
-    ledger.require(
-        not plan.path or abs(time[0]) <= 1e-6 * plan.period,
-        f'time begins at {time[0]:.9g} s, not at 0',
-    )
+    at_zero = not plan.path or abs(time[0]) <= 1e-6 * plan.period
+    ledger.require(at_zero, f'time begins at {time[0]:.9g} s, not at 0')
     ledger.require(
         worst <= 1e-6 * plan.period + 1e-12 * abs(time[-1]),
         f'time is not uniform: sample {late} at {time[late]:.9g} s, period {plan.period:g} s',
     )
     for k in back:
-        ledger.require(
-            False,
-            f'block order runs backwards at sample {k + 1}: row {block[k]}, then {block[k + 1]}',
-        )
+        rows = f'row {block[k]}, then {block[k + 1]}'
+        ledger.fail(f'block order runs backwards at sample {k + 1}: {rows}')
     # Rows may be left out at the start if the tool is already at their end (repeated points, first
     # control points). Completeness checks their vertices with all others.
     tip, axis, contour, orientation = (
@@ -142,12 +130,10 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     )
     top = tip + plan.flank_height * axis
     off, off_top = (np.linalg.norm(points - points[0], axis=1) for points in (tip, top))
-    away = np.flatnonzero((off > contour + SLACK) | (off_top > orientation + SLACK))
-    ledger.require(
-        not len(away),
-        f'the motion starts with line {plan.blocks["line"][block[0]]}, '
-        f'but line {_first(plan.blocks["line"][away])} comes before it',
-    )
+    line = plan.blocks['line']
+    for row in np.flatnonzero((off > contour + SLACK) | (off_top > orientation + SLACK))[:1]:
+        text = f'the motion starts with line {line[block[0]]}'
+        ledger.fail(f'{text}, but line {line[row]} comes before it')
 
 
 def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
@@ -160,20 +146,17 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
     )
     for name, found, room in figures:
         stated = summary.get(name, found)
-        ledger.require(
-            isinstance(stated, int | float) and abs(stated - found) <= room,
-            f'summary.json says {name} {stated!r}, the setpoints say {found:.9g}',
-        )
+        agrees = isinstance(stated, int | float) and abs(stated - found) <= room
+        text = f'summary.json says {name} {stated!r}'
+        ledger.require(agrees, f'{text}, the setpoints say {found:.9g}')
     uses = None if plan.cut else summary.get('largest_use')
+    ratios = {(f.what, f.axis): f.ratio for f in reversed(ledger.findings)}
     for kind, of_axes in uses.items() if isinstance(uses, dict) else ():
         for axis, stated in of_axes.items() if isinstance(of_axes, dict) else ():
-            found = next(
-                (f.ratio for f in ledger.findings if (f.what, f.axis) == (kind, axis)), np.nan
-            )
-            ledger.require(
-                isinstance(stated, int | float) and abs(stated - found) <= SAME_USE,
-                f'summary.json says {axis} uses {stated!r} of its {kind}, it uses {found:.6g}',
-            )
+            found = ratios.get((kind, axis), np.nan)
+            agrees = isinstance(stated, int | float) and abs(stated - found) <= SAME_USE
+            text = f'summary.json says {axis} uses {stated!r} of its {kind}'
+            ledger.require(agrees, f'{text}, it uses {found:.6g}')
 
 
 def _prove_tolerances(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
@@ -196,11 +179,8 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     order = order_of(program, (contour, orientation))
     line, time, blocks = plan.blocks['line'], plan.setpoints['time'], plan.blocks
     for what, sample, reached in order.left:
-        ledger.require(
-            False,
-            f'out of order: from sample {sample} on ({time[sample]:.3f} s) the {what} does not '
-            f'follow the program, which it followed to line {line[reached]}',
-        )
+        text = f'out of order: from sample {sample} on ({time[sample]:.3f} s) the {what} does not'
+        ledger.fail(f'{text} follow the program, which it followed to line {line[reached]}')
     if order.left:
         return plan
     if plan.cut:
@@ -209,6 +189,8 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     reach, length = REACH * np.maximum(contour, orientation), np.diff(path.way, prepend=0.0)
     possible = Stored.empty(len(time), np.int64)
     wrongs, wrong_at, where = 0, -1, ''
+    told = plan.settings.get('longest_block')
+    longest = float(told) if isinstance(told, int | float) else LONGEST_BLOCK
     for a, b in spans(len(time)):
         row, low, high, position = plan.block[a:b], order.low[a:b], order.high[a:b], plan.position
         early, late = row < low, row > high
@@ -232,7 +214,7 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
             turn = np.abs(position[:, 3:5] - blocks['rotary'][vertex]).max(axis=1)
             gap = np.fmax(gap, np.where(path.by_axes[row], plan.flank_height * turn, 0.0))
         meant = np.where(early, low, high)
-        dense = np.maximum(length[row], length[meant]) <= longest_block(plan)
+        dense = np.maximum(length[row], length[meant]) <= longest
         dense &= (np.abs(row - meant) <= WINDOW) & ~path.by_axes[row] & ~path.by_axes[meant]
         wrong = np.flatnonzero((gap > reach[row]) & ~dense)
         if len(wrong) and wrong_at < 0:
@@ -240,17 +222,9 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
             wrong_at = a + int(beside[first])
             where = f'line {line[row[first]]}, but the motion executes line {line[low[first]]}'
         wrongs += len(wrong)
-    ledger.require(
-        not wrongs,
-        f'wrong row number at sample {wrong_at} ({time[wrong_at]:.3f} s): {where}; '
-        f'{wrongs} places in all',
-    )
+    text = f'wrong row number at sample {wrong_at} ({time[wrong_at]:.3f} s): {where}'
+    ledger.require(not wrongs, f'{text}; {wrongs} places in all')
     return replace(plan, setpoints={**plan.setpoints, 'block': possible})
-
-
-def longest_block(plan: PlanFiles) -> float:
-    length = plan.settings.get('longest_block')
-    return float(length) if isinstance(length, int | float) else LONGEST_BLOCK
 
 
 def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:

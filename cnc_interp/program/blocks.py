@@ -54,8 +54,7 @@ class Blocks(Table):
     #: Positions of the k extra axes (U V W) at the end of the block [m], linear with the tip.
     extra: FloatArray = column('k', default=0.0)
     interpolation: IntArray = column(default=POSES)  #: POSES, ROTARY_LINEAR or AXES_LINEAR.
-    #: Rotary positions at the start of rows whose rotary axes run linearly, beside the tip or
-    #: about the resting tip [rad], else NaN.
+    #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.
     rotary_from: FloatArray = column(2, default=nan)
     #: ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
     #: the path is not smooth and need not rest. Otherwise OPEN_CORNER.

@@ -52,14 +52,13 @@ _COMMENT = re.compile(r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a
                       r';(?!\s*(?:PY|\$PATH))[^\n]*', re.I)  # fmt: skip
 
 _HEAD_LINES = 2000
-_CL_LINE = re.compile(
-    r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]'
-    r'|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
-    re.IGNORECASE,
-)
-_GCODE_LINE = re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)',
-                         re.IGNORECASE)  # fmt: skip
-_HEIDENHAIN_LINE = re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.IGNORECASE)
+#: What the first line with words begins with, in each form.
+_FORMS = {
+    'heidenhain': re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.I),
+    'cl': re.compile(r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|'
+                     r'UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)', re.I),
+    'gcode': re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)', re.I),
+}  # fmt: skip
 
 
 def _head(source: Source) -> str:
@@ -68,12 +67,8 @@ def _head(source: Source) -> str:
 
 def form_of(source: Source) -> str:
     for line in _head(source).splitlines()[:_HEAD_LINES]:
-        if _HEIDENHAIN_LINE.match(line):
-            return 'heidenhain'
-        if _CL_LINE.match(line):
-            return 'cl'
-        if _GCODE_LINE.match(line):
-            return 'gcode'
+        if form := next((form for form, begins in _FORMS.items() if begins.match(line)), ''):
+            return form
     return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'
 
 

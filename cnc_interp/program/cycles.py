@@ -36,8 +36,7 @@ class Hole:
     bottom: float
     clear: float  #: Where the tool has left the hole.
     pecks: Sequence[float] = ()  #: Where the tool turns back before the bottom.
-    #: Whether it retracts a little after each peck only, and by how much; where it comes back, it
-    #: stops short of the last peck by ``gap``.
+    #: Whether it retracts after each peck only by ``gap``, or comes back as near to the last one.
     breaks: bool = False
     gap: float = 0.0
     feeds_back: bool = False  #: Whether it comes back from each peck by feed.

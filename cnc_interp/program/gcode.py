@@ -430,9 +430,8 @@ class GcodeReader:
                     continue
                 for letter in codes.IDLE_LETTERS.get(code, ''):
                     words.values.pop(letter, None)
-                mover.by_surface_speed = code == 'G96' or (
-                    mover.by_surface_speed and code != 'G97'
-                )
+                if code in ('G96', 'G97'):
+                    mover.by_surface_speed = code == 'G96'
                 if code not in self._signals.words:
                     self.notice(code, codes.HARMLESS_G[code])
             elif code not in codes.TAKE_AXES and code != 'G53':

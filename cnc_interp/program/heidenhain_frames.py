@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Set
+from functools import reduce
 
 import numpy as np
 
@@ -14,6 +15,12 @@ from cnc_interp.program.modal_state import ORIENTED
 from cnc_interp.program.motion import Mover
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords
+
+#: The angles of a plane, each about the axis with this number, from the last one to the first.
+_TURNS = {
+    'SPATIAL': {'SPC': 2, 'SPB': 1, 'SPA': 0},
+    'EULER': {'EULPR': 2, 'EULNU': 0, 'EULROT': 2},
+}
 
 
 class HeidenhainFrames:
@@ -88,16 +95,9 @@ class HeidenhainFrames:
         frames.update()
 
     def _plane_of(self, kind: str, values: Mapping[str, float]) -> FloatArray:
-        def angle(name: str) -> float:
-            return values.get(name, 0.0) * DEG
-
-        if kind == 'SPATIAL':  # about the axes at rest: X, then Y, then Z
-            return (
-                rotation(2, angle('SPC')) @ rotation(1, angle('SPB')) @ rotation(0, angle('SPA'))
-            )
-        if kind == 'EULER':
-            return (rotation(2, angle('EULPR')) @ rotation(0, angle('EULNU'))
-                    @ rotation(2, angle('EULROT')))  # fmt: skip
+        if kind in _TURNS:
+            turns = _TURNS[kind].items()
+            return reduce(np.matmul, (rotation(i, values.get(k, 0.0) * DEG) for k, i in turns))
         if kind == 'VECTOR':
             along, normal = (np.array([values.get(c + x, 0.0) for x in 'XYZ']) for c in 'BN')
             return self._tilted.plane_of(along, normal)

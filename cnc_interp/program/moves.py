@@ -18,8 +18,7 @@ from cnc_interp.settings.options import Settings
 SAME = 1e-12  # [m], [-], [rad]
 #: Part of the tolerances for the deviation of chords and great circles from programmed motion [-].
 CHORD_SHARE = 0.1
-#: Nearer to the pole than this number of orientation tolerances, a direction does not give the
-#: rotary positions: a path within the tolerance could pass the pole on its other side.
+#: Within so many orientation tolerances a path could pass the pole on its other side.
 POLE_TOLERANCES = 4.0
 #: Without tool-tip programming, lines in axes become curves of poses after so many short blocks in
 #: a row. In each of them the tip moves more than this share of the turn at flank height [-].

@@ -55,10 +55,8 @@ class ProgramStream:
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)
             if setup.work_offsets or setup.g92_on:
-                self._notices.once(
-                    'offsets', 1, 'CL data: work offsets do not count; it runs from the workpiece '
-                    'zero of the machine file',
-                )  # fmt: skip
+                why = 'it runs from the workpiece zero of the machine file'
+                self._notices.once('offsets', 1, f'CL data: work offsets do not count; {why}')
         else:
             kind: type[GcodeReader] = HeidenhainReader
             profile, why = HEIDENHAIN, 'by BEGIN PGM'

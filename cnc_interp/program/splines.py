@@ -51,8 +51,8 @@ class ProgrammedCurve:
         if self._named is None:
             self._named = second is not None
         elif second is not None and not self._named:
-            raise self._fault(line, 'XH YH ZH must stand in the first block of a spline, or in '
-                              'none')  # fmt: skip
+            why = 'XH YH ZH must stand in the first block of a spline, or in none'
+            raise self._fault(line, why)
         if not self._named:
             second = tip + self._height * self._axis
         second = self._second if second is None else second
@@ -64,14 +64,13 @@ class ProgrammedCurve:
         if not self._rows and _length(tip - self._tip) <= _SAME:
             # A program may write the first control point as a block of its own.
             if _length((second - tip) / length - self._axis) > _SAME_AXIS:
-                raise self._fault(line, 'the tool axis at the start of the spline differs from '
-                                  'that of the tool; turn the tool before BSPLINE')  # fmt: skip
+                why = 'the tool axis at the start of the spline differs from that of the tool'
+                raise self._fault(line, f'{why}; turn the tool before BSPLINE')
             self._first_second = second
             return
         if not self._rows and interval == 0.0:
-            raise self._fault(line, 'PL of the first interval must be greater than 0; the two '
-                              'zeros that close a spline belong to its last two '
-                              'blocks')  # fmt: skip
+            why = 'the two zeros that close a spline belong to its last two blocks'
+            raise self._fault(line, f'PL of the first interval must be greater than 0; {why}')
         self._rows.append((*tip, *second, interval, *speed_and_tolerances, line))
 
     def _fault(self, line: float, message: str) -> ProgramError:
@@ -82,9 +81,8 @@ class ProgrammedCurve:
         if count == 1:
             return None
         if count < _LEAST_POINTS:
-            raise self._fault(line, f'a cubic B-spline needs at least {_LEAST_POINTS} control '
-                              f'points, the start included; this one has {count}: add control '
-                              'points')  # fmt: skip
+            why = f'a cubic B-spline needs at least {_LEAST_POINTS} control points, the start'
+            raise self._fault(line, f'{why} included; this one has {count}: add control points')
         table = np.array([self._rows[0], *self._rows])
         length = sqrt(float(((table[1, 3:6] - table[1, 0:3]) ** 2).sum()))
         if self._first_second is not None:
@@ -95,11 +93,11 @@ class ProgrammedCurve:
         torn = np.flatnonzero(np.diff(intervals) > _MOST_REPEATED)
         if len(torn):
             line = table[intervals[torn[0] + 1], 10]
-            raise self._fault(line, 'three or more knot intervals (PL) of 0 in a row interrupt '
-                              'the spline; end it there and begin another one')  # fmt: skip
+            why = 'three or more knot intervals (PL) of 0 in a row interrupt the spline'
+            raise self._fault(line, f'{why}; end it there and begin another one')
         if intervals[-1] != len(table) - 3:
-            raise self._fault(table[-3, 10], 'the knot interval (PL) two blocks before the end of '
-                              'a spline must be greater than 0')  # fmt: skip
+            why = 'the knot interval (PL) two blocks before the end of a spline'
+            raise self._fault(table[-3, 10], f'{why} must be greater than 0')
         tool = table[:, 3:6] - table[:, 0:3]
         axis = tool / np.sqrt((tool**2).sum(axis=1))[:, None]
         return replace(

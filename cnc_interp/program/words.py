@@ -63,8 +63,7 @@ class BlockWords:
     texts: dict[str, str] = field(default_factory=dict)
     #: Function of an axis word, by letter: 'AC', 'IC', 'DC', 'ACP' or 'ACN'.
     ways: dict[str, str] = field(default_factory=dict)
-    #: Words of several letters ('TRAORI', '#TRAFO ON') with the numbers in their parentheses; None
-    #: for an empty argument or a text.
+    #: Words of several letters ('TRAORI'), and numbers in parentheses; None: empty, or a text.
     keys: list[tuple[str, tuple[float | None, ...]]] = field(default_factory=list)
     #: Assignments to parameters (int) and names (str), in the order of the line.
     sets: list[tuple[int | str, float]] = field(default_factory=list)

@@ -59,8 +59,7 @@ def prove_completeness(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) 
             i = int(where[row])
             if i + 2 > count - 1 or _rests(plan.position[max(i - 1, 0) : i + 3], crawl):
                 return False
-            # The nearest sample may be beside the rest, and an axis that the program does not
-            # name may turn while tip and tool stand there.
+            # The nearest sample may be beside the rest; an axis that is not named may turn there.
             first = max(i - SEARCHED, 0)
             near = plan.position[first : i + SEARCHED]
             gaps = np.stack([tips(near) - blocks['tip'][row], tops(near) - vertex_top[row]])
@@ -119,8 +118,7 @@ def _prove_rotary_words(
     angle = allowed[:, :2].max(axis=1)
     gap, passed = search.nearest(points, targets, angle, allowed)
     ledger.judge('rotary word missed', gap[rows] * angle[rows], angle[rows], rows=rows)
-    # A turn of the tool about its own axis is hardly visible in the workpiece frame, so the
-    # nearest sample by tip and tool axis may be any on the way.
+    # A turn of the tool about its own axis is hardly visible to tip and tool axis.
     rows = rows[by_axes[rows]]
     seen, there = (gathered(plan.position, at[rows]) for at in (where, passed))
     on_the_way = np.abs(points(seen) - targets[rows]).max(axis=1, initial=0.0) > STOP_ANGLE

@@ -33,8 +33,7 @@ LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program
 SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
 #: Lines that may be printed: so many, and for each row of the plan and each line of the text.
 BESIDE, EACH = 1000, 20
-#: Comments, and words of other controls that LinuxCNC refuses and that move nothing: D and H
-#: beside a tool change, a dwell by F, rigid tapping.
+#: Comments, and words of other controls that LinuxCNC refuses and that move nothing.
 _COMMENT = re.compile(r'\([^()\n]*\)|;[^\n]*')
 _LEFT_OUT = re.compile(r'(?<=M6 )D\d+ H\d+|^D\d+$|G04F\d+|M29S\d+', re.MULTILINE | re.IGNORECASE)
 #: Switches of the tool-tip control become comments, which are printed.
@@ -291,18 +290,14 @@ def setup_of(text: Any, machine: Machine) -> Setup:
             first: content.get('reference_points', {}).get(name)
             for first, name in ((G28, 'G28'), (G30, 'G30'))
         }
-        parameters = {
-            first + 1 + i: place[letter] / INCH if letter in 'XYZ' else place[letter]
-            for first, given in places.items()
-            if given
-            for place in [{k: v - at_zero.get(k, 0.0) for k, v in given.items()}]
-            for i, letter in enumerate('XYZABC')
-            if letter in place
-        } | {
-            first + ROTATION: given['R']
-            for first, given in places.items()
-            if given and 'R' in given
-        }
+        parameters: dict[int, float] = {}
+        for first, given in ((number, place or {}) for number, place in places.items()):
+            for i, letter in enumerate('XYZABC'):
+                if letter in given:
+                    value = given[letter] - at_zero.get(letter, 0.0)
+                    parameters[first + 1 + i] = value / (INCH if letter in 'XYZ' else 1.0)
+            if 'R' in given:
+                parameters[first + ROTATION] = given['R']
         amounts = nowhere | content.get('g92', {})
         for i, letter in enumerate('XYZABC'):
             if amounts.get(letter):

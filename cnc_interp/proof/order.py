@@ -29,8 +29,7 @@ class Pieces:
     start: FloatArray
     end: FloatArray
     room: FloatArray  #: (P, D): Distance in order along each piece; infinite: not compared.
-    #: (P + 1, D): Coordinates of the ends of the pieces, the start of the first piece first, and
-    #: the distance that is in order there.
+    #: (P + 1, D): Coordinates of all ends, the very start first, and the distance in order there.
     vertex: FloatArray
     vertex_room: FloatArray
 

@@ -152,19 +152,15 @@ def gathered(column: Any, places: NDArray[Any]) -> NDArray[Any]:
 class PlanFiles:
     """A plan: the program (blocks), the path and every setpoint, all in SI units."""
 
-    #: ``time`` [s], ``block`` [-], ``s`` [m], shape (K,), and ``position``, ``velocity``,
-    #: ``acceleration``, shape (K, n) [m or rad, per s, per s2].
-    setpoints: Columns
+    setpoints: Columns  #: K rows of ``setpoints.npz`` [s, m or rad, per s, per s2].
     path: Columns  #: Grid of the planner, with the columns of ``path.npz``; empty for a bag.
     blocks: Columns  #: Program rows, the start pose first, with all optional columns present.
     summary: Mapping[str, Any]  #: Contents of ``summary.json``.
-    #: What the program switches: ``step`` of the machine's functions, its ``value``, ``block`` at
-    #: whose begin, and the number of the setpoint with which it came (``sample``).
+    #: What the program switches, and the number of the setpoint with which it came (``sample``).
     functions: Columns = field(
         default_factory=lambda: {name: of.filled(0) for name, of in FUNCTION_COLUMNS.items()}
     )
-    #: Setpoints of lines in step with the spindle, by ``block``, and its ``angle`` [rev]; of a
-    #: record only.
+    #: Setpoints of lines in step with the spindle, and its ``angle`` [rev]; of a record only.
     followed: Columns = field(default_factory=dict)
 
     def in_memory(self) -> PlanFiles:

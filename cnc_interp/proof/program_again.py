@@ -30,8 +30,7 @@ from cnc_interp.proof.verdict import Proof
 # Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
 ROUNDED = 0.75  #: An angle is printed within so many last digits.
-# A row inside a motion may lie beside it by this share of the tolerances: some curves of the
-# machine become lines of poses.
+# A row inside a motion may lie beside it by this share of the tolerances: curves become lines.
 CHORD = 0.11
 PARALLEL = 1e-6  #: Sine of the angle up to which a normal is parallel to the tool.
 UNKNOWN = (float('nan'), float('nan'))  #: Tolerances of settings that are not known [m].
@@ -266,23 +265,17 @@ class _Comparison:
             self.fault(move, f'rows {rows[0]} to {rows[-1]} are not on its line')
 
     def kept(self, move: ReadMove, rows: IntArray, chord_error: float) -> None:
-        wanted = self.tolerances[0] if np.isnan(move.tolerance) else move.tolerance
-        used = float(self.blocks['contour_tolerance'][rows].max()) + chord_error
-        if used > wanted * (1.0 + SAME_FEED) + _place(move):
-            chords = f', and its arc {chord_error / MM:.4g} mm' if chord_error else ''
-            self.fault(
-                move,
-                f'has a tolerance of {wanted / MM:.6g} mm, its rows may use '
-                f'{(used - chord_error) / MM:.6g} mm{chords}',
-            )
-        wanted = self.tolerances[1] if np.isnan(move.orientation) else move.orientation
-        used = float(self.blocks['orientation_tolerance'][rows].max())
-        if used > wanted * (1.0 + SAME_FEED) + _place(move):
-            self.fault(
-                move,
-                f'has an orientation tolerance of {wanted / MM:.6g} mm, its rows may use '
-                f'{used / MM:.6g} mm',
-            )
+        kinds = (
+            ('contour', 'a', move.tolerance, chord_error),
+            ('orientation', 'an orientation', move.orientation, 0.0),
+        )
+        for usual, (name, what, told, chords) in zip(self.tolerances, kinds, strict=True):
+            wanted = usual if np.isnan(told) else told
+            used = float(self.blocks[f'{name}_tolerance'][rows].max())
+            if used + chords > wanted * (1.0 + SAME_FEED) + _place(move):
+                arc = f', and its arc {chords / MM:.4g} mm' if chords else ''
+                self.fault(move, f'has {what} tolerance of {wanted / MM:.6g} mm, its rows may use '
+                           f'{used / MM:.6g} mm{arc}')  # fmt: skip
 
     def chord_error(self, move: ReadMove, rows: IntArray) -> float:
         if len(move.extra) and not move.tcp:

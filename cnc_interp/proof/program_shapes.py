@@ -17,8 +17,7 @@ SAME = 1e-9  #: Two tool axes that differ by less are equal [-], a tip that move
 SMALL_USE = 0.02  #: A use of the tolerances below this is not improved by a search [-].
 # Golden section: number of steps, and the share of the bracket that each one keeps.
 STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
-# Way from a row whose rotary axes run linearly up to which rows are compared in its coordinates:
-# short ones are joined to one line, so that a corner reaches over several of them [m].
+# Up to this way from a row whose rotary axes run linearly, its coordinates count [m].
 JOINED = 5e-3
 BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
@@ -194,10 +193,9 @@ def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
 
 
 SLACK = 1e-9  #: Distances below this are zero [m].
-# A search is widened by this number of tolerances where blocks are tiny. There one path segment
-# covers many rows, but each of its halves names one row: the middle one, or the first or last row
-# of a curve. A half is 50 tolerances long at most, counted as the root mean square of tip and
-# point at flank height. Way of the tip plus rotation at flank height is up to sqrt(8) times that.
+# A search is widened by so many tolerances where each half of a segment names one of many rows. It
+# is 50 tolerances long at most, as root mean square of tip and point at flank height; way plus
+# rotation at flank height is up to sqrt(8) times that.
 REACH = 142.0
 
 

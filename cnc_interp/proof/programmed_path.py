@@ -39,8 +39,7 @@ class ProgrammedPath:
     axis: FloatArray
     sideways: FloatArray
     turn: FloatArray  #: (M,): Angle of the turn [rad].
-    #: (M,): Pure rotations given by rotary words, and rows without a line of the tip. The rotary
-    #: axes move linearly, not on a great circle.
+    #: (M,): Pure rotations by rotary words, and rows without a line of the tip: no great circle.
     by_axes: BoolArray
     rotary_from: FloatArray  #: (M, 2): Rotary positions at the start of the row, NaN if not known.
     flank_height: float  #: Height of the second point above the tip [m].

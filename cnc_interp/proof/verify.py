@@ -122,8 +122,7 @@ def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:
     for k in back:
         rows = f'row {block[k]}, then {block[k + 1]}'
         ledger.fail(f'block order runs backwards at sample {k + 1}: {rows}')
-    # Rows may be left out at the start if the tool is already at their end (repeated points, first
-    # control points). Completeness checks their vertices with all others.
+    # Rows at whose end the tool is already may be left out at the start.
     tip, axis, contour, orientation = (
         plan.blocks[name][: max(block[0], 1)]
         for name in ('tip', 'axis', 'contour_tolerance', 'orientation_tolerance')

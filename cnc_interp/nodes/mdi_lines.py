@@ -11,7 +11,7 @@ from cnc_interp.nodes.program_check import Prepared, prepare_line
 from cnc_interp.nodes.program_run import ProgramRun, why_not
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program.job import JobSetup
-from cnc_interp.program.mdi import MDI, MdiReader
+from cnc_interp.program.reading import MDI, MdiReader
 from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import modal_state

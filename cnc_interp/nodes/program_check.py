@@ -16,9 +16,9 @@ from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
 from cnc_interp.program.functions import Functions
-from cnc_interp.program.mdi import MdiLine, MdiReader
 from cnc_interp.program.notices import WARNING
 from cnc_interp.program.probing import Probe
+from cnc_interp.program.reading import MdiLine, MdiReader
 from cnc_interp.program.source import Source
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run.chain import at_fault, no_motion

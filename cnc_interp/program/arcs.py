@@ -82,11 +82,8 @@ def arcs_of(
         side = np.where(counter_clockwise, 1.0, -1.0) * np.sign(radius) * height / half
         centre_a = 0.5 * chord[:, a] - side * 0.5 * chord[:, b]
         centre_b = 0.5 * chord[:, b] + side * 0.5 * chord[:, a]
-    fault = np.where(
-        by_radius & (short > np.clip(RADIUS_SHARE * np.abs(radius), SHORTAGE, SHORTAGE_MOST)),
-        4,
-        fault,
-    )
+    allowed = np.clip(RADIUS_SHARE * np.abs(radius), SHORTAGE, SHORTAGE_MOST)
+    fault = np.where(by_radius & (short > allowed), 4, fault)
     relative[:, a] = np.where(by_radius, np.nan_to_num(centre_a), relative[:, a])
     relative[:, b] = np.where(by_radius, np.nan_to_num(centre_b), relative[:, b])
     relative[:, normal] = 0.0

@@ -114,13 +114,8 @@ class _Nodes(Transformer):  # type: ignore[type-arg]
 
 @cache
 def _parser() -> Lark:
-    return Lark(
-        _GRAMMAR,
-        parser='lalr',
-        lexer='contextual',
-        start=['line', 'values', 'condition', 'formula'],
-        maybe_placeholders=False,
-    )
+    start = ['line', 'values', 'condition', 'formula']
+    return Lark(_GRAMMAR, start=start, lexer='contextual', maybe_placeholders=False, parser='lalr')
 
 
 def _as_number(match: re.Match[str]) -> str:

@@ -234,11 +234,8 @@ class Flow(Cursor):
             raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
         arguments = None
         if word == 'G65':
-            arguments = {
-                G65_ARGUMENTS[letter]: values.pop(letter)
-                for letter in list(values)
-                if letter in G65_ARGUMENTS
-            }
+            given = [letter for letter in values if letter in G65_ARGUMENTS]
+            arguments = {G65_ARGUMENTS[letter]: values.pop(letter) for letter in given}
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
 
     def condition(self, text: str) -> float:

@@ -113,8 +113,8 @@ class JobSetup:
             if entry.corner_radius is not None:
                 words += f' corner radius {_shown(entry.corner_radius, MM):g}'
             return f'{words} {entry.remark}'.strip()
-        shown = _position_shown(entry or {})
-        return ' '.join(f'{letter} {value:g}' for letter, value in shown.items()) or 'not set'
+        shown = _position_shown(entry or {}).items()
+        return ' '.join(f'{letter} {value:g}' for letter, value in shown) or 'not set'
 
     @staticmethod
     def of(settings: Settings) -> JobSetup:
@@ -154,11 +154,8 @@ def _shown(value: float, unit: float) -> float:
 
 
 def _position_shown(position: Position) -> dict[str, float]:
-    return {
-        letter: _shown(position[letter], MM if letter in 'XYZ' else DEG)
-        for letter in (*LETTERS, ROTATION)
-        if letter in position
-    }
+    given = [letter for letter in (*LETTERS, ROTATION) if letter in position]
+    return {k: _shown(position[k], MM if k in 'XYZ' else DEG) for k in given}
 
 
 def _positions_shown(
@@ -168,14 +165,13 @@ def _positions_shown(
 
 
 def _tool_shown(tool: Tool) -> dict[str, Any]:
-    shown: dict[str, Any] = {'length': _shown(tool.length, MM)}
-    if tool.radius:
-        shown['radius'] = _shown(tool.radius, MM)
-    if tool.corner_radius is not None:
-        shown['corner_radius'] = _shown(tool.corner_radius, MM)
-    if tool.remark:
-        shown['remark'] = tool.remark
-    return shown
+    sizes = {
+        'length': tool.length,
+        'radius': tool.radius or None,
+        'corner_radius': tool.corner_radius,
+    }
+    shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
+    return {**shown, 'remark': tool.remark} if tool.remark else shown
 
 
 class _Reading:

@@ -12,7 +12,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs
 from cnc_interp.program import target_row as col
 from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
-from cnc_interp.program.subdivide import angle_between, great_circle, piece_counts
+from cnc_interp.program.subdivide import Poses, angle_between, great_circle, piece_counts
 from cnc_interp.settings.options import Settings
 
 SAME = 1e-12  # [m], [-], [rad]
@@ -128,22 +128,19 @@ class Moves:
 
     def _like_poses(self, row: IntArray, settings: Settings) -> BoolArray:
         """Return which lines in axes are short lines of poses within a tenth, shape (m,)."""
-        end, height = self.rows[row], settings.flank_height
+        height = settings.flank_height
         fits = self._short(row, settings)
         fits &= self.beside[row] | ~self._near_pole(row, height)
         some = row[fits]
         if len(some):
-            fits[fits] = (
-                piece_counts(
-                    lambda block, u: self.poses(some[block], u),
-                    np.abs(self.sweep[some]).sum(axis=1),
-                    CHORD_SHARE * end[fits, col.CONTOUR],
-                    CHORD_SHARE * end[fits, col.ORIENTATION],
-                    height,
-                )
-                == 1
-            )
+            turned = np.abs(self.sweep[some]).sum(axis=1)
+            fits[fits] = self.pieces(some, turned, self.poses, height) == 1
         return np.asarray(fits)
+
+    def pieces(self, row: IntArray, turned: FloatArray, poses: Poses, height: float) -> IntArray:
+        """Return in how many pieces, (m,), motions that turn so far are near their chords."""
+        tip, top = CHORD_SHARE * self.rows[row][:, [col.CONTOUR, col.ORIENTATION]].T
+        return piece_counts(lambda block, u: poses(row[block], u), turned, tip, top, height)
 
     def _short(self, row: IntArray, settings: Settings) -> BoolArray:
         """Return in which motions the tip moves a short way, but does not rest, shape (m,)."""

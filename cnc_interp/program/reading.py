@@ -1,4 +1,4 @@
-"""Part program to blocks: detects the dialect, reads the text, returns blocks and notices."""
+"""Part program, or lines by hand (MDI), to blocks: detects the dialect, and makes its reader."""
 
 from __future__ import annotations
 
@@ -7,11 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.active_modes import ModesOfBlocks
+from cnc_interp.program.active_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.control_profiles import HEIDENHAIN, as_on, dialect_of, form_of
+from cnc_interp.program.control_profiles import (
+    HEIDENHAIN,
+    PLAIN,
+    PROFILES,
+    as_on,
+    dialect_of,
+    form_of,
+)
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
@@ -22,6 +30,8 @@ from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.settings.options import Settings
+
+MDI = 'MDI'  #: Name of a line by hand in messages.
 
 
 @dataclass(frozen=True)
@@ -166,3 +176,45 @@ def read_text(
     """Read a program that is a text, as ``read_program``; ``source`` names it in messages."""
     stream = ProgramStream(Source.of_text(text, source), geometry, settings or Settings(), setup)
     return stream.read()
+
+
+class MdiLine(ProgramStream):
+    def __init__(self, reader: GcodeReader, notices: Notices):
+        self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
+        self._reader = self.reader = reader
+        self._notices, self.read_as = notices, ()
+        self._signals = reader.mover.geometry.machine.signals
+
+
+class MdiReader:
+    """Lines by hand share one modal state; one that is refused changes nothing."""
+
+    def __init__(self, geometry: Transform, settings: Settings):
+        self._geometry, self._settings = geometry, as_on(geometry, settings)
+        self._last = self._reader('', Notices(), JobSetup())
+
+    def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
+        """Begin to read a line; the machine ``stands`` there, (n_axes,) [m, rad]."""
+        if len(text.splitlines()) != 1:
+            raise ProgramError('give one line at a time; a program is run with run_program', MDI)
+        notices = Notices()
+        reader = self._reader(text, notices, setup)
+        reader.follow(self._last)
+        reader.stand_at(stands)
+        reader.waits_at_probes = True
+        return MdiLine(reader, notices)
+
+    def keep(self, line: MdiLine) -> None:
+        self._last = line.reader
+        if line.reader.finished:
+            self._last = self._reader('', Notices(), JobSetup())
+
+    def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
+        source = Source.of_text(text, MDI)
+        dialect = PROFILES.get(self._settings.dialect, PLAIN)
+        reader = GcodeReader(self._geometry, self._settings, setup, source, notices, dialect)
+        reader.whole = False
+        return reader
+
+    def modes(self, setup: JobSetup) -> ActiveModes:
+        return self._last.active_modes(setup.offset, setup.tool)

@@ -49,11 +49,9 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         return False
     moves = np.isfinite(linear_words).any(axis=1) | rotary_words.any(axis=1) | (on_arc & arc_words)
     others = [i for i, letter in enumerate('ABC') if letter not in mover.rotary_letters]
-    if (
-        np.isnan(motion[moves]).any()
-        or (arc_words & ~on_arc).any()
-        or rotary_words[:, others].any()
-    ):
+    if np.isnan(motion[moves]).any() or (arc_words & ~on_arc).any():
+        return False
+    if rotary_words[:, others].any():
         return False
     feeds = _feeds(mover, values[:, scan.F], motion[moves] == 0.0, moves)
     if feeds is None:
@@ -110,11 +108,8 @@ def _feeds(
         rate = _filled(words, mover.blocks_per_minute or nan)[moves]
         if (np.isnan(rate) & ~rapid).any() or (~given[moves] & ~rapid).any():
             return None
-        return (
-            np.where(rapid, inf, nan),
-            np.where(rapid, nan, MINUTE / rate),
-            np.full(len(rate), inf),
-        )
+        duration = np.where(rapid, nan, MINUTE / rate)
+        return np.where(rapid, inf, nan), duration, np.full(len(rate), inf)
     feed = _filled(words * mover.unit / MINUTE, mover.feedrate or nan)[moves]
     turn = _filled(words * DEG / MINUTE, mover.turn_rate)[moves]
     if (np.isnan(feed) & ~rapid).any():

@@ -21,7 +21,7 @@ from cnc_interp.program.cutter_radius import CutterRadius, Told
 from cnc_interp.program.job import SetupChange
 from cnc_interp.program.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
 from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.subdivide import MOST_PIECES, angle_between, piece_counts, ragged
+from cnc_interp.program.subdivide import MOST_PIECES, angle_between, ragged
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
@@ -294,13 +294,7 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
         if (turned > _MOST_TURN).any():
             why = 'more than 500 turns in one block; correct it or cut it into blocks'
             raise fault(rows[curved[np.argmax(turned)]], why)
-        pieces = piece_counts(
-            lambda block, u: moves.chordal(curved[block], u),
-            turned,
-            CHORD_SHARE * rows[curved, col.CONTOUR],
-            CHORD_SHARE * rows[curved, col.ORIENTATION],
-            settings.flank_height,
-        )
+        pieces = moves.pieces(curved, turned, moves.chordal, settings.flank_height)
         if pieces.max() > MOST_PIECES:
             why = f'more than {MOST_PIECES:,} chords in one block; widen the tolerances'
             raise fault(rows[curved[np.argmax(pieces)]], why)

@@ -58,11 +58,10 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
 def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
     first = {steps.start: word for word, steps in signals.words.items() if len(steps)}
+    rows = zip(found['line_number'], found['step'].tolist(), found['value'], strict=True)
     return [
         (int(line), first[k], float(value) if first[k] in 'ST' else 0.0)
-        for line, k, value in zip(
-            found['line_number'], found['step'].tolist(), found['value'], strict=True
-        )
+        for line, k, value in rows
         if k in first
     ]
 

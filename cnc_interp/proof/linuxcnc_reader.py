@@ -266,13 +266,11 @@ def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
         tools = content.get('tools', {})
         if set(content) - {'tools', 'tool'} or any(tool['length'] for tool in tools.values()):
             return None
-        return {
-            int(number): (
-                float(tool.get('radius', 0.0)) * MM,
-                float(tool.get('corner_radius', 'nan')) * MM,
-            )
-            for number, tool in tools.items()
-        }
+        found: dict[int, tuple[float, float]] = {}
+        for number, tool in tools.items():
+            corner = float(tool.get('corner_radius', 'nan')) * MM
+            found[int(number)] = float(tool.get('radius', 0.0)) * MM, corner
+        return found
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None
 

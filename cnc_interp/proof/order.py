@@ -100,13 +100,9 @@ def order_of(program: ProgramShapes, tolerances: tuple[FloatArray, FloatArray]) 
         extra = position[:, len(machine.axis_names) - len(machine.extra_names) :]
         return np.hstack([program.tips(position), rotary, extra])
 
-    courses = [
-        ('tool tip', program.tips, shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])),
-        (
-            'point at flank height', program.tops,
-            shapes.pieces(shapes.top, 'orientation_tolerance', tolerances[1]),
-        ),
-    ]  # fmt: skip
+    tip = shapes.pieces(shapes.tip, 'contour_tolerance', tolerances[0])
+    top = shapes.pieces(shapes.top, 'orientation_tolerance', tolerances[1])
+    courses = [('tool tip', program.tips, tip), ('point at flank height', program.tops, top)]
     if shapes.worded.any() or machine.extra_names:
         courses.append(('axes', joint, shapes.joint_pieces(*tolerances)))
     left, low, high = [], Stored.empty(count, np.int32), Stored.empty(count, np.int32)

@@ -259,16 +259,14 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
         _span(blocks[f'{kind}_tolerance'] / MM) + f' mm {kind}'
         for kind in ('contour', 'orientation')
     )
+    program = f'{len(blocks["tip"]) - 1} blocks of {_name(summary)}'
     rows = [
-        Given(
-            'program', f'{len(blocks["tip"]) - 1} blocks of {_name(summary)}', of_blocks,
-            digest_of(blocks),
-        ),
+        Given('program', program, of_blocks, digest_of(blocks)),
         Given('machine', machine.name, machine_source(machine, file), digest),
         Given('tolerances', tolerances, of_blocks),
         Given('flank height', f'{plan.flank_height / MM:g} mm', of_summary),
         Given('period', f'{plan.period / MS:g} ms', of_summary),
-    ]  # fmt: skip
+    ]
     override = float(summary.get('largest_override', 1.0))
     if override != 1.0:
         rows.append(Given('feed override', f'up to {override:.1%}', of_summary))
@@ -287,11 +285,9 @@ def machine_source(machine: Machine, file: Path) -> str:
         bundled = find_machine_file(machine.name)
     except MachineError:
         bundled = file
-    return f'{file}, which is not bundled' + (
-        f' and differs from the bundled {machine.name}'
-        if bundled.resolve() != file.resolve() and bundled.read_bytes() != file.read_bytes()
-        else ''
-    )
+    same = bundled.resolve() == file.resolve() or bundled.read_bytes() == file.read_bytes()
+    differs = '' if same else f' and differs from the bundled {machine.name}'
+    return f'{file}, which is not bundled{differs}'
 
 
 def digest_of(columns: Columns) -> str:

@@ -95,12 +95,11 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
         (lowest, highest), (beyond, reached) = machine.travel[j], outermost[name]
         axis = machine.axes[j]
         scale, unit = 1.0 / axis.shown_size, axis.shown_unit
-        ledger.require(
-            beyond <= SLACK,
-            f'{name} exceeds its travel of {lowest * scale:.6g} to {highest * scale:.6g} {unit} '
-            f'by {beyond * scale:.3g} {unit} in line {plan.blocks["line"][plan.block[reached]]} '
-            f'(sample {reached}, {reached * plan.period:.3f} s)',
-        )
+        travel = f'its travel of {lowest * scale:.6g} to {highest * scale:.6g} {unit}'
+        place = f'(sample {reached}, {reached * plan.period:.3f} s)'
+        line = plan.blocks['line'][plan.block[reached]]
+        text = f'{name} exceeds {travel} by {beyond * scale:.3g} {unit} in line {line} {place}'
+        ledger.require(beyond <= SLACK, text)
 
 
 def _prove_order(ledger: Ledger, plan: PlanFiles) -> None:

@@ -13,7 +13,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.job import JobSetup, Tool
-from cnc_interp.program.mdi import MdiReader
+from cnc_interp.program.reading import MdiReader
 from cnc_interp.settings.options import Settings
 
 MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))

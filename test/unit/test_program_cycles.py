@@ -9,7 +9,7 @@ from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
-from cnc_interp.program.mdi import MdiReader
+from cnc_interp.program.reading import MdiReader
 from cnc_interp.program.source import Source
 from cnc_interp.settings.options import Settings
 

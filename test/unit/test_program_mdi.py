@@ -8,7 +8,7 @@ from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, read_text
-from cnc_interp.program.mdi import MdiReader
+from cnc_interp.program.reading import MdiReader
 from cnc_interp.settings.options import Settings
 
 SETTINGS = Settings()

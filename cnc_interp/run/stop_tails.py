@@ -177,13 +177,17 @@ def way_down(
             s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
             stop = stop_law(ahead, (s, v, a), table, float(time), LEEWAY)
             if stop is not None:
-                rest = [between(piece, first, float(time))] if time > first else []
-                return PlannedPiece.join([*driven, *rest, stop])
-        if last > first:
-            driven.append(between(piece, first, last))
+                return PlannedPiece.join([*driven, *_part(piece, first, float(time)), stop])
+        driven += _part(piece, first, last)
     if driven and driven[-1].law.evaluate(np.array([last]))[1][0] < STILL:
         return PlannedPiece.join(driven)
     return None
+
+
+def _part(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
+    """Return the part between two times [s]; none where it goes no way: the end of a piece."""
+    part = between(piece, begin, end) if end > begin else None
+    return [part] if part is not None and len(part.path.s) > 1 else []
 
 
 def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:

@@ -177,22 +177,18 @@ def way_down(
             s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
             stop = stop_law(ahead, (s, v, a), table, float(time), LEEWAY)
             if stop is not None:
-                return PlannedPiece.join([*driven, *_part(piece, first, float(time)), stop])
-        driven += _part(piece, first, last)
+                return PlannedPiece.join([*driven, *between(piece, first, float(time)), stop])
+        driven += between(piece, first, last)
     if driven and driven[-1].law.evaluate(np.array([last]))[1][0] < STILL:
         return PlannedPiece.join(driven)
     return None
 
 
-def _part(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
-    """Return the part between two times [s]; none where it goes no way: the end of a piece."""
-    part = between(piece, begin, end) if end > begin else None
-    return [part] if part is not None and len(part.path.s) > 1 else []
-
-
-def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:
-    """Cut a law and its path at two times on its clock [s]."""
+def between(piece: PlannedPiece, begin: float, end: float) -> list[PlannedPiece]:
+    """Cut law and path at two times [s]; nothing where no way is left: in the last instant."""
     law = piece.law
+    if end <= begin:
+        return []
     first, last = law.piece_at(np.array([begin, end])).tolist()
     last -= law.time[last] == end and last > first
     rows = np.arange(first, last + 1)
@@ -201,7 +197,9 @@ def between(piece: PlannedPiece, begin: float, end: float) -> PlannedPiece:
     ends = np.append(times[1:], end)
     until = float(law.evaluate(np.array([end]), rows[-1:])[0][0])
     places = grid_place(piece.path, float(s[0])), grid_place(piece.path, until)
+    if places[0] == places[1]:
+        return []
     path = cut_between(piece.path, *places, np.array(places))
     start = int(np.searchsorted(piece.path.s, places[0], side='right')) - 1
     cells = np.maximum(law.cell[rows] - start, 0)
-    return PlannedPiece(path, MotionLaw(times, ends - times, s, v, a, j, cells))
+    return [PlannedPiece(path, MotionLaw(times, ends - times, s, v, a, j, cells))]

@@ -80,14 +80,14 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument('programs', nargs='+', type=Path)
     options.add_argument('--depth', type=int, default=8, help='setpoints in the FIFO of HAL (8)')
-    options.add_argument('--fifo', type=int, help="real-time priority of HAL's threads (root)")
+    options.add_argument(
+        '--fifo', type=int, default=0, help="real-time priority of HAL's threads (root)"
+    )
     options.add_argument('--file', default='simulated_axes', help='a HAL file of config/hal')
     given = options.parse_args()
     if reason := why_not():
         raise SystemExit(reason)
-    with Session(given.file) as session:
-        if given.fifo:
-            session.prefer(given.fifo)
+    with Session(given.file, priority=given.fifo) as session:
         for program in given.programs:
             told, result = run(program, given.depth, session)
             errors = '  '.join(f'{name} {e:.3g}' for name, e in result.following_error.items())

@@ -15,6 +15,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,13 +99,17 @@ class Session:
         Those of the machine file.
     more : Sequence[str]
         Nets of further numbers for the witness.
+    priority : int
+        Real-time priority of HAL's threads where it is allowed, above that of the nodes; 0: none.
 
     """
 
     def __init__(
-        self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS, more: Sequence[str] = ()
-    ):
+        self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS,
+        more: Sequence[str] = (), priority: int = 20,
+    ):  # fmt: skip
         self._name, self._signals, self._more = name, signals, more
+        self._priority = priority
 
     def __enter__(self) -> Session:
         self._folder = tempfile.TemporaryDirectory(prefix='cnc_interp_hal_')
@@ -124,6 +129,7 @@ class Session:
 
     def _begin(self, path: Path) -> None:
         self._run('halcmd', '-f', str(path))
+        self.is_preferred = self._priority > 0 and self._prefer()
         self._session = HalSession()
         columns = witnessed_columns(self._signals, self._more)
         self._is_number = np.array([s.is_number for s in self._signals.wires], dtype=bool)
@@ -143,13 +149,18 @@ class Session:
         assert done.returncode == 0, f'{" ".join(command)}: {text}'
         return text
 
-    def prefer(self, priority: int) -> None:
-        """Give the threads of HAL a real-time priority (SCHED_FIFO); root only."""
+    def _prefer(self) -> bool:
+        """Give the threads of HAL their priority; return whether it was allowed."""
+        wanted = os.sched_param(self._priority)
         for name in Path('/proc').glob('[0-9]*/comm'):
-            if name.read_text().startswith('rtapi_app'):
-                for thread in (name.parent / 'task').iterdir():
-                    wanted = os.sched_param(priority)
-                    os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, wanted)
+            with suppress(FileNotFoundError, ProcessLookupError):  # it ended meanwhile
+                if name.read_text().startswith('rtapi_app'):
+                    for thread in (name.parent / 'task').iterdir():
+                        try:
+                            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, wanted)
+                        except PermissionError:
+                            return False
+        return True
 
     def tell(self, *command: str) -> str:
         """Run a command of halcmd, such as ``sets SIGNAL VALUE``; return what it prints."""

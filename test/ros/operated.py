@@ -122,15 +122,15 @@ class Bench(NodesUnderTest):
 
     def until_at(self, length):
         """Spin until the machine has run so far [m] in the program loaded last."""
-        self.spin_until(
-            lambda: (
-                self.state.state == MachineState.RUNNING
-                and self.state.samples
-                and self.loaded
-                and self.state.program_id == self.loaded[-1].program_id
-                and self.state.path_position > length
-            )
-        )
+
+        def there():
+            state = self.state
+            assert state.state != MachineState.FAULT, state.message
+            ours = self.loaded and state.program_id == self.loaded[-1].program_id
+            runs = state.state == MachineState.RUNNING and state.samples
+            return ours and runs and state.path_position > length
+
+        self.spin_until(there)
 
     def until_state(self, state):
         self.spin_until(lambda: self.state.state == state)

@@ -64,18 +64,23 @@ def until_at_rest(hal, bench, column):
     bench.spin_until(rests)
 
 
-@pytest.fixture
-def run(hal, bench):
-    """The program on the way, when HAL's record begins; the machine at rest again at the end."""
-    hal.forget()
-    until_at_rest(hal, bench, 0)
-    handle = bench.begin()
-    bench.until_at(0.05)
-    yield handle
+def recover(bench):
+    """Make ready, also after a test that failed."""
     bench.watching = True
     if bench.state.state == MachineState.FAULT:
         assert bench.press('reset').success
     bench.until_state(MachineState.IDLE)
+
+
+@pytest.fixture
+def run(hal, bench):
+    """The program on the way, when HAL's record begins."""
+    recover(bench)
+    hal.forget()
+    until_at_rest(hal, bench, 0)
+    handle = bench.begin()
+    bench.until_at(0.05)
+    return handle
 
 
 def test_without_a_session_the_node_says_so():
@@ -170,6 +175,7 @@ def test_what_the_drives_report_stops_on_the_path(hal, bench, run, breaks, mends
 
 
 def test_the_power_is_taken_when_the_node_ends(hal, bench):
+    recover(bench)
     assert 'TRUE' in hal.tell('getp', 'bits-0.out-00')
     bench.watching = False
     os.kill(bench.children.nodes['machine_node'].process.pid, signal.SIGTERM)

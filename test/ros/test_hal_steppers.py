@@ -31,10 +31,9 @@ def test_steppers_follow_within_a_step(tmp_path):
         reason = 'needs a computer that does nothing else: its programs make the pulses'
     if reason:
         pytest.skip(reason)
-    with hal_session.Session('stepper_axes') as session:
-        try:
-            session.prefer(85)  # else the pulses wait for other programs, and steps are late
-        except PermissionError:
+    # By a high priority, else the pulses wait for other programs, and steps are late.
+    with hal_session.Session('stepper_axes', priority=85) as session:
+        if not session.is_preferred:
             pytest.skip('needs the right to real-time priorities')
         given = {'drives': 'hal', 'hal_depth': '300'}
         request = RunRequest(EXAMPLE, out=tmp_path / 'out', quiet=True, drives=given)

@@ -40,7 +40,7 @@ def main() -> None:
             program.write_text(excitation(machine), encoding='utf-8')
             run_session(RunRequest(program, machine=MACHINE, record=bag, quiet=True))
         with Bag(bag) as opened:
-            run = recorded_feedback(opened)
+            run, _ = recorded_feedback(opened, MACHINE)
     steps = np.array([machine.drives[j].resolution for j in range(len(machine.axis_names))])
     noise = np.random.default_rng(1).normal(size=run.feedback.shape) * steps * options.noise
     # Inertia and viscous friction are given, the rest of the file is not.

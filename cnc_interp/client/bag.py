@@ -9,32 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cnc_interp_msgs.msg import (
-    AxisFeedback,
-    FollowedSpindle,
-    G1Block,
-    G1BlockBatch,
-    LoadedProgram,
-    MachineSignals,
-    MachineState,
-    PathSegmentBatch,
-    ProbeContact,
-    SetpointChunk,
-    SetupTable,
-    StreamStatus,
-)
+from cnc_interp_msgs import msg
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
@@ -47,19 +26,19 @@ from cnc_interp.nodes.streams import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
-    'loaded_program': (LoadedProgram, qos.LOADED),
-    'setup_table': (SetupTable, qos.LOADED),
-    'blocks': (G1Block, qos.STREAM),
-    'block_batches': (G1BlockBatch, qos.STREAM),
-    'segments': (PathSegmentBatch, qos.STREAM),
-    'setpoints': (SetpointChunk, qos.SETPOINTS),
-    'executed_setpoints': (SetpointChunk, qos.STREAM),
-    'axis_feedback': (AxisFeedback, qos.STREAM),
-    'followed_spindle': (FollowedSpindle, qos.STREAM),
-    'stream_status': (StreamStatus, qos.STATUS),
-    'machine_state': (MachineState, qos.STATE),
-    'machine_signals': (MachineSignals, qos.LOADED),
-    'probe_contact': (ProbeContact, qos.CONTACTS),
+    'loaded_program': (msg.LoadedProgram, qos.LOADED),
+    'setup_table': (msg.SetupTable, qos.LOADED),
+    'blocks': (msg.G1Block, qos.STREAM),
+    'block_batches': (msg.G1BlockBatch, qos.STREAM),
+    'segments': (msg.PathSegmentBatch, qos.STREAM),
+    'setpoints': (msg.SetpointChunk, qos.SETPOINTS),
+    'executed_setpoints': (msg.SetpointChunk, qos.STREAM),
+    'axis_feedback': (msg.AxisFeedback, qos.STREAM),
+    'followed_spindle': (msg.FollowedSpindle, qos.STREAM),
+    'stream_status': (msg.StreamStatus, qos.STATUS),
+    'machine_state': (msg.MachineState, qos.STATE),
+    'machine_signals': (msg.MachineSignals, qos.LOADED),
+    'probe_contact': (msg.ProbeContact, qos.CONTACTS),
     'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }
@@ -68,7 +47,7 @@ SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 #: Before the parameters of the nodes, in the custom data of a bag.
 PARAMETER = 'parameter.'
 NOTED = 'noted.json'  #: The custom data of a bag that is not closed yet.
-ENDLESS = QosTime(2147483647, 4294967295)
+ENDLESS = interfaces.QosTime(2147483647, 4294967295)
 
 
 def type_name(kind: Any) -> str:
@@ -89,12 +68,12 @@ def types() -> Any:
     return store
 
 
-def offered(profile: QoSProfile) -> Qos:
+def offered(profile: QoSProfile) -> interfaces.Qos:
     """Describe a quality of service, so that a player offers the same."""
-    durability = QosDurability[profile.durability.name]
-    return Qos(
-        QosHistory.KEEP_LAST, profile.depth, QosReliability.RELIABLE, durability, ENDLESS, ENDLESS,
-        QosLiveliness.AUTOMATIC, ENDLESS, False,
+    durability = interfaces.QosDurability[profile.durability.name]
+    return interfaces.Qos(
+        interfaces.QosHistory.KEEP_LAST, profile.depth, interfaces.QosReliability.RELIABLE,
+        durability, ENDLESS, ENDLESS, interfaces.QosLiveliness.AUTOMATIC, ENDLESS, False,
     )  # fmt: skip
 
 
@@ -156,10 +135,7 @@ class BagWriter:
                 self._fault = fault
 
     def close(self) -> None:
-        """Write index and metadata.
-
-        Raises OSError if this or a message could not be written: the disk is full.
-        """
+        """Write index and metadata; OSError if this or a message could not be written."""
         try:
             if self._fault is not None:
                 raise self._fault
@@ -214,10 +190,7 @@ class SpooledMessages(Sequence[Any]):
 
 
 class Bag:
-    """A bag being read.
-
-    Raises InterpError if it cannot be read; also while reading.
-    """
+    """A bag being read; raises InterpError if it cannot be read, also while reading."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -246,7 +219,7 @@ class Bag:
         names = {f'/{topic.removeprefix("/")}': topic for topic in topics}
         reader = self._reader
         assert reader is not None
-        wanted: list[Connection] = [c for c in reader.connections if c.topic in names]
+        wanted: list[interfaces.Connection] = [c for c in reader.connections if c.topic in names]
         try:
             found = reader.messages(wanted) if wanted else iter(())
             while (message := next(found, None)) is not None:
@@ -257,6 +230,13 @@ class Bag:
 
     def read(self, topic: str) -> list[Any]:
         return list(self.messages(topic))
+
+    def machine(self, other: str | None = None) -> str:
+        """Return the machine of the nodes, or the other one that the user names."""
+        name = other or str(self.parameters.get('machine_node.machine', ''))
+        if not name:
+            raise InterpError(f'{self.path}: does not name the machine; name it with --machine')
+        return name
 
     def messages(self, topic: str) -> Iterator[Any]:
         """Yield all sound messages of a topic, one at a time."""
@@ -279,11 +259,7 @@ class Bag:
         return SpooledMessages(file, ends, lambda data: self.message(topic, data))
 
     def message(self, topic: str, data: bytes) -> Any:
-        """Return a message.
-
-        Raises StreamError if its checksum is wrong. Raises InterpError if it is none of this
-        topic.
-        """
+        """Return a message; StreamError by its checksum, InterpError if it is of no such type."""
         kind = TOPICS[topic][0]
         try:
             return opened(data, kind) if topic in SEALED else deserialize_message(data, kind)
@@ -311,17 +287,7 @@ class Bag:
 
 
 def repair(path: Path, out: Path) -> tuple[int, float]:
-    """Write what a bag holds whose recorder was killed as a sound one.
-
-    Returns
-    -------
-        Number of messages, and the time from the first to the last one [s].
-
-    Raises
-    ------
-    InterpError
-        If there is no message, or ``out`` exists.
-    """
+    """Write what the bag of a killed recorder holds as a sound one; returns count and time [s]."""
     from mcap.records import Channel, Message
 
     files = sorted(path.glob('*.mcap'))

@@ -64,7 +64,9 @@ def connected(
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
         until = time.monotonic() + PATIENCE
-        while not (ready(client) and client.machine and client.state and client.can_move):
+        while not (
+            ready(client) and client.machine and client.state and client.offers('move_axes')
+        ):
             if time.monotonic() > until:
                 raise InterpError(
                     f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
@@ -94,7 +96,7 @@ def move_by_hand(
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
     """Home axes, all where none is named; return those that are not. InterpError if refused."""
     with connected('home', namespace, domain) as (client, machine):
-        client.granted(client.home(axes))
+        client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
         with held_at_interrupt(client):
             state = _homed(client)
@@ -130,7 +132,7 @@ def held_at_interrupt(client: OperatorClient) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        client.wait_for(client.trigger('feed_hold'))
+        client.wait_for(client.ask('feed_hold'))
         raise
 
 

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +16,7 @@ from typing import Any
 import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineSignals, MachineState, ModalState
-from cnc_interp_msgs.srv import Home, MoveAxes, SwitchOutputs
+from cnc_interp_msgs.srv import Home, MoveAxes, SetOffset, SetTool, SwitchOutputs, TouchOff
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
@@ -34,12 +34,16 @@ from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later
 from cnc_interp.processes.this_host import stay_on_this_host
 
-__all__ = ['STOPS', 'SWITCHES', 'TRIGGERS', 'Answer', 'MachineState', 'OperatorClient']
+__all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
-#: Commands without a value; each is a service of that name.
-TRIGGERS = ('cycle_start', 'feed_hold', 'reset', 'emergency_stop')
-#: Stop at the end of each line; stop at M1. Each is a service of that name.
-SWITCHES = ('single_block', 'optional_stop')
+SWITCHES = ('single_block', 'optional_stop')  #: Stop at the end of each line; stop at M1.
+#: The commands: services of these names.
+SERVICES = {
+    **dict.fromkeys(('cycle_start', 'feed_hold', 'reset', 'emergency_stop'), Trigger),
+    **dict.fromkeys(SWITCHES, SetBool),
+    'switch_outputs': SwitchOutputs, 'move_axes': MoveAxes, 'home': Home,
+    'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff,
+}  # fmt: skip
 #: Factors on the programmed feed, on rapids and on the spindle. Each is a topic of that name.
 OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
@@ -52,11 +56,7 @@ SPIN = 0.1  #: Longest wait for an event [s].
 
 
 class SharedValue:
-    """The last value heard on a topic, and the values sent from here that have not come back yet.
-
-    While a sent value is on its way, a value that is heard may be older. So the last value sent
-    counts until it is heard, or until ``patience`` is over.
-    """
+    """The last value heard on a topic; one sent from here counts until heard, or ``patience``."""
 
     def __init__(self, value: float, patience: float):
         self._heard, self._patience = value, patience
@@ -72,10 +72,7 @@ class SharedValue:
             self._until = now + self._patience
 
     def hear(self, value: float) -> None:
-        """Record a value that was received. Values sent before it will not be received any more.
-
-        A value that is heard again and again is news only the first time.
-        """
+        """Record a value that was received: values sent before it will not come any more."""
         if value == self._heard:
             return
         if value in self._wishes:
@@ -97,19 +94,14 @@ class Answer:
 class OperatorClient:
     """A ROS node of its own, served by ``serve`` or by a thread (``start``).
 
-    Commands may come from any thread.
-
-    ``domain``: their ROS domain; None takes that of the environment; ``on_state``: called with
-    every ``MachineState``, in the thread that serves the node.
+    Commands may come from any thread. Without ``domain`` that of the environment counts;
+    ``on_state`` is called with every ``MachineState``, in the thread that serves the node.
     """
 
     def __init__(
-        self,
-        name: str,
-        namespace: str,
-        domain: int | None = None,
-        on_state: Callable[[MachineState], None] | None = None,
-    ):
+        self, name: str, namespace: str, domain: int | None = None,
+        on_state: Callable[[MachineState], None] = lambda _: None,
+    ):  # fmt: skip
         stay_on_this_host()
         self._context = rclpy.Context()
         rclpy.init(
@@ -144,11 +136,7 @@ class OperatorClient:
         ):
             node.create_subscription(kind, topic, partial(setattr, self, name), LOADED)
         node.create_subscription(DiagnosticArray, '/diagnostics', self._see_alarms, DIAGNOSTICS)
-        self._triggers = {name: node.create_client(Trigger, name) for name in TRIGGERS}
-        self._switches = {name: node.create_client(SetBool, name) for name in SWITCHES}
-        self._move_axes = node.create_client(MoveAxes, 'move_axes')
-        self._home = node.create_client(Home, 'home')
-        self._switch_outputs = node.create_client(SwitchOutputs, 'switch_outputs')
+        self._services = {name: node.create_client(kind, name) for name, kind in SERVICES.items()}
         self._beats = node.create_publisher(Jog, 'jog', BEATS)
         self._set_overrides = {
             topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
@@ -191,8 +179,7 @@ class OperatorClient:
     def _see_state(self, state: MachineState) -> None:
         for topic, override in self._overrides.items():
             override.hear(getattr(state, topic))
-        if self._on_state is not None:
-            self._on_state(state)
+        self._on_state(state)
 
     def _see_alarms(self, array: DiagnosticArray) -> None:
         """Store alarms, waiting programs, how far the next one is checked, errors."""
@@ -217,25 +204,11 @@ class OperatorClient:
 
     # Commands -----------------------------------------------------------------------------------
 
-    def trigger(self, name: str) -> Future[Answer]:
-        return self.ask(self._triggers[name], Trigger.Request(), name)
-
-    def set_switch(self, name: str, on: bool) -> Future[Answer]:
-        return self.ask(self._switches[name], SetBool.Request(data=on), name)
-
-    def set_output(self, name: str, value: float) -> Future[Answer]:
-        request = SwitchOutputs.Request(names=[name], values=[value])
-        return self.ask(self._switch_outputs, request, 'switch_outputs')
-
-    @property
-    def can_move(self) -> bool:
-        return bool(self._move_axes.service_is_ready())
+    def offers(self, *services: str) -> bool:
+        return all(self._services[name].service_is_ready() for name in services)
 
     def move_axes(self, request: MoveAxes.Request) -> Future[Answer]:
-        return self.ask(self._move_axes, request, 'move_axes')
-
-    def home(self, axes: Sequence[str] = ()) -> Future[Answer]:
-        return self.ask(self._home, Home.Request(axes=list(axes)), 'home')
+        return self.ask('move_axes', request)
 
     def beat(self, message: Jog) -> None:
         self._executor.create_task(lambda: self._beats.publish(message))
@@ -248,10 +221,7 @@ class OperatorClient:
     def run(
         self, goal: RunProgram.Goal, on_result: Callable[[RunProgram.Result], None] | None = None
     ) -> SentProgram:
-        """Send a program; it starts when those before it have ended.
-
-        To be called in the thread that serves the node.
-        """
+        """Send a program, in the thread that serves the node; it starts after those before it."""
         sent = SentProgram(self._action, goal, len(self._sent))
         self._sent.append(sent)
 
@@ -329,9 +299,10 @@ class OperatorClient:
             self._executor.create_task(sent.cancel)
         return len(found)
 
-    def ask(self, client: Any, request: Any, name: str) -> Future[Answer]:
-        """Call a service by a client of this node; a stop is sent again until it is answered."""
+    def ask(self, name: str, request: Any = None, **fields: Any) -> Future[Answer]:
+        """Call a service; a stop is sent again until it is answered."""
         wanted: Future[Answer] = Future()
+        client, request = self._services[name], request or SERVICES[name].Request(**fields)
 
         def send() -> None:
             if not client.service_is_ready():
@@ -373,12 +344,12 @@ class OperatorClient:
         return found
 
     def start(self) -> None:
-        self._thread = threading.Thread(target=self._serve_on, name='ros', daemon=True)
-        self._thread.start()
+        def serve_on() -> None:
+            while not self._ended.is_set():
+                self.serve()
 
-    def _serve_on(self) -> None:
-        while not self._ended.is_set():
-            self.serve()
+        self._thread = threading.Thread(target=serve_on, name='ros', daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         self._ended.set()

@@ -9,16 +9,8 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp.client.bag import Bag
 from cnc_interp.core.arrays import FloatArray, IntArray
 from cnc_interp.core.errors import InterpError
+from cnc_interp.drives import learning
 from cnc_interp.drives.compensation import Compensation, compensated_model
-from cnc_interp.drives.learning import (
-    LearntMotion,
-    hash_of,
-    learnt_for,
-    learnt_rates,
-    measured_error,
-    start_of,
-    with_hold,
-)
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.wire.run_messages import run_id_of
 
@@ -36,8 +28,8 @@ class RecordedFeedback:
     program_id: str  #: The run.
 
 
-def recorded_feedback(bag: Bag) -> RecordedFeedback:
-    """Read the last run in which the machine moved, its approach included.
+def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine]:
+    """Read the last run in which the machine moved, its approach included; and its machine.
 
     Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
     """
@@ -64,12 +56,15 @@ def recorded_feedback(bag: Bag) -> RecordedFeedback:
         parts.append(rows)
         following += len(rows[0])
     setpoint, rate, feedback = (np.concatenate(column) for column in zip(*parts, strict=True))
+    loaded = Machine.load(machine)
+    if setpoint.shape[1] != len(loaded.axis_names):
+        raise InterpError(f'{bag.path}: was recorded on a machine with other axes than {machine}')
     plans = [np.full(len(chunk.sequences), chunk.plan) for chunk in chunks]
     return RecordedFeedback(
         float(chunks[0].period), setpoint, rate, feedback,
         np.concatenate([np.asarray(chunk.sequences, dtype=np.int64) for chunk in chunks]),
         np.concatenate(plans), bool(chunks[-1].end_of_program), name,
-    )  # fmt: skip
+    ), loaded  # fmt: skip
 
 
 #: States of a run that goes on without a stop.
@@ -79,50 +74,44 @@ NAMES = ('machine', 'compensation', 'learnt')  #: Parameters of the machine node
 
 @dataclass(frozen=True)
 class Lesson:
-    motion: LearntMotion  #: For the next run.
+    motion: learning.LearntMotion  #: For the next run.
     #: Error of the tip [m].
     largest: float
     mean: float
 
 
 def recorded_lesson(bag: Bag) -> Lesson:
-    """Learn from the last run in a bag.
-
-    Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
-    in one piece.
-    """
+    """Learn from the last run in a bag; InterpError if not compensated, or not in one piece."""
     told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
     name, model, learnt = (told[key] for key in NAMES)
     if not model:
         raise InterpError(
             f'{bag.path}: was recorded without compensation; record a run with --compensate MODEL'
         )
-    machine, run = Machine.load(name), recorded_feedback(bag)
-    if run.setpoint.shape[1] != len(machine.axis_names):
-        raise InterpError(f'{bag.path}: was recorded on a machine with other axes than {name}')
+    run, machine = recorded_feedback(bag, name)
     known = compensated_model(model, machine)
     rows = _rows_of_program(bag, run)
-    setpoint = with_hold(run.setpoint[rows], run.period)
-    feedback = run.feedback[rows][start_of(run.setpoint[rows]) :]
-    before = learnt_for(Path(learnt), name, model, run.period) if learnt else None
+    setpoint = learning.with_hold(run.setpoint[rows], run.period)
+    feedback = run.feedback[rows][learning.start_of(run.setpoint[rows]) :]
+    before = learning.learnt_for(Path(learnt), name, model, run.period) if learnt else None
     if before is not None and not np.array_equal(before.setpoint, setpoint):
         raise InterpError(
             f'{bag.path}: ran with {learnt}, which was learnt from other setpoints; learn from a '
             'run without --learnt'
         )
     lead = Compensation(known, run.period, setpoint[0]).lead
-    tip = measured_error(machine, run.period, lead, setpoint, feedback)[:, 0]
+    tip = learning.measured_error(machine, run.period, lead, setpoint, feedback)[:, 0]
     error = np.array([[tip.max(), tip.mean()]])
-    motion = LearntMotion(
+    motion = learning.LearntMotion(
         setpoint,
-        learnt_rates(
+        learning.learnt_rates(
             known, run.period, lead, setpoint, feedback, None if before is None else before.rate
         ),
         run.period,
         error if before is None else np.concatenate([before.error, error]),
         ' '.join(machine.axis_names),
-        hash_of(name),
-        hash_of(model),
+        learning.hash_of(name),
+        learning.hash_of(model),
     )
     return Lesson(motion, float(error[0, 0]), float(error[0, 1]))
 

@@ -28,15 +28,9 @@ from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
+from cnc_interp.wire import path_messages as messages
 from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.message_checks import check_setpoints
-from cnc_interp.wire.path_messages import (
-    blocks_from,
-    blocks_of,
-    check_functions,
-    functions_from,
-    segments_from,
-)
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 BATCH = 256  #: Segments taken over together.
@@ -151,7 +145,7 @@ class RecordedRun:
         Raises InterpError if one came out twice, or as another one.
         """
         sent = [function for block in self.blocks for function in block.functions]
-        check_functions('blocks', sent, machine.signals)
+        messages.check_functions('blocks', sent, machine.signals)
         kept = np.concatenate([np.zeros(0, bool), *(p.block > 0 for p in self._executed(machine))])
         program = np.append(np.cumsum(kept) - kept, kept.sum())
         sample = np.full(len(sent), MISSING)
@@ -162,12 +156,12 @@ class RecordedRun:
             if sample[done.number] != MISSING:
                 raise InterpError(f'function {done.number} was executed twice')
             sample[done.number] = program[min(done.sample, len(program) - 1)]
-        return functions_from(sent), sample
+        return messages.functions_from(sent), sample
 
     def paths(self, machine: Machine) -> Iterator[AxisPath]:
         builder = AxisPathBuilder(Transform.of(machine), self.flank_height, self.period)
         for first in range(0, len(self.segments), BATCH):
-            path = builder.push(segments_from(self.segments[first : first + BATCH]))
+            path = builder.push(messages.segments_from(self.segments[first : first + BATCH]))
             if path is not None:
                 yield path
 
@@ -247,12 +241,12 @@ def parts_of(bag: Bag) -> list[str]:
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
     """Return the messages of an attempt at a run in order, each once."""
-    messages: Iterable[Any]
+    sent: Iterable[Any]
     if stream == 'blocks':
-        messages = chain(bag.read(stream), *map(blocks_of, bag.read('block_batches')))
+        sent = chain(bag.read(stream), *map(messages.blocks_of, bag.read('block_batches')))
     else:
-        messages = chain.from_iterable(batch.segments for batch in bag.read(stream))
-    found = {m.sequence: m for m in messages if run_id_of(m).same_attempt(run_id)}
+        sent = chain.from_iterable(batch.segments for batch in bag.read(stream))
+    found = {m.sequence: m for m in sent if run_id_of(m).same_attempt(run_id)}
     missing = next((k for k in range(len(found)) if k not in found), None)
     if missing is not None or not found:
         raise InterpError(
@@ -273,14 +267,14 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
     if next(run.setpoints(machine), None) is None:
         raise InterpError(f'{run.name}: the record ends before the program begins')
     way = ExecutedWay(run.setpoints(machine), run.period)
-    settings, blocks = run.settings, blocks_from(run.blocks)
+    settings, blocks = run.settings, messages.blocks_from(run.blocks)
     row = run.start_row(machine, blocks)
     start = StartLine(settings.from_line, settings.line_pass, run.name, row)
     finder = StartFinder(Transform.of(machine), run.flank_height, start)
     with PlanWriter(directory, machine, settings) as writer:
         writer.blocks(finder.blocks(blocks))
         for first in range(0, len(run.segments), BATCH):
-            segments = segments_from(run.segments[first : first + BATCH])
+            segments = messages.segments_from(run.segments[first : first + BATCH])
             writer.segments(finder.segments(segments))
         for path in map(finder.path, run.paths(machine)):
             if path is None:

@@ -67,12 +67,9 @@ class Comparison:
         )
 
 
-def compute_again(bag: Bag, machine: str = '') -> Iterator[Comparison]:
+def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
     """Compute the setpoints of all runs in a bag again from its blocks, and compare."""
-    name = machine or bag.parameters.get('machine_node.machine', '')
-    if not name:
-        raise InterpError(f'{bag.path}: does not tell the machine; name it with --machine')
-    transform = Transform.of(Machine.load(name))
+    transform = Transform.of(Machine.load(bag.machine(machine)))
     recorded: dict[RunId, dict[int, dict[int, SetpointChunk]]] = {}
     for chunk in bag.read('setpoints'):
         plans = recorded.setdefault(RunId(chunk.program_id, chunk.attempt), {})

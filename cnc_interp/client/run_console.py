@@ -243,7 +243,7 @@ class RunConsole:
         if not self._restarted or self._forgotten or self._client.silent_for(SILENCE):
             return
         if self._pressed is None:
-            self._pressed = self._client.trigger('cycle_start')
+            self._pressed = self._client.ask('cycle_start')
         elif self._pressed.done():
             self._restarted, self._pressed = not self._pressed.result().ok, None
 
@@ -270,9 +270,9 @@ class RunConsole:
                 termios.tcflush(sys.stdin, termios.TCIFLUSH)
         if passes:
             if self._passed is None or self._passed.done():
-                self._passed = self._client.trigger('cycle_start')
+                self._passed = self._client.ask('cycle_start')
         elif asked and enter_pressed():
-            self._passed = self._client.trigger('cycle_start')
+            self._passed = self._client.ask('cycle_start')
 
     def _elsewhere(self) -> str:
         space, domain = self._client.namespace, self._client.domain

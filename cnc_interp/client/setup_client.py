@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.msg import SetupTable
-from cnc_interp_msgs.srv import SetOffset, SetTool, TouchOff
 
 from cnc_interp.client.hand_move import connected
 from cnc_interp.client.length_unit import MILLIMETRES
@@ -22,8 +21,6 @@ from cnc_interp.program.frames import rotation
 from cnc_interp.program.job import ROTATION
 from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 
-SERVICES: dict[str, Any] = {'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff}
-
 
 class SetupClient:
     """Hears the table of offsets and tools; ``who``: its name in the log of what it changes."""
@@ -33,21 +30,16 @@ class SetupClient:
         self.table: SetupTable | None = None  #: The table as it was told last; None before.
         self.setup = JobSetup()
         nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
-        self._clients = {
-            name: nodes.node.create_client(kind, name) for name, kind in SERVICES.items()
-        }
 
     def _see(self, table: SetupTable) -> None:
         self.table, self.setup = table, JobSetup.of_text(table.text)
 
     @property
     def is_ready(self) -> bool:
-        ready = all(client.service_is_ready() for client in self._clients.values())
-        return self.table is not None and ready
+        return self.table is not None and self._nodes.offers('set_offset', 'set_tool', 'touch_off')
 
     def ask(self, service: str, **request: Any) -> Future[Answer]:
-        message = SERVICES[service].Request(client=self._who, **request)
-        return self._nodes.ask(self._clients[service], message, service)
+        return self._nodes.ask(service, client=self._who, **request)
 
 
 def of_axes(values: dict[str, float]) -> dict[str, Any]:
@@ -63,11 +55,10 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
 def work_coordinates(
     table: SetupTable, setup: JobSetup, positions: Any, name: str = '', tip: Any = None
 ) -> dict[str, float]:
-    """Return what the coordinates read with a work offset, G92 and the tool in the spindle.
+    """Return what the coordinates read with a work offset (or the active one), G92 and the tool.
 
-    ``positions``: positions of the axes of the machine [m, rad]; ``name``: the work offset; empty
-    for the active one; ``tip``: the tool tip in W [m]: X Y Z are its coordinates, as with tool-tip
-    programming. Returns coordinate by axis letter [m, rad].
+    ``positions`` are those of the axes, ``tip`` is the tool tip in W where X Y Z are its
+    coordinates, as with tool-tip programming [m, rad].
     """
     machine = dict(zip(table.axes, positions, strict=False))
     zero = dict(zip(table.axes, table.zero, strict=True))

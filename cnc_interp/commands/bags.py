@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, flag, option, positive
+from cnc_interp.commands.parser import FAILED, FINE, command, positive
 
 
 def add_bag_commands(commands: Any) -> None:
@@ -13,7 +13,7 @@ def add_bag_commands(commands: Any) -> None:
         'record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C',
         'cnc-interp record out/shift1',
     )  # fmt: skip
-    option(record, 'bag', 'folder to create', Path, 'BAG')
+    record.option('bag', 'folder to create', Path, 'BAG')
     namespace_option(record, 'of the nodes')
 
     replay = command(
@@ -21,14 +21,12 @@ def add_bag_commands(commands: Any) -> None:
         'show a recorded run again, or compute its setpoints again and compare them',
         'cnc-interp replay out/shift1 --compare',
     )  # fmt: skip
-    option(replay, 'bag', 'folder of the bag', Path, 'BAG')
-    flag(
-        replay, '--compare',
-        'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same',
-    )  # fmt: skip
-    option(replay, '--machine', 'another machine than the bag names', metavar='M')
-    option(replay, '--rate', 'times as fast as it was (1)', positive, 'X', default=1.0)
-    flag(replay, '--clock', 'publish the time of the bag too')
+    replay.option('bag', 'folder of the bag', Path, 'BAG')
+    text = 'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same'
+    replay.flag('--compare', text)
+    replay.option('--machine', 'another machine than the bag names', metavar='M')
+    replay.option('--rate', 'times as fast as it was (1)', positive, 'X', default=1.0)
+    replay.flag('--clock', 'publish the time of the bag too')
     namespace_option(replay, 'to publish in')
 
     repair = command(
@@ -36,12 +34,12 @@ def add_bag_commands(commands: Any) -> None:
         'write what the bag of a killed recorder holds as a sound bag',
         'cnc-interp repair out/shift1 --out out/shift1-repaired',
     )  # fmt: skip
-    option(repair, 'bag', 'folder of the bag', Path, 'BAG')
-    option(repair, '--out', 'folder to create', Path, 'NEW', required=True)
+    repair.option('bag', 'folder of the bag', Path, 'BAG')
+    repair.option('--out', 'folder to create', Path, 'NEW', required=True)
 
 
 def namespace_option(added: Any, purpose: str) -> None:
-    option(added, '--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
+    added.option('--namespace', f'ROS namespace {purpose} (/)', metavar='NS', default='/')
 
 
 def record_command(options: Namespace) -> int:
@@ -62,7 +60,7 @@ def replay_command(options: Namespace) -> int:
             print(f'{options.bag}: {count} messages of {bag.duration:.1f} s shown')
             return FINE
         same = True
-        for comparison in compute_again(bag, options.machine or ''):
+        for comparison in compute_again(bag, options.machine):
             print(comparison.text())
             same = same and comparison.ok
     return FINE if same else FAILED

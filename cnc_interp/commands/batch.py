@@ -11,10 +11,7 @@ from cnc_interp.commands.parser import (
     FAILED,
     FINE,
     command,
-    flag,
-    option,
     positive,
-    workers_option,
 )
 from cnc_interp.core.units import HOUR, MINUTE
 from cnc_interp.settings.command_line import add_settings, settings_from
@@ -29,29 +26,21 @@ def add_batch_commands(commands: Any) -> None:
         'plan and prove many programs on one or more machines; writes one table and one page',
         'cnc-interp batch programs/ --machine xyzac xyzbc --out out/batch',
     )  # fmt: skip
-    option(batch, 'programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+')
-    batch.add_argument(
-        '--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M',
-        help=f'bundled machines or YAML files ({DEFAULT_MACHINE})',
-    )  # fmt: skip
-    batch.add_argument(
-        '--out', type=Path, metavar='DIR', required=True,
-        help='folder for table, page and results; a second start goes on from them',
-    )  # fmt: skip
-    workers_option(batch, 'programs that are planned at the same time')
-    option(batch, '--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
-    flag(batch, '--keep-plans', 'keep the plan files of all, in DIR/plans')
-    option(batch, '--rate', 'what an hour of the machine costs', positive, 'COST')
-    option(
-        batch, '--memory',
-        'most memory of a worker (that of the computer, shared among them)', positive, 'GB',
-    )  # fmt: skip
-    option(
-        batch, '--longest',
-        'longest planning time of a program (60 min)', positive, 'MIN', default=60.0,
-    )  # fmt: skip
+    batch.option('programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+')
+    text = f'bundled machines or YAML files ({DEFAULT_MACHINE})'
+    batch.add_argument('--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M', help=text)
+    text = 'folder for table, page and results; a second start goes on from them'
+    batch.add_argument('--out', type=Path, metavar='DIR', required=True, help=text)
+    batch.workers_option('programs that are planned at the same time')
+    batch.option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
+    batch.flag('--keep-plans', 'keep the plan files of all, in DIR/plans')
+    batch.option('--rate', 'what an hour of the machine costs', positive, 'COST')
+    text = 'most memory of a worker (that of the computer, shared among them)'
+    batch.option('--memory', text, positive, 'GB')
+    text = 'longest planning time of a program (60 min)'
+    batch.option('--longest', text, positive, 'MIN', default=60.0)
     add_settings(batch)
-    flag(batch, '--json', 'print the counts as JSON')
+    batch.flag('--json', 'print the counts as JSON')
 
     cluster = command(
         commands, 'cluster', cluster_command,
@@ -59,18 +48,16 @@ def add_batch_commands(commands: Any) -> None:
         'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
         'tcp://192.168.1.10:8786',
     )  # fmt: skip
-    option(cluster, '--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
-    option(
-        cluster, '--workers',
+    cluster.option('--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
+    cluster.option(
+        '--workers',
         'programs that are planned here at the same time, 0: a scheduler only (one for '
         'each processor)', int, 'N', default=len(os.sched_getaffinity(0)),
     )  # fmt: skip
-    cluster.add_argument(
-        '--host', default='127.0.0.1',
-        help='address of the scheduler; whoever reaches it can run any code here (127.0.0.1)',
-    )  # fmt: skip
-    option(cluster, '--port', 'its port, 0 for any (8786)', int, default=8786)
-    option(cluster, '--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
+    text = 'address of the scheduler; whoever reaches it can run any code here (127.0.0.1)'
+    cluster.add_argument('--host', default='127.0.0.1', help=text)
+    cluster.option('--port', 'its port, 0 for any (8786)', int, default=8786)
+    cluster.option('--dashboard', 'port of its page (8787)', int, 'PORT', default=8787)
 
 
 def batch_command(options: argparse.Namespace) -> int:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, flag, option
+from cnc_interp.commands.parser import FAILED, FINE, command
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import InterpError
 
@@ -20,25 +20,22 @@ def add_check_commands(commands: Any) -> None:
         'prove every setpoint of a plan or a recorded run against limits and tolerances',
         'cnc-interp check out/pyramid',
     )  # fmt: skip
-    option(check, 'directory', 'folder with plan files, or a bag', Path, 'DIR')
-    option(check, '--machine', 'another machine than the plan names', metavar='M')
-    option(
-        check, '--program',
-        'read the program again by a second reader, and compare it with the plan', Path, 'FILE',
-    )  # fmt: skip
-    flag(check, '--json', 'print the proof as JSON')
+    check.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
+    check.option('--machine', 'another machine than the plan names', metavar='M')
+    text = 'read the program again by a second reader, and compare it with the plan'
+    check.option('--program', text, Path, 'FILE')
+    check.flag('--json', 'print the proof as JSON')
 
     report = command(
         commands, 'report', report_command,
         'write one self-contained HTML page about a plan or a recorded run',
         'cnc-interp report out/pyramid --out out/pyramid.html',
     )  # fmt: skip
-    option(report, 'directory', 'folder with plan files, or a bag', Path, 'DIR')
-    option(report, '--machine', 'another machine than the plan names', metavar='M')
-    report.add_argument(
-        '--out', '--html', type=Path, metavar='FILE', help='page to write (DIR/report.html)'
-    )
-    option(report, '--compare', 'another plan to set beside the first', Path, 'DIR2')
+    report.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
+    report.option('--machine', 'another machine than the plan names', metavar='M')
+    text = 'page to write (DIR/report.html)'
+    report.add_argument('--out', '--html', type=Path, metavar='FILE', help=text)
+    report.option('--compare', 'another plan to set beside the first', Path, 'DIR2')
 
 
 def check_command(options: Namespace) -> int:
@@ -122,10 +119,7 @@ def plan_files(
     from cnc_interp.machine_model.machine import Machine
 
     with Bag(path) as bag:
-        run = recorded_run(bag, part)
-    name = machine or run.machine
-    if not name:
-        raise InterpError(f'{path}: does not name the machine; name it with --machine')
+        run, name = recorded_run(bag, part), bag.machine(machine)
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
         write_run(run, Machine.load(name), Path(folder))
         yield Path(folder), name, run.beside(Machine.load(name))

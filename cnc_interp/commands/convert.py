@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, number, option, program_options
+from cnc_interp.commands.parser import FINE, command
 from cnc_interp.core.units import MM
 from cnc_interp.settings.command_line import settings_from
 
@@ -16,18 +16,18 @@ def add_convert_command(commands: Any) -> None:
         'write a program in another dialect',
         'cnc-interp convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf',
     )  # fmt: skip
-    program_options(convert)
+    convert.program_options()
     convert.add_argument(
         '--to', choices=('siemens-bspline', 'gcode', 'cl'), required=True,
         help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
     )  # fmt: skip
-    option(convert, '--out', 'file to write (the terminal)', Path, 'FILE')
+    convert.option('--out', 'file to write (the terminal)', Path, 'FILE')
     convert.add_argument(
         '--join', choices=('polynomial', 'parametrization'), default='polynomial',
         help='native curves continue their neighbours by a small polynomial on their second '
         'points, or by sliding the tool axis along their top curves (polynomial)',
     )  # fmt: skip
-    number(convert, '--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
+    convert.number('--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
 
 
 def convert_command(options: argparse.Namespace) -> int:
@@ -57,32 +57,28 @@ def add_machine_commands(commands: Any) -> None:
         'write a machine as URDF, for robot_state_publisher, RViz and Foxglove',
         'cnc-interp urdf xyzac --out xyzac.urdf',
     )  # fmt: skip
-    option(urdf, 'machine', 'bundled machine or YAML file', metavar='M')
-    option(urdf, '--out', 'file to write (default: print it)', Path, 'FILE')
+    urdf.option('machine', 'bundled machine or YAML file', metavar='M')
+    urdf.option('--out', 'file to write (default: print it)', Path, 'FILE')
 
     hal = command(
         commands, 'hal', hal_command,
         'write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC',
         'cnc-interp hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal',
     )  # fmt: skip
-    option(hal, 'machine', 'bundled machine or YAML file', metavar='M')
-    hal.add_argument(
-        'files', type=Path, nargs='+', metavar='FILE',
-        help='HAL files of the LinuxCNC configuration, in the order of its INI file',
-    )  # fmt: skip
-    hal.add_argument(
-        '--joints', metavar='LETTERS',
-        help='letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)',
-    )  # fmt: skip
-    option(hal, '--out', 'file to write (default: print it)', Path, 'FILE')
+    hal.option('machine', 'bundled machine or YAML file', metavar='M')
+    text = 'HAL files of the LinuxCNC configuration, in the order of its INI file'
+    hal.add_argument('files', type=Path, nargs='+', metavar='FILE', help=text)
+    text = 'letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)'
+    hal.add_argument('--joints', metavar='LETTERS', help=text)
+    hal.option('--out', 'file to write (default: print it)', Path, 'FILE')
 
     ini = command(
         commands, 'import-ini', import_ini_command,
         'write a machine file from the INI file of a LinuxCNC machine',
         'cnc-interp import-ini my_mill.ini --out my_mill.yaml',
     )  # fmt: skip
-    option(ini, 'file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE')
-    option(ini, '--out', 'machine file to write (default: print it)', Path, 'MACHINE')
+    ini.option('file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE')
+    ini.option('--out', 'machine file to write (default: print it)', Path, 'MACHINE')
 
 
 def urdf_command(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FINE, command, machine_option, option
+from cnc_interp.commands.parser import FINE, command
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import UM
 from cnc_interp.settings.command_line import add_settings, settings_from
@@ -16,18 +16,18 @@ def add_identify_commands(commands: Any) -> None:
         'write the part program that shows how the drives of a machine follow',
         'cnc-interp excite --machine xyzac_tired --out out/excite.ngc',
     )  # fmt: skip
-    machine_option(excite)
-    option(excite, '--out', 'program to write', Path, 'FILE', required=True)
+    excite.machine_option()
+    excite.option('--out', 'program to write', Path, 'FILE', required=True)
 
     identify = command(
         commands, 'identify', identify_command,
         'fit the model of each drive to a recorded run, and write it into a machine file',
         'cnc-interp identify out/excited --out my_machine.yaml',
     )  # fmt: skip
-    option(identify, 'bag', 'bag of a run of that program', Path, 'BAG')
-    option(identify, '--machine', 'another machine than the bag names', metavar='M')
-    option(identify, '--out', 'machine file to write', Path, 'FILE', required=True)
-    option(identify, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
+    identify.option('bag', 'bag of a run of that program', Path, 'BAG')
+    identify.option('--machine', 'another machine than the bag names', metavar='M')
+    identify.option('--out', 'machine file to write', Path, 'FILE', required=True)
+    identify.option('--html', 'page to write (default: FILE with .html)', Path, 'FILE')
 
     fit = command(
         commands, 'fit-limits', fit_limits_command,
@@ -36,21 +36,19 @@ def add_identify_commands(commands: Any) -> None:
     )  # fmt: skip
     told = 'CSV file time_s,block and the program that ran; further pairs may follow'
     fit.add_argument('pairs', nargs='+', type=Path, metavar='TRACE PROGRAM', help=told)
-    machine_option(fit)
+    fit.machine_option()
     add_settings(fit, live=True)
-    option(fit, '--out', 'machine file to write', Path, 'FILE', required=True)
-    option(fit, '--html', 'page to write (default: FILE with .html)', Path, 'FILE')
+    fit.option('--out', 'machine file to write', Path, 'FILE', required=True)
+    fit.option('--html', 'page to write (default: FILE with .html)', Path, 'FILE')
 
     learn = command(
         commands, 'learn', learn_command,
         'learn from a recorded, compensated run how to follow the same program better',
         'cnc-interp learn out/bag --out out/learnt.npz',
     )  # fmt: skip
-    option(learn, 'bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
-    learn.add_argument(
-        '--out', type=Path, required=True, metavar='FILE',
-        help='file to write, for `run PROGRAM --compensate MODEL --learnt FILE`',
-    )  # fmt: skip
+    learn.option('bag', 'bag of a run with --compensate, with its feedback', Path, 'BAG')
+    text = 'file to write, for `run PROGRAM --compensate MODEL --learnt FILE`'
+    learn.add_argument('--out', type=Path, required=True, metavar='FILE', help=text)
 
 
 def excite_command(options: Namespace) -> int:
@@ -71,13 +69,8 @@ def identify_command(options: Namespace) -> int:
     with Bag(options.bag) as bag:
         if bag.parameters.get('machine_node.compensation'):
             raise InterpError(f'{options.bag}: was recorded with compensation; record one without')
-        run = recorded_feedback(bag)
-        name = options.machine or str(bag.parameters.get('machine_node.machine', ''))
-    if not name:
-        raise InterpError(f'{options.bag}: does not name the machine; name it with --machine')
-    machine = Machine.load(name)
-    if run.setpoint.shape[1] != len(machine.axis_names):
-        raise InterpError(f'{options.bag}: was recorded on a machine with other axes than {name}')
+        name = bag.machine(options.machine)
+        run, machine = recorded_feedback(bag, name)
     found = {}
     for axis, letter in enumerate(machine.axis_names):
         print(f'fitting {letter}', flush=True)

@@ -12,9 +12,6 @@ from cnc_interp.commands.parser import (
     FAILED,
     FINE,
     command,
-    flag,
-    nodes_options,
-    option,
     positive,
 )
 from cnc_interp.core.errors import InterpError
@@ -28,119 +25,105 @@ def add_operate_commands(commands: Any) -> None:
         'cnc-interp jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
         'cnc-interp jog --pose X 0 Y 0 Z 50 I 0 J 0 K 1',
     )  # fmt: skip
-    jog.add_argument(
-        'words', nargs='*', metavar='AXIS VALUE',
-        help='letter of an axis, and distance or position [mm, deg]; may be repeated',
-    )  # fmt: skip
-    flag(jog, '--to', 'the values are positions of the axes')
-    flag(
-        jog, '--pose',
+    text = 'letter of an axis, and distance or position [mm, deg]; may be repeated'
+    jog.add_argument('words', nargs='*', metavar='AXIS VALUE', help=text)
+    jog.flag('--to', 'the values are positions of the axes')
+    jog.flag(
+        '--pose',
         'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
         'the tool axis; what is not named stays',
     )  # fmt: skip
-    jog.add_argument(
-        '--tool', type=float, default=0.0, metavar='MM',
-        help='move along the tool instead, away from the workpiece where positive',
-    )  # fmt: skip
-    option(
-        jog, '--speed',
-        'part of the largest velocities of the axes (100)', positive, 'PERCENT', default=100.0,
-    )  # fmt: skip
-    flag(jog, '--json', 'print the result as JSON')
-    nodes_options(jog)
+    text = 'move along the tool instead, away from the workpiece where positive'
+    jog.add_argument('--tool', type=float, default=0.0, metavar='MM', help=text)
+    text = 'part of the largest velocities of the axes (100)'
+    jog.option('--speed', text, positive, 'PERCENT', default=100.0)
+    jog.flag('--json', 'print the result as JSON')
+    jog.nodes_options()
 
     offsets = command(
         commands, 'offsets', offsets_command,
         'show or change the work offsets and G92 of a running machine',
         'cnc-interp offsets; cnc-interp offsets G55 X 140 Y -70 --use',
     )  # fmt: skip
-    option(offsets, 'offset', 'G54 to G59.3, or G92', nargs='?', default='')
-    option(
-        offsets, 'words',
+    offsets.option('offset', 'G54 to G59.3, or G92', nargs='?', default='')
+    offsets.option(
+        'words',
         'letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
         'offset about Z [deg]; may be repeated', metavar='AXIS VALUE', nargs='*',
     )  # fmt: skip
-    flag(offsets, '--clear', 'remove the values it had before')
-    flag(offsets, '--use', 'make it the active one')
+    offsets.flag('--clear', 'remove the values it had before')
+    offsets.flag('--use', 'make it the active one')
     tools = command(
         commands, 'tools', tools_command, 'show or change the tool table of a running machine',
         'cnc-interp tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load',
     )  # fmt: skip
-    option(tools, 'number', 'number of the tool', int, nargs='?')
-    option(tools, '--length', 'its length', float, 'MM')
-    option(tools, '--radius', 'its radius', float, 'MM')
-    option(
-        tools, '--corner-radius',
-        'radius of its corner: 0 for a flat end, the radius for a ball', float, 'MM',
-    )  # fmt: skip
-    option(tools, '--remark', 'what tells it from others', metavar='TEXT')
-    flag(tools, '--remove', 'take it out of the table')
-    flag(tools, '--load', 'it is in the spindle; 0: none is')
+    tools.option('number', 'number of the tool', int, nargs='?')
+    tools.option('--length', 'its length', float, 'MM')
+    tools.option('--radius', 'its radius', float, 'MM')
+    text = 'radius of its corner: 0 for a flat end, the radius for a ball'
+    tools.option('--corner-radius', text, float, 'MM')
+    tools.option('--remark', 'what tells it from others', metavar='TEXT')
+    tools.flag('--remove', 'take it out of the table')
+    tools.flag('--load', 'it is in the spindle; 0: none is')
     touch = command(
         commands, 'touch-off', touch_off_command,
         'set a work offset so that coordinates read given values where the axes stand',
         'cnc-interp touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55',
     )  # fmt: skip
-    touch.add_argument(
-        'words', nargs='+', metavar='AXIS VALUE',
-        help='letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated',
-    )  # fmt: skip
-    option(touch, '--offset', 'the offset (the active one)', metavar='G', default='')
+    text = 'letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated'
+    touch.add_argument('words', nargs='+', metavar='AXIS VALUE', help=text)
+    touch.option('--offset', 'the offset (the active one)', metavar='G', default='')
     for added in (offsets, tools, touch):
-        flag(added, '--json', 'print the result as JSON')
-        nodes_options(added)
+        added.flag('--json', 'print the result as JSON')
+        added.nodes_options()
 
     home = command(
         commands, 'home', home_command,
         'home axes of a running machine, all that have a reference switch or those named',
         'cnc-interp home; cnc-interp home Z',
     )  # fmt: skip
-    option(home, 'axes', 'letter of an axis', metavar='AXIS', nargs='*')
-    nodes_options(home)
+    home.option('axes', 'letter of an axis', metavar='AXIS', nargs='*')
+    home.nodes_options()
 
     mdi = command(
         commands, 'mdi', mdi_command,
         'have lines of G-code executed by a running machine, from where it stands',
         "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
     )  # fmt: skip
-    option(mdi, 'lines', 'a line of G-code', metavar='LINE', nargs='*')
-    flag(mdi, '--json', 'print the results as JSON')
-    nodes_options(mdi)
+    mdi.option('lines', 'a line of G-code', metavar='LINE', nargs='*')
+    mdi.flag('--json', 'print the results as JSON')
+    mdi.nodes_options()
 
     probe = command(
         commands, 'probe', probe_command,
         'have a running machine find a place with its probe, and set the work offset there',
         'cnc-interp probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
     )  # fmt: skip
-    option(probe, 'cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
-    option(
-        probe, 'words', 'what the cycle is told, and its value; may be repeated',
-        metavar='NAME VALUE', nargs='*',
-    )  # fmt: skip
-    nodes_options(probe)
+    probe.option('cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
+    text = 'what the cycle is told, and its value; may be repeated'
+    probe.option('words', text, metavar='NAME VALUE', nargs='*')
+    probe.nodes_options()
 
     rotary = command(
         commands, 'probe-rotary', probe_rotary_command,
         'find the rotary axes of a running machine by touching one ball, from above it',
         'cnc-interp probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
     )  # fmt: skip
-    option(rotary, '--ball', 'diameter of the ball', positive, 'MM', required=True)
-    option(rotary, '--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
-    option(
-        rotary, '--longer', 'length of the probe beyond the tip in the machine file (0)', float,
-        'MM', default=0.0,
-    )  # fmt: skip
-    option(rotary, '--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
-    option(rotary, '--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
-    option(rotary, '--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
+    rotary.option('--ball', 'diameter of the ball', positive, 'MM', required=True)
+    rotary.option('--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
+    text = 'length of the probe beyond the tip in the machine file (0)'
+    rotary.option('--longer', text, float, 'MM', default=0.0)
+    rotary.option('--beside', 'way before a touch (5)', positive, 'MM', default=5.0)
+    rotary.option('--feed', 'feed of the first touch (300)', positive, 'MM/MIN', default=300.0)
+    rotary.option('--slow', 'feed of the second touch (60)', positive, 'MM/MIN', default=60.0)
     for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
         angles = ' '.join(f'{angle:g}' for angle in default)
         rotary.add_argument(
             f'--{name}', nargs='+', type=float, default=default, metavar='DEG',
             help=f'positions of the {name} axis ({angles})',
         )  # fmt: skip
-    option(rotary, '--out', 'machine file to write', Path, 'FILE')
-    nodes_options(rotary)
+    rotary.option('--out', 'machine file to write', Path, 'FILE')
+    rotary.nodes_options()
 
 
 def pairs(words: list[str]) -> dict[str, float]:

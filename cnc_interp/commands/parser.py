@@ -45,56 +45,58 @@ class CommandParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f'{self.prog}: {message}\n')
 
+    def option(
+        self, name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any
+    ) -> None:
+        """Add an option or, without dashes, an argument; ``kind`` reads its text."""
+        self.add_argument(name, help=meaning, type=kind, metavar=metavar, **more)
 
-def command(
-    commands: Any, name: str, function: Any, purpose: str, example: str
-) -> argparse.ArgumentParser:
-    added: argparse.ArgumentParser = commands.add_parser(
-        name,
-        help=purpose,
-        description=purpose[0].upper() + purpose[1:] + '.',
-        epilog=f'example: {example}',
+    def flag(self, name: str, meaning: str) -> None:
+        self.add_argument(name, action='store_true', help=meaning)
+
+    def number(self, name: str, default: float, meaning: str, unit: str = 'MM') -> None:
+        text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
+        self.option(name, text, positive, unit, default=default)
+
+    def workers_option(self, meaning: str) -> None:
+        here = len(os.sched_getaffinity(0))
+        text = f'{meaning} (one for each processor)'
+        self.option('--workers', text, count, 'N', default=here)
+
+    def machine_option(self) -> None:
+        text = f'bundled machine or YAML file ({DEFAULT_MACHINE})'
+        self.option('--machine', text, metavar='M', default=DEFAULT_MACHINE)
+
+    def program_options(self, live: bool = False) -> None:
+        self.option('program', 'G-code or CL data file', Path, 'PROGRAM')
+        self.machine_option()
+        add_settings(self, live)
+        self.flag('--json', 'print the summary as JSON')
+
+    def nodes_options(self) -> None:
+        self.option('--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/')
+        self.option('--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N')
+
+    def drives_option(self) -> None:
+        text = (
+            f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)'
+        )
+        self.option('--drives', text, drives, 'KIND[,PARAMETER=VALUE ...]', default={})
+
+    def page_options(self) -> None:
+        self.option('--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
+        self.option('--port', 'its port, 0 for any free one (8650)', int, default=8650)
+        text = 'holds what commands from the page need (default: a random token is printed)'
+        self.option('--token-file', text, Path, 'FILE')
+
+
+def command(commands: Any, name: str, function: Any, purpose: str, example: str) -> CommandParser:
+    told = purpose[0].upper() + purpose[1:] + '.'
+    added: CommandParser = commands.add_parser(
+        name, help=purpose, description=told, epilog=f'example: {example}'
     )
     added.set_defaults(command=function)
     return added
-
-
-def option(
-    added: Any, name: str, meaning: str, kind: Any = None, metavar: Any = None, **more: Any
-) -> None:
-    """Add an option or, without dashes, an argument; ``kind`` reads its text."""
-    added.add_argument(name, help=meaning, type=kind, metavar=metavar, **more)
-
-
-def flag(added: Any, name: str, meaning: str) -> None:
-    added.add_argument(name, action='store_true', help=meaning)
-
-
-def workers_option(added: argparse.ArgumentParser, meaning: str) -> None:
-    here = len(os.sched_getaffinity(0))
-    option(added, '--workers', f'{meaning} (one for each processor)', count, 'N', default=here)
-
-
-def machine_option(added: argparse.ArgumentParser) -> None:
-    text = f'bundled machine or YAML file ({DEFAULT_MACHINE})'
-    option(added, '--machine', text, metavar='M', default=DEFAULT_MACHINE)
-
-
-def program_options(added: argparse.ArgumentParser, live: bool = False) -> None:
-    option(added, 'program', 'G-code or CL data file', Path, 'PROGRAM')
-    machine_option(added)
-    add_settings(added, live)
-    flag(added, '--json', 'print the summary as JSON')
-
-
-def nodes_options(added: argparse.ArgumentParser) -> None:
-    option(added, '--namespace', 'ROS namespace of the nodes (/)', metavar='NS', default='/')
-    option(added, '--domain', 'ROS domain (ROS_DOMAIN_ID)', int, 'N')
-
-
-def drives_option(added: argparse.ArgumentParser) -> None:
-    text = f'drives of the machine, with their parameters of machine_node. {CHOICE} (simulated)'
-    option(added, '--drives', text, drives, 'KIND[,PARAMETER=VALUE ...]', default={})
 
 
 def drives(text: str) -> dict[str, str]:
@@ -111,20 +113,6 @@ def drives(text: str) -> dict[str, str]:
             )
         given[key] = known[key].value_text(value)
     return given
-
-
-def page_options(added: argparse.ArgumentParser) -> None:
-    option(added, '--host', 'address of the operator page (127.0.0.1)', default='127.0.0.1')
-    option(added, '--port', 'its port, 0 for any free one (8650)', int, default=8650)
-    text = 'holds what commands from the page need (default: a random token is printed)'
-    option(added, '--token-file', text, Path, 'FILE')
-
-
-def number(
-    added: argparse.ArgumentParser, name: str, default: float, meaning: str, unit: str = 'MM'
-) -> None:
-    text = f'{meaning} ({default:g} {unit.lower().replace("_per_", "/")})'
-    option(added, name, text, positive, unit, default=default)
 
 
 def positive(text: str) -> float:

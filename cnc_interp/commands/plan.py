@@ -17,10 +17,6 @@ from cnc_interp.commands.parser import (
     FAILED,
     FINE,
     command,
-    flag,
-    option,
-    program_options,
-    workers_option,
 )
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR, MM
@@ -38,15 +34,15 @@ def add_plan_command(commands: Any) -> None:
         'plan a program without ROS and write the plan files',
         'cnc-interp plan examples/pyramid.apt --out out/pyramid',
     )  # fmt: skip
-    program_options(plan)
-    option(plan, '--out', 'folder for the plan files', Path, 'DIR', required=True)
-    flag(plan, '--look', 'draw the feed profile in text, as a terminal always gets it')
+    plan.program_options()
+    plan.option('--out', 'folder for the plan files', Path, 'DIR', required=True)
+    plan.flag('--look', 'draw the feed profile in text, as a terminal always gets it')
     for axis in 'xyz':
         text = f'clamp the workpiece so far from its usual place, along {axis.upper()}'
-        option(plan, f'--place-{axis}', text, float, 'MM', default=0.0)
+        plan.option(f'--place-{axis}', text, float, 'MM', default=0.0)
     text = 'clamp it turned about Z on the table; C counts from the turned workpiece'
-    option(plan, '--turn', text, float, 'DEG', default=0.0)
-    workers_option(plan, 'processes that plan a long program between its exact stops')
+    plan.option('--turn', text, float, 'DEG', default=0.0)
+    plan.workers_option('processes that plan a long program between its exact stops')
 
 
 def plan_command(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, number, option
+from cnc_interp.commands.parser import FAILED, FINE, command
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import MS, UM
 
@@ -15,10 +15,10 @@ def add_problems_command(commands: Any) -> None:
         'compare feed laws: forty paths with their optimum times, as files, and scores of motions',
         'cnc-interp problems --score out/motions',
     )  # fmt: skip
-    option(problems, '--write', 'write each path and its limits as .npz', Path, 'DIR')
+    problems.option('--write', 'write each path and its limits as .npz', Path, 'DIR')
     text = 'score motions: NAME.npz with position, or NAME.csv, a row each period'
-    option(problems, '--score', text, Path, 'DIR')
-    number(problems, '--period', 1.0, 'period of the motions', 'MS')
+    problems.option('--score', text, Path, 'DIR')
+    problems.number('--period', 1.0, 'period of the motions', 'MS')
 
 
 def _show(options: Namespace) -> int:

@@ -9,13 +9,6 @@ from cnc_interp.commands.parser import (
     FAILED,
     FINE,
     command,
-    drives_option,
-    flag,
-    machine_option,
-    nodes_options,
-    option,
-    page_options,
-    program_options,
 )
 
 
@@ -25,21 +18,21 @@ def add_run_command(commands: Any) -> None:
         'stream a program through the ROS 2 nodes to the machine',
         'cnc-interp run examples/pyramid.apt --out out/pyramid',
     )  # fmt: skip
-    program_options(run, live=True)
-    drives_option(run)
+    run.program_options(live=True)
+    run.drives_option()
     run.add_argument(
         '--then', type=Path, action='append', default=[], metavar='PROGRAM',
         help='a further program, which waits for the end of the one before; may be repeated',
     )  # fmt: skip
-    option(run, '--out', 'write what the machine executed as plan files', Path, 'DIR')
-    option(run, '--record', 'record all messages of the run into a bag', Path, 'BAG')
-    flag(
-        run, '--pass-stops',
+    run.option('--out', 'write what the machine executed as plan files', Path, 'DIR')
+    run.option('--record', 'record all messages of the run into a bag', Path, 'BAG')
+    run.flag(
+        '--pass-stops',
         'go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
         '--from-line',
     )  # fmt: skip
-    flag(run, '--panel', 'the operator page beside it, until Ctrl-C')
-    page_options(run)
+    run.flag('--panel', 'the operator page beside it, until Ctrl-C')
+    run.page_options()
 
 
 def add_panel_command(commands: Any) -> None:
@@ -48,13 +41,13 @@ def add_panel_command(commands: Any) -> None:
         'serve the operator page: see the machine and operate it from a browser',
         'cnc-interp panel examples/pyramid.ngc',
     )  # fmt: skip
-    option(panel, 'program', 'program to lay on the desk', Path, 'PROGRAM', nargs='?')
-    machine_option(panel)
-    drives_option(panel)
-    option(panel, '--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
-    flag(panel, '--attach', 'join nodes that run already; start none')
-    nodes_options(panel)
-    page_options(panel)
+    panel.option('program', 'program to lay on the desk', Path, 'PROGRAM', nargs='?')
+    panel.machine_option()
+    panel.drives_option()
+    panel.option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
+    panel.flag('--attach', 'join nodes that run already; start none')
+    panel.nodes_options()
+    panel.page_options()
 
 
 def run_command(options: argparse.Namespace) -> int:

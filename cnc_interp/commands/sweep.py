@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import FAILED, FINE, command, count, option, workers_option
+from cnc_interp.commands.parser import FAILED, FINE, command, count
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.units import HOUR
 
@@ -28,28 +28,18 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
         help='an option of the command, without its dashes, and its values; with --search the '
         'lowest and the highest',
     )  # fmt: skip
-    option(
-        sweep, '--search', 'search with at most N points, instead of all combinations', count, 'N'
-    )
-    option(sweep, '--out', 'folder to write', Path, 'DIR', required=True)
-    workers_option(sweep, 'commands that run at the same time')
-    option(sweep, 'words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
+    text = 'search with at most N points, instead of all combinations'
+    sweep.option('--search', text, count, 'N')
+    sweep.option('--out', 'folder to write', Path, 'DIR', required=True)
+    sweep.workers_option('commands that run at the same time')
+    sweep.option('words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
 
 
 def sweep_command(
     options: argparse.Namespace, main: Callable[[Sequence[str]], int], commands: Any
 ) -> int:
+    from cnc_interp.batch import sweep as points
     from cnc_interp.batch.processes import Processes, total_memory
-    from cnc_interp.batch.sweep import (
-        Sweep,
-        as_it_is,
-        front,
-        lengths_text,
-        why,
-        without_effect,
-        write_page,
-        write_table,
-    )
     from cnc_interp.core.progress_bar import ProgressBar
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
@@ -57,7 +47,7 @@ def sweep_command(
     total = 1 + (options.search or math.prod(len(one.values) for one in ranges))
     bar = ProgressBar(sys.stderr)
     workers = Processes(options.workers, total_memory() / options.workers, HOUR)
-    sweep = Sweep(
+    sweep = points.Sweep(
         main, options.words, options.out, workers,
         lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
     )  # fmt: skip
@@ -68,10 +58,10 @@ def sweep_command(
             sweep.grid(ranges)
     finally:
         bar.end(complete=False)
-    write_table(sweep.found, options.out / 'sweep.csv')
-    write_page(sweep.found, options.out / 'sweep.html')
-    best = front(sweep.found)
-    idle = [one.option for one in ranges if without_effect(sweep.found, one.option)]
+    points.write_table(sweep.found, options.out / 'sweep.csv')
+    points.write_page(sweep.found, options.out / 'sweep.html')
+    best = points.front(sweep.found)
+    idle = [one.option for one in ranges if points.without_effect(sweep.found, one.option)]
     if len(idle) == len(ranges):
         best = []
     moves = sum(one.cycle_time is not None for one in sweep.found.values())
@@ -79,13 +69,15 @@ def sweep_command(
     faults = Counter(one.fault for one in sweep.found.values() if one.fault)
     for fault, times in faults.most_common(FAULTS):
         print(f'no motion      {fault}{f" ({times} points)" if times > 1 else ""}')
-    for title, point in (('as it is', as_it_is(sweep.found)), *(('fastest', p) for p in best[:1])):
+    as_it_is = points.as_it_is(sweep.found)
+    for title, point in (('as it is', as_it_is), *(('fastest', p) for p in best[:1])):
         one = sweep.found[point]
         if one.cycle_time is None:
             print(f'{title:<15}{one.fault}')
             continue
-        told = [f'{one.cycle_time:.3f} s', lengths_text(one)]
-        print(f'{title:<15}{", ".join(text for text in told if text)}; at a limit: {why(one)}')
+        told = [f'{one.cycle_time:.3f} s', points.lengths_text(one)]
+        text = ', '.join(text for text in told if text)
+        print(f'{title:<15}{text}; at a limit: {points.why(one)}')
     for name in idle:
         print(f'no effect      --{name}: all its values give the same motion, none is the best')
     if best:

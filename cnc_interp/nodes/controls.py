@@ -48,14 +48,13 @@ class Controls:
             (Home, 'home', self._home),
             (SwitchOutputs, 'switch_outputs', self._switch),
         ):
-            node.create_service(kind, name, answering(act))
+            node.create_service(kind, name, answering(act, wake))
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:
             node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
         diagnostics.say('jog', OK, 'no motion by hand refused')
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
-        self._wake()
         act()
         return self._playback.state.state.value
 
@@ -65,7 +64,6 @@ class Controls:
         return state
 
     def _set_single_block(self, request: Any, _response: Any) -> str:
-        self._wake()
         self._playback.single_block = request.data
         return f'single block: {request.data}'
 
@@ -86,7 +84,6 @@ class Controls:
             self._diagnostics.say('jog', WARN, str(problem))
 
     def _move(self, request: MoveAxes.Request, response: MoveAxes.Response) -> str:
-        self._wake()
         self._refuse_beside_homing()
         values, relative = _pairs(request.axes, request.values), request.relative
         if request.tip or request.axis:
@@ -109,14 +106,11 @@ class Controls:
         return dict(zip(self._transform.machine.axis_names, q.tolist(), strict=True))
 
     def _home(self, request: Home.Request, _response: Any) -> str:
-        self._wake()
         return f'homing {" ".join(self.homing.begin(list(request.axes), time.monotonic()))}'
 
     def _switch(self, request: SwitchOutputs.Request, _response: Any) -> str:
-        self._wake()
         self._refuse_beside_homing()
-        playback = self._playback
-        signals = playback.axes.machine.signals
+        signals = self._playback.axes.machine.signals
         check_functions('switch_outputs', request.functions, signals)
         if len(request.names) != len(request.values) or (request.names and request.functions):
             raise StreamError('name each output once, with one value for each')
@@ -131,7 +125,7 @@ class Controls:
             if fault := signals.outputs[outputs.index(name)].fault_of(value):
                 raise StreamError(fault)
             acts.append(Act(Step('', outputs.index(name), value), value))
-        playback.switch(acts)
+        self._playback.switch(acts)
         return 'switched'
 
     def _take_inputs(self, message: MachineSignals) -> None:

@@ -31,14 +31,7 @@ from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import (
-    Activity,
-    ChunkSender,
-    PlanningSession,
-    PlanningTask,
-    Received,
-)
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.planning_session import Activity, PlanningSession, PlanningTask, Received
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
@@ -119,7 +112,7 @@ class FeedrateNode(LifecycleNode):
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
             heartbeat='blocks',
         )  # fmt: skip
-        self._outlet = Outlet(
+        self.outlet = Outlet(
             self, 'setpoints', SetpointChunk, values['resend_after'], self._encode,
             profile=SETPOINTS,
         )  # fmt: skip
@@ -169,7 +162,7 @@ class FeedrateNode(LifecycleNode):
 
     def _work(self) -> bool:
         """Send what the window allows, then give the planning thread the most urgent task."""
-        session, outlet = self._session, self._outlet
+        session, outlet = self._session, self.outlet
         session.settings = self._inputs.settings
         outlet.pump()
         if (done := self._thread.done()) is not None:
@@ -187,7 +180,7 @@ class FeedrateNode(LifecycleNode):
         return not self._idle
 
     def _received(self) -> Received:
-        outlet, peer = self._outlet, self._outlet.peer
+        outlet, peer = self.outlet, self.outlet.peer
         if peer is None:
             return Received()
         age = time.monotonic() - outlet.heard if self._moves else 0.0
@@ -200,7 +193,7 @@ class FeedrateNode(LifecycleNode):
         return self._session.activity in (Activity.NONE, Activity.ENDED)
 
     def _tell_planning(self) -> None:
-        session, sender = self._session, self._outlet.sender
+        session, sender = self._session, self.outlet.sender
         self._diagnostics.say(
             'planning', OK, 'no program' if self._idle else 'at work',
             planned_ahead_s=round(session.ready, 2),
@@ -208,10 +201,6 @@ class FeedrateNode(LifecycleNode):
             setpoints_sent=session.sent_before + sender.sent,
         )  # fmt: skip
         self._thread.longest = 0.0
-
-    @property
-    def sender(self) -> ChunkSender:
-        return self._outlet.sender
 
     def make_planner(
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
@@ -227,12 +216,6 @@ class FeedrateNode(LifecycleNode):
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait], Functions]:
         functions = functions_from([f for segment in segments for f in segment.functions])
         return segments_from(segments), self._inputs.pauses_after(segments), functions
-
-    def join(self, run_id: RunId, first: int) -> None:
-        self._outlet.join(run_id, first)
-
-    def take_back(self) -> None:
-        self._outlet.take_back()
 
     def consumed(self, count: int) -> None:
         self._inlet.receiver.consume(count)

@@ -7,14 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import (
-    AxisFeedback,
-    FollowedSpindle,
-    MachineSignals,
-    MachineState,
-    ProbeContact,
-    SetpointChunk,
-)
+from cnc_interp_msgs import msg
 from sensor_msgs.msg import JointState
 
 from cnc_interp.machine.homing import Homing
@@ -24,13 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.diagnostics import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM
-from cnc_interp.wire.machine_messages import (
-    executed_setpoints,
-    followed_spindle,
-    joint_state,
-    machine_state,
-)
-from cnc_interp.wire.path_messages import signals_message
+from cnc_interp.wire import machine_messages as messages
 
 EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
 EARLY = 2e-3  #: A message may come so much before its time, rather than a period late [s].
@@ -63,13 +50,13 @@ class MachineTopics:
             model, position = Machine.load(values['compensation']), playback.axes.setpoints[-1]
             self._uncompensated = Uncompensated(model, self._period, position)
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
-        self._states = node.create_publisher(MachineState, 'machine_state', STATE)
-        self._executed = node.create_publisher(SetpointChunk, 'executed_setpoints', STREAM)
-        self._told_signals: MachineSignals | None = None
-        self._signals = node.create_publisher(MachineSignals, 'machine_signals', LOADED)
-        self._contacts = node.create_publisher(ProbeContact, 'probe_contact', CONTACTS)
-        self._followed = node.create_publisher(FollowedSpindle, 'followed_spindle', STREAM)
-        self._feedback = node.create_publisher(AxisFeedback, 'axis_feedback', STREAM)
+        self._states = node.create_publisher(msg.MachineState, 'machine_state', STATE)
+        self._executed = node.create_publisher(msg.SetpointChunk, 'executed_setpoints', STREAM)
+        self._told_signals: msg.MachineSignals | None = None
+        self._signals = node.create_publisher(msg.MachineSignals, 'machine_signals', LOADED)
+        self._contacts = node.create_publisher(msg.ProbeContact, 'probe_contact', CONTACTS)
+        self._followed = node.create_publisher(msg.FollowedSpindle, 'followed_spindle', STREAM)
+        self._feedback = node.create_publisher(msg.AxisFeedback, 'axis_feedback', STREAM)
         self._rates = (
             Rate(EXECUTED_RATE, self.publish_executed),
             Rate(values['joint_state_rate'], self._publish_joints),
@@ -86,19 +73,21 @@ class MachineTopics:
 
     def publish_state(self) -> None:
         self._playback.look()
-        message = machine_state(self._playback, self._period)
+        message = messages.machine_state(self._playback, self._period)
         message.header.stamp = self._now()
         message.feed_override = self._overrides.feed
         message.rapid_override = self._overrides.rapid
         message.spindle_override = self._overrides.spindle
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
-        if self._homing.active and message.state == MachineState.IDLE:
-            message.state = MachineState.JOGGING  # between two groups all axes rest
+        if self._homing.active and message.state == msg.MachineState.IDLE:
+            message.state = msg.MachineState.JOGGING  # between two groups all axes rest
         self._states.publish(message)
 
     def tell_signals(self) -> None:
         drives, signals = self._playback.drives, self._playback.axes.machine.signals
-        message = signals_message(signals, drives.outputs.tolist(), drives.inputs.tolist())
+        message = messages.signals_message(
+            signals, drives.outputs.tolist(), drives.inputs.tolist()
+        )
         if message != self._told_signals and (signals.outputs or signals.inputs):
             self._told_signals = deepcopy(message)
             message.header.stamp = self._now()
@@ -107,7 +96,7 @@ class MachineTopics:
     def tell_contacts(self) -> None:
         while self._playback.contacts:
             contact = self._playback.contacts.popleft()
-            message = ProbeContact(
+            message = msg.ProbeContact(
                 program_id=contact.run_id.program_id, line_number=contact.line,
                 at_once=contact.at_once, positions=contact.position.tolist(),
             )  # fmt: skip
@@ -115,20 +104,19 @@ class MachineTopics:
             self._contacts.publish(message)
 
     def _publish_joints(self) -> None:
-        feedback = self._playback.feedback
-        machine = self._playback.axes.machine
-        self._joints.publish(joint_state(feedback, machine, self._now()))
+        feedback, machine = self._playback.feedback, self._playback.axes.machine
+        self._joints.publish(messages.joint_state(feedback, machine, self._now()))
 
     def publish_executed(self) -> None:
-        for setpoints, feedback in executed_setpoints(self._playback, self._period):
+        for setpoints, feedback in messages.executed_setpoints(self._playback, self._period):
             self._feedback.publish(feedback)
             self._executed.publish(setpoints)
             self._compare(setpoints)
-        for followed in followed_spindle(self._playback):
+        for followed in messages.followed_spindle(self._playback):
             followed.header.stamp = self._now()
             self._followed.publish(followed)
 
-    def _compare(self, executed: SetpointChunk) -> None:
+    def _compare(self, executed: msg.SetpointChunk) -> None:
         if self._uncompensated is None:
             return
         if executed.program_id != self._compared:

@@ -83,10 +83,13 @@ def run_node(
     return 0
 
 
-def answering(act: Callable[[Any, Any], str]) -> Callable[[Any, Any], Any]:
+def answering(
+    act: Callable[[Any, Any], str], wake: Callable[[], None] = lambda: None
+) -> Callable[[Any, Any], Any]:
     """Return a service that answers with the text of an action, or in one line why not."""
 
     def serve(request: Any, response: Any) -> Any:
+        wake()
         try:
             response.success, response.message = True, act(request, response)
         except InterpError as problem:

@@ -3,12 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces import msg
 
 from cnc_interp.core.errors import InterpError
 from cnc_interp.machine.drive_kinds import Declared, parameters_of_drives
@@ -127,28 +122,28 @@ def settings_of(values: Mapping[str, Any]) -> Settings:
     return Settings(**{choice.name: choice.from_plain(values[choice.name]) for choice in known})
 
 
-def descriptor_of(parameter: Declared) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=parameter.description)
+def descriptor_of(parameter: Declared) -> msg.ParameterDescriptor:
+    descriptor = msg.ParameterDescriptor(description=parameter.description)
     if parameter.low is None or parameter.high is None:
         return descriptor
     if isinstance(parameter.default, int):
         descriptor.integer_range = [
-            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
+            msg.IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
         ]
     else:
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high))
+            msg.FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high))
         ]
     return descriptor
 
 
-def check_change(changes: list[Any]) -> SetParametersResult:
+def check_change(changes: list[Any]) -> msg.SetParametersResult:
     """Refuse changes while the node runs: buffers, windows and plans depend on the values."""
     known = {parameter.name for table in (*NODES.values(), MARKERS) for parameter in table}
     for change in changes:
         if change.name in known:
-            return SetParametersResult(
+            return msg.SetParametersResult(
                 successful=False,
                 reason=f'{change.name} is read at start; start the node again with another value',
             )
-    return SetParametersResult(successful=True)
+    return msg.SetParametersResult(successful=True)

@@ -18,19 +18,9 @@ from cnc_interp.program import JobSetup
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.targets import ProgramChange
+from cnc_interp.run import run_phase
 from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_phase import (
-    LEFT,
-    SENDING,
-    TABLE,
-    Code,
-    LossRecovery,
-    MachineReport,
-    Outcome,
-    Phase,
-    PhaseChange,
-    refused,
-)
+from cnc_interp.run.run_phase import SENDING, Code, MachineReport, Outcome, Phase, PhaseChange
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.path_messages import block_messages, function_messages
 from cnc_interp.wire.run_messages import loaded_program, pairs_of, run_result
@@ -73,7 +63,7 @@ class ProgramRun:
         self.phase = Phase.QUEUED
         self.preparation = Preparation()
         self.missing = ''  # a node that is silent
-        self.recovery = LossRecovery()
+        self.recovery = run_phase.LossRecovery()
         self._since = 0.0  # time at which the phase began [s]
         self.continue_at = 0.0  # path length from which the program goes on [m]
         self._machine: MachineReport | None = None  # its last report on this run
@@ -91,7 +81,7 @@ class ProgramRun:
         self._noticed: tuple[str, ...] = ()  # in the parts before
 
     def _change(self, step: PhaseChange, now: float) -> None:
-        self.phase, self._since = TABLE[self.phase, step], now
+        self.phase, self._since = run_phase.TABLE[self.phase, step], now
 
     def take_turn(self, now: float) -> None:
         self._change(PhaseChange.TURN, now)
@@ -170,7 +160,7 @@ class ProgramRun:
             text = f'{MACHINE} does not answer any more; start it again'
             return Outcome(Code.STREAM_LOST, text)
         if self._machine is not None and not self.missing and now - self._machine_at > FORGOTTEN:
-            return Outcome(Code.STOPPED, LEFT)
+            return Outcome(Code.STOPPED, run_phase.LEFT)
         self._see_nodes(peers, now)
         if self.phase is not Phase.OFFERED:
             return None
@@ -200,7 +190,7 @@ class ProgramRun:
             return None
         if self.preparation.cancelled:
             return Outcome(Code.CANCELED, 'cancelled; the machine rests on the path')
-        return refused(kind, reason, moved=self._machine is not None)
+        return run_phase.refused(kind, reason, moved=self._machine is not None)
 
     def _at_probe(self, probe: Probe, machine: MachineReport) -> Outcome | None:
         """Return why the program ends at the probe; if it goes on, where it was."""
@@ -224,7 +214,7 @@ class ProgramRun:
         self.sent_in_parts += max(1, self.sent_before, sent) - 1
         self.stands = None if self.stands is None else self.probed[0]
         self.run_id, self.contact, self.probed = RunId(uuid.uuid4().hex), None, None
-        self.recovery, self._machine, self.answer = LossRecovery(), None, None
+        self.recovery, self._machine, self.answer = run_phase.LossRecovery(), None, None
         self._changes_done = self.sent_before = 0
         self._known_by.clear()
         if self.preparation.prepared is not None:

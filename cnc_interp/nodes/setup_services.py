@@ -14,14 +14,8 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
+from cnc_interp.program import setup_table as tables
 from cnc_interp.program.job import ROTATION, SetupChange
-from cnc_interp.program.setup_table import (
-    SetupTable,
-    offset_changes,
-    tool_changes,
-    touch_off_changes,
-    values_by_axis,
-)
 from cnc_interp.wire.run_messages import setup_table
 
 FRESH = 1.0  #: The machine's last word must not be older for a touch-off [s].
@@ -31,7 +25,7 @@ RUNNING = frozenset(('active offset', 'spindle'))
 
 
 class SetupServices:
-    def __init__(self, node: Any, table: SetupTable, transform: Transform, peers: Peers):
+    def __init__(self, node: Any, table: tables.SetupTable, transform: Transform, peers: Peers):
         self._table, self._peers, self._node = table, peers, node
         machine = transform.machine
         own = len(machine.axis_names) - len(machine.extra_names)
@@ -91,18 +85,18 @@ class SetupServices:
 
     def _offset(self, request: SetOffset.Request) -> tuple[list[SetupChange], str]:
         turned = (ROTATION,) if request.offset != 'G92' else ()
-        values = values_by_axis(request.axes, request.values, (*self._zero, *turned))
-        return offset_changes(
+        values = tables.values_by_axis(request.axes, request.values, (*self._zero, *turned))
+        return tables.offset_changes(
             self._table.setup, request.offset, values, request.clear, request.activate
         ), ''
 
     def _tool(self, request: SetTool.Request) -> tuple[list[SetupChange], str]:
         given = {name: getattr(request, name, 0.0) for name in request.fields}
         setup = self._table.setup
-        return tool_changes(setup, request.number, given, request.remove, request.load), ''
+        return tables.tool_changes(setup, request.number, given, request.remove, request.load), ''
 
     def _touch_off(self, request: TouchOff.Request) -> tuple[list[SetupChange], str]:
-        values = values_by_axis(request.axes, request.values, tuple(self._zero))
+        values = tables.values_by_axis(request.axes, request.values, tuple(self._zero))
         state = self._peers.state
         if state is None or self._peers.missing(time.monotonic(), FRESH) == 'machine_node':
             raise InterpError('machine_node does not answer; start it, then touch off')
@@ -117,4 +111,4 @@ class SetupServices:
                 'at 0'
             )
         setup = self._table.setup
-        return touch_off_changes(setup, request.offset, values, machine, self._zero), note
+        return tables.touch_off_changes(setup, request.offset, values, machine, self._zero), note

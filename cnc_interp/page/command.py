@@ -15,13 +15,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cnc_interp.client.session import (
-    RunResult,
-    check_place,
-    chosen_domain,
-    domain_of_nodes,
-    nodes_file,
-)
+from cnc_interp.client import session
 from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
@@ -51,10 +45,10 @@ def run_panel(options: Namespace) -> None:
         )
     domain = options.domain
     if options.attach:
-        domain = domain_of_nodes(domain)
+        domain = session.domain_of_nodes(domain)
     elif domain is None:
-        domain = chosen_domain()
-    check_place(options.namespace, domain)
+        domain = session.chosen_domain()
+    session.check_place(options.namespace, domain)
     if options.attach:
         until_asked(served, options.namespace, domain, dict)
         return
@@ -65,7 +59,7 @@ def run_panel(options: Namespace) -> None:
     parameters['machine_node'] |= options.drives
     if options.setup is not None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"
-    with Children(options.namespace, domain, parameters, nodes_file()) as children:
+    with Children(options.namespace, domain, parameters, session.nodes_file()) as children:
         print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
         until_asked(served, options.namespace, domain, children.revive)
 
@@ -132,7 +126,7 @@ class PanelBeside:
             start_new_session=True,  # Ctrl-C is for the run, which ends the page
         )
 
-    def finish(self, result: RunResult) -> None:
+    def finish(self, result: session.RunResult) -> None:
         process = self._process
         if process is None:
             return

@@ -84,9 +84,9 @@ class Contact:
             ui.run_javascript(f'contact.answered({json.dumps(number)})')
 
 
-def asked(ask: Callable[..., Future[Answer]], *words: Any) -> Act:
+def asked(ask: Callable[..., Future[Answer]], *words: Any, **named: Any) -> Act:
     async def answered() -> Answer:
-        return await asyncio.wrap_future(ask(*words))
+        return await asyncio.wrap_future(ask(*words, **named))
 
     return answered
 

@@ -389,13 +389,13 @@ class Desk:
         return await asyncio.wrap_future(asked)
 
     async def trigger(self, name: str) -> Answer:
-        answer = await asyncio.wrap_future(self.nodes.trigger(name))
+        answer = await asyncio.wrap_future(self.nodes.ask(name))
         if not answer.ok:
             self.nodes.alarms.add('warning', 'panel', answer.message)
         return answer
 
     async def set_switch(self, name: str, on: bool) -> Answer:
-        answer = await asyncio.wrap_future(self.nodes.set_switch(name, on))
+        answer = await asyncio.wrap_future(self.nodes.ask(name, data=on))
         if answer.ok:
             self.switched[name] = on
         return answer

@@ -124,7 +124,7 @@ class JogPad:
         return keys
 
     async def _home(self, axes: tuple[str, ...]) -> None:
-        await self._command(asked(self._nodes.home, axes))
+        await self._command(asked(self._nodes.ask, 'home', axes=list(axes)))
 
     def show(self, state: Any) -> None:
         alarms = self._nodes.alarms.newest_first

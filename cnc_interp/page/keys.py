@@ -167,7 +167,8 @@ class SignalKeys:
         return bool(signals.output_values[list(signals.outputs).index(name)])
 
     async def _turn(self, name: str, on: bool) -> None:
-        await self._command(asked(self._nodes.set_output, name, float(on)))
+        switched = {'names': [name], 'values': [float(on)]}
+        await self._command(asked(self._nodes.ask, 'switch_outputs', **switched))
 
     def show(self) -> None:
         signals = self._nodes.signals

@@ -10,15 +10,7 @@ from nicegui import ui
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.description.urdf import (
-    BASE,
-    TOOL_TIP,
-    WORKPIECE,
-    Colour,
-    Description,
-    Joint,
-    Shape,
-)
+from cnc_interp.description import urdf
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import WayThere
 
@@ -183,11 +175,11 @@ RAY, RAY_COLOUR = 0.14, '#ffd166'
 WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: What the view of the part leaves out.
-MACHINE_LINKS = (BASE, 'x_slide', 'y_slide', 'z_slide', WORKPIECE)
+MACHINE_LINKS = (urdf.BASE, 'x_slide', 'y_slide', 'z_slide', urdf.WORKPIECE)
 
 
 class MachineView:
-    def __init__(self, description: Description):
+    def __init__(self, description: urdf.Description):
         self._description = description
         self._of_part = True
         self._path: Any = None
@@ -198,14 +190,14 @@ class MachineView:
         self._legs: tuple[tuple[str, FloatArray], ...] = ()
         self._drawn_way: Any = None
         self._hidden: list[Any] = []
-        self._joints: dict[str, tuple[Joint, Any]] = {}
+        self._joints: dict[str, tuple[urdf.Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
         with self._scene:
             self._root = self._scene.group()
             with self._root:
-                self._build(BASE)
+                self._build(urdf.BASE)
         self._look(np.zeros(3), 0.25)
 
     def _build(self, link: str) -> None:
@@ -213,10 +205,10 @@ class MachineView:
             found = self._add(shape)
             if link in MACHINE_LINKS:
                 self._hidden.append(found.visible(False))
-        if link == TOOL_TIP:
-            ray = Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
+        if link == urdf.TOOL_TIP:
+            ray = urdf.Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
             self._add(ray).material(RAY_COLOUR)
-        if link == WORKPIECE:
+        if link == urdf.WORKPIECE:
             self._workpiece = self._scene.group()
         for joint in self._description.joints:
             if joint.parent == link:
@@ -225,7 +217,7 @@ class MachineView:
                 with group:
                     self._build(joint.child)
 
-    def _add(self, shape: Shape) -> Any:
+    def _add(self, shape: urdf.Shape) -> Any:
         if shape.is_box:
             found = self._scene.box(*shape.size)
             turn = np.eye(3)
@@ -250,7 +242,7 @@ class MachineView:
                 group.rotate_R(turn.round(6).tolist())
         turn, place = np.eye(3), np.zeros(3)
         if self._of_part:
-            rotation, origin = self._description.pose(WORKPIECE, positions)
+            rotation, origin = self._description.pose(urdf.WORKPIECE, positions)
             turn, place = rotation.T, -rotation.T @ origin
         self._root.rotate_R(turn.round(6).tolist())
         self._root.move(*(round(float(x), 6) for x in place))
@@ -375,5 +367,5 @@ class MachineView:
         )
 
 
-def css(colour: Colour) -> str:
+def css(colour: urdf.Colour) -> str:
     return '#' + ''.join(f'{round(255 * x):02x}' for x in colour[:3])

@@ -10,13 +10,7 @@ import numpy as np
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.units import ARCSEC, UM
 from cnc_interp.drives.identification import IdentifiedAxis
-from cnc_interp.machine_model.axis_drives import (
-    ENTRIES,
-    LINEAR_KEYS,
-    ROTARY_KEYS,
-    AxisDrive,
-    key_and_unit,
-)
+from cnc_interp.machine_model import axis_drives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.report import html
 from cnc_interp.report.series import extremes
@@ -32,10 +26,10 @@ def values_of(
     """Yield key of the machine file, value and half of its 95 % interval, in the file's unit."""
     linear = bool(machine.is_linear[found.axis])
     if found.load is not None:
-        keys = LINEAR_KEYS if linear else ROTARY_KEYS
+        keys = axis_drives.LINEAR_KEYS if linear else axis_drives.ROTARY_KEYS
         yield keys[2], found.load.coulomb, found.half_width.get('coulomb')
-    for entry in ENTRIES:
-        key, unit = key_and_unit(entry, linear)
+    for entry in axis_drives.ENTRIES:
+        key, unit = axis_drives.key_and_unit(entry, linear)
         width = found.half_width.get(entry.field)
         yield (
             key,
@@ -116,7 +110,7 @@ def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
     return html.laid_out(figure, 420)
 
 
-def transfer(drive: AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
+def transfer(drive: axis_drives.AxisDrive, viscous: float, frequency: FloatArray) -> FloatArray:
     """Return the linear answer of an axis to its setpoint, without backlash and friction."""
     s = 2j * np.pi * frequency
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant

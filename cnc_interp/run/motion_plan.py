@@ -18,13 +18,7 @@ from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, finely, slowed
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-from cnc_interp.run.stop_tails import (
-    NO_SIGNALS,
-    ChunkCutter,
-    FunctionQueue,
-    StopSearch,
-    way_down,
-)
+from cnc_interp.run.stop_tails import NO_SIGNALS, ChunkCutter, FunctionQueue, StopSearch, way_down
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit

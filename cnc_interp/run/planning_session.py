@@ -27,18 +27,22 @@ class ChunkSender(Protocol):
     next_number: int  #: Number after the last setpoint that was queued.
 
     @property
-    def unsent(self) -> int:
-        """Setpoints queued but not sent."""
+    def unsent(self) -> int: ...
+    def begin(self, run_id: RunId) -> None: ...
+    def put(self, item: Chunk, count: int = 1) -> None: ...
 
-    def begin(self, run_id: RunId) -> None:
-        """Start with setpoint 0 of a plan; forget what is queued."""
 
-    def put(self, item: Chunk, count: int = 1) -> None:
-        """Queue a chunk of so many setpoints."""
+class PlanOutlet(Protocol):
+    """Where plans go: one after the other, or a plan that joins and may be taken back."""
+
+    @property
+    def sender(self) -> ChunkSender: ...
+    def join(self, run_id: RunId, first: int) -> None: ...
+    def take_back(self) -> None: ...
 
 
 class SessionPort(Protocol):
-    sender: ChunkSender
+    outlet: PlanOutlet
 
     def make_planner(
         self, first: Any, stands: FloatArray, continue_at: float, settings: OperatorSettings
@@ -47,12 +51,6 @@ class SessionPort(Protocol):
 
     def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait], Functions]:
         """Read segment messages; returns also blocks after which cycle_start is waited for."""
-
-    def join(self, run_id: RunId, first: int) -> None:
-        """Send a plan that joins the plan being sent, from a number on."""
-
-    def take_back(self) -> None:
-        """Continue with the plan before the one that was to join."""
 
     def consumed(self, count: int) -> None:
         """Open the window of the segments."""
@@ -170,7 +168,7 @@ class PlanningSession:
         self.sent_before = self.joins_at = self._plans = 0
         self._kept, self._lead = None, LEAD
         self._segments.clear()
-        self._port.sender.begin(run_id)
+        self._port.outlet.sender.begin(run_id)
 
     def take(self, segment: Any, last: bool) -> None:
         self._segments.append(segment)
@@ -191,7 +189,7 @@ class PlanningSession:
         """End the run for good; lost messages are not sent again."""
         if self.activity not in (Activity.NONE, Activity.ENDED):
             self._end()
-            self._port.sender.begin(NO_RUN)
+            self._port.outlet.sender.begin(NO_RUN)
             self._port.refuse(kind, reason)
 
     def _end(self) -> None:
@@ -246,7 +244,7 @@ class PlanningSession:
 
     def _resume(self, planner: RunPlanner, report: MachineReport) -> PlanningTask:
         self._change(Change.RESUME)
-        sender, settings = self._port.sender, self.settings
+        sender, settings = self._port.outlet.sender, self.settings
         self.sent_before += sender.sent
         self._begin_plan(0)
         sender.begin(self.run_id)
@@ -258,15 +256,14 @@ class PlanningSession:
         self.run_id, self.joins_at = replace(self.run_id, plan=self._plans), joins_at
         self.path_end = min(self.path_end, PathEnd.PLANNED)
 
-    def _resumed(self, chunks: list[Chunk], _now: float) -> None:
+    def _resumed(self, _: Any, _now: float) -> None:
         self._change(Change.DONE)
-        self._put(chunks)
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
         followed = planner.stream.current.settings
         if self.settings == followed or self._received.run_id != self.run_id:
             return False
-        sent, queued = self._port.sender.sent, self.path_end is PathEnd.QUEUED
+        sent, queued = self._port.outlet.sender.sent, self.path_end is PathEnd.QUEUED
         refilled = queued or (sent - self._received.executed) * self._period > REFILLED
         return (
             sent > self.joins_at
@@ -276,11 +273,11 @@ class PlanningSession:
         )
 
     def _is_last(self, number: int) -> bool:
-        return number == self._port.sender.next_number - 1
+        return number == self._port.outlet.sender.next_number - 1
 
     def _join_after(self) -> int:
         ahead = self._received.executed + self._lead / self._period
-        return min(max(math.ceil(ahead), self.joins_at), self._port.sender.sent - 1)
+        return min(max(math.ceil(ahead), self.joins_at), self._port.outlet.sender.sent - 1)
 
     def _revise(self, planner: RunPlanner, now: float) -> PlanningTask:
         self._change(Change.REVISE)
@@ -303,7 +300,7 @@ class PlanningSession:
         before = planner.stream.adopt(revision.plan)
         self._kept = Kept(self.run_id, self.joins_at, before, self.path_end)
         self._begin_plan(revision.number + 1)
-        self._port.join(self.run_id, self.joins_at)
+        self._port.outlet.join(self.run_id, self.joins_at)
         self._put(revision.chunks)
 
     def _lead_like_last(self, now: float) -> float:
@@ -321,7 +318,7 @@ class PlanningSession:
         if self._received.turned_away and kept is not None and planner is not None:
             planner.stream.adopt(kept.plan)
             self.run_id, self.path_end, self.joins_at = kept.run_id, kept.path_end, kept.joins_at
-            self._port.take_back()
+            self._port.outlet.take_back()
             self.task = None
             self._lead = min(2.0 * self._lead, LONGEST_LEAD)
         elif self._received.run_id != self.run_id:
@@ -333,7 +330,7 @@ class PlanningSession:
         self, planner: RunPlanner, report: MachineReport | None
     ) -> PlanningTask | None:
         plan = planner.stream.current  # even if another one counts when this is done
-        unsent = self._port.sender.unsent * self._period
+        unsent = self._port.outlet.sender.unsent * self._period
         sample = unsent < SAMPLED_AHEAD and plan.can_sample
         self.ready = unsent + plan.planned
         ahead = self.ready < self._plan_ahead
@@ -361,7 +358,7 @@ class PlanningSession:
 
     def _put(self, chunks: list[Chunk], _now: float = 0.0) -> None:
         for chunk in chunks:
-            self._port.sender.put(chunk, len(chunk.samples))
+            self._port.outlet.sender.put(chunk, len(chunk.samples))
             if chunk.wait is Wait.END:
                 self.path_end = PathEnd.QUEUED
 

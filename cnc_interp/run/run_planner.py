@@ -128,20 +128,19 @@ class RunPlanner:
             plan.plan()
         return []
 
-    def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> list[Chunk]:
+    def resume(self, s: float, stands: FloatArray, settings: OperatorSettings) -> None:
         """Plan anew from rest at a path length [m]; one moved by hand is led back first."""
         rest = self.stream.course.rest_at(s)
         there = None if rest is None else rest.position[0]
         if there is not None and np.abs(there - stands).max() <= ON_PATH:
             self.stream.resume(s, settings)
-            return []
+            return
         inside = True
         if self._starts is not None and s <= self._starts[0]:  # it was on the approach
             (s, there), inside = self._starts, self._continue_at is not None
         if there is None:
             raise PlanningError('the place to go back to is not known any more; reset')
         self.stream.resume(s, settings, self._way(stands, there, inside))
-        return []
 
     def revise(self, number: int, settings: OperatorSettings) -> Revision | None:
         """Plan with other settings after a setpoint already handed out; the plan stays."""

@@ -1,16 +1,17 @@
 """The state of the machine, its joints and what it executed as messages."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import AxisFeedback, FollowedSpindle, MachineState, SetpointChunk
+from cnc_interp_msgs import msg
 from sensor_msgs.msg import JointState
 
 from cnc_interp.machine.axis_motion import Recording
 from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import Signals
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.wire.chunk_messages import setpoint_fields
 from cnc_interp.wire.path_messages import act_message, packed
@@ -30,7 +31,7 @@ def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState
 
 def executed_setpoints(
     playback: Playback, period: float
-) -> list[tuple[SetpointChunk, AxisFeedback]]:
+) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
     """Return the setpoints executed since the last call, and feedback; numbered through a run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
     switched = [playback.switched.popleft() for _ in range(len(playback.switched))]
@@ -42,20 +43,20 @@ def executed_setpoints(
         chunk = next(same, None)
         if chunk is None:  # set at rest: no setpoint was executed
             common = {**vars(run_id), 'period': period, 'axis_count': axes}
-            chunk = SetpointChunk(**common, first_sample=playback.played)
-            found.append((chunk, AxisFeedback(**common, first_sample=playback.played)))
+            chunk = msg.SetpointChunk(**common, first_sample=playback.played)
+            found.append((chunk, msg.AxisFeedback(**common, first_sample=playback.played)))
         chunk.functions = [
             *chunk.functions, *(act_message(act, sample, signals) for _, act, sample in acts)
         ]  # fmt: skip
     return found
 
 
-def followed_spindle(playback: Playback) -> Iterator[FollowedSpindle]:
+def followed_spindle(playback: Playback) -> Iterator[msg.FollowedSpindle]:
     """Yield what was in step with the spindle since the last call, one message for each line."""
     found = [playback.followed.popleft() for _ in range(len(playback.followed))]
     for (run_id, block), parts in groupby(found, lambda each: (each.run_id, each.block)):
         each = list(parts)
-        yield FollowedSpindle(
+        yield msg.FollowedSpindle(
             program_id=run_id.program_id, sequence=block, line_number=each[-1].line,
             ramp=each[-1].ramp, later=each[-1].later,
             angles=np.concatenate([part.angle for part in each]).tolist(),
@@ -65,7 +66,7 @@ def followed_spindle(playback: Playback) -> Iterator[FollowedSpindle]:
 
 def _executed_of_plan(
     executed: list[Executed], period: float
-) -> tuple[SetpointChunk, AxisFeedback]:
+) -> tuple[msg.SetpointChunk, msg.AxisFeedback]:
     first = executed[0]
     samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
     common = {
@@ -75,13 +76,13 @@ def _executed_of_plan(
         'axis_count': samples.position.shape[1],
     }
     actual = np.concatenate([stretch.actual for stretch in executed])
-    setpoints = SetpointChunk(
+    setpoints = msg.SetpointChunk(
         **common,
         **setpoint_fields(samples),
         line_numbers=[line for stretch in executed for line in stretch.rows.lines],
         end_of_program=executed[-1].ends,
     )
-    return setpoints, AxisFeedback(**common, positions=packed(actual))
+    return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
 
 #: Fields of ``MachineState`` with the names that ``RunState`` and ``Playback`` have for them.
@@ -93,13 +94,13 @@ OF_PLAYBACK = (
 )  # fmt: skip
 
 
-def machine_state(playback: Playback, period: float) -> MachineState:
+def machine_state(playback: Playback, period: float) -> msg.MachineState:
     axes, run, feedback = playback.axes, playback.state, playback.feedback
     last = playback.last
     least = playback.least_buffered
     recent = axes.take_recent_use()
     speed, angle = playback.turning
-    message = MachineState(
+    message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
         **{name: getattr(playback, name) for name in OF_PLAYBACK},
         **vars(playback.run_id),
@@ -132,3 +133,15 @@ def machine_state(playback: Playback, period: float) -> MachineState:
     )
     message.header.frame_id = 'workpiece'
     return message
+
+
+def signals_message(
+    signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
+) -> msg.MachineSignals:
+    """Return outputs and inputs, without those that change all the time: numbers."""
+    told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
+    return msg.MachineSignals(
+        outputs=[signal.name for signal in signals.wires], output_values=list(outputs),
+        output_is_number=[signal.is_number for signal in signals.wires],
+        inputs=[signals.inputs[k].name for k in told], input_values=[inputs[k] for k in told],
+    )  # fmt: skip

@@ -8,14 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import (
-    BSpline,
-    Function,
-    G1Block,
-    G1BlockBatch,
-    MachineSignals,
-    PathSegment,
-)
+from cnc_interp_msgs.msg import BSpline, Function, G1Block, G1BlockBatch, PathSegment
 
 from cnc_interp.core.arrays import FloatArray
 from cnc_interp.core.errors import StreamError
@@ -229,15 +222,3 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
             raise StreamError(f'{name}: {text} does not; give all nodes the same machine')
         if fault := output.fault_of(message.value):
             raise StreamError(f'{name}: function {message.number}: {fault}')
-
-
-def signals_message(
-    signals: Signals, outputs: Sequence[float], inputs: Sequence[float]
-) -> MachineSignals:
-    """Return outputs and inputs, without those that change all the time: numbers."""
-    told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
-    return MachineSignals(
-        outputs=[signal.name for signal in signals.wires], output_values=list(outputs),
-        output_is_number=[signal.is_number for signal in signals.wires],
-        inputs=[signals.inputs[k].name for k in told], input_values=[inputs[k] for k in told],
-    )  # fmt: skip

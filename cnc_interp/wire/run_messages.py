@@ -7,16 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cnc_interp_msgs import msg
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import (
-    G1Block,
-    LoadedProgram,
-    MachineState,
-    ModalState,
-    Offset,
-    SetupTable,
-    Tool,
-)
 from diagnostic_msgs.msg import KeyValue
 
 from cnc_interp.core.errors import SettingsError
@@ -35,7 +27,7 @@ def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> R
     )
 
 
-def add_executed(result: RunProgram.Result, states: Sequence[MachineState]) -> None:
+def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) -> None:
     """Add what was executed in all parts of a program, each with its last state."""
     for state in states:
         count, period = state.samples - state.approach_samples, state.interpolation_period
@@ -54,7 +46,7 @@ def add_executed(result: RunProgram.Result, states: Sequence[MachineState]) -> N
         setattr(result, told, np.max([getattr(state, name) for state in states], axis=0).tolist())
 
 
-def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback:
+def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feedback:
     """Make the feedback of a run that moves, on a smoothed path of a length [m]."""
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
@@ -68,8 +60,8 @@ def run_feedback(state: MachineState, path_length: float) -> RunProgram.Feedback
     )
 
 
-def modal_state(modes: ActiveModes, program_id: str = '') -> ModalState:
-    return ModalState(**asdict(modes), program_id=program_id)
+def modal_state(modes: ActiveModes, program_id: str = '') -> msg.ModalState:
+    return msg.ModalState(**asdict(modes), program_id=program_id)
 
 
 def run_id_of(message: Any) -> RunId:
@@ -80,9 +72,9 @@ def run_id_of(message: Any) -> RunId:
 def setup_table(
     setup: JobSetup, file: str, zero: Mapping[str, float], program_id: str, in_use: Iterable[str],
     by: str, what: str,
-) -> SetupTable:  # fmt: skip
+) -> msg.SetupTable:  # fmt: skip
     """``zero``: that of the machine file; ``program_id``: the run that began with the setup."""
-    return SetupTable(
+    return msg.SetupTable(
         file=file,
         work_offsets=_offsets(setup.work_offsets),
         axes=list(zero),
@@ -91,7 +83,7 @@ def setup_table(
         g92=_offset('G92', setup.g92),
         g92_on=setup.g92_on,
         tools=[
-            Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
+            msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
             for number, tool in sorted(setup.tools.items())
         ],
         tool=setup.tool,
@@ -104,12 +96,12 @@ def setup_table(
     )
 
 
-def _offsets(positions: Mapping[str, Position]) -> list[Offset]:
+def _offsets(positions: Mapping[str, Position]) -> list[msg.Offset]:
     return [_offset(name, positions[name]) for name in sorted(positions)]
 
 
-def _offset(name: str, position: Position) -> Offset:
-    return Offset(name=name, axes=list(position), values=list(position.values()))
+def _offset(name: str, position: Position) -> msg.Offset:
+    return msg.Offset(name=name, axes=list(position), values=list(position.values()))
 
 
 #: States of which the message has no number of their own; those of all others have their names.
@@ -118,23 +110,23 @@ TOLD_AS = {
     State.AWAY: State.JOGGING,
 }  # fmt: skip
 #: The number of each state in ``MachineState``.
-NUMBERS = {state: getattr(MachineState, TOLD_AS.get(state, state).name) for state in State}
+NUMBERS = {state: getattr(msg.MachineState, TOLD_AS.get(state, state).name) for state in State}
 
 
-def state_of(message: MachineState) -> State:
+def state_of(message: msg.MachineState) -> State:
     """Return the state of the machine; an unknown number counts as motion."""
-    if message.state == MachineState.STARVED:
+    if message.state == msg.MachineState.STARVED:
         return State.STARVED if message.resting else State.STARVING
-    if message.state == MachineState.RUNNING and message.resting:
-        pauses = message.waits_for == MachineState.WAITS_FOR_OVERRIDE
+    if message.state == msg.MachineState.RUNNING and message.resting:
+        pauses = message.waits_for == msg.MachineState.WAITS_FOR_OVERRIDE
         return State.PAUSED if pauses else State.FILLING
-    if message.state == MachineState.JOGGING:
+    if message.state == msg.MachineState.JOGGING:
         return State.AWAY if len(message.resume_positions) else State.JOGGING
     found = (state for state, number in NUMBERS.items() if number == message.state)
     return next(found, State.RUNNING)
 
 
-def machine_report(message: MachineState) -> MachineReport:
+def machine_report(message: msg.MachineState) -> MachineReport:
     stamp = message.header.stamp
     same = ('plan_over', 'start_wanted', 'completed', 'path_position', 'message', 'functions')
     return MachineReport(
@@ -144,7 +136,7 @@ def machine_report(message: MachineState) -> MachineReport:
         time=stamp.sec + 1e-9 * stamp.nanosec,
         must_home=tuple(message.must_home),
         away=len(message.resume_positions) > 0,
-        probed=message.reason == MachineState.REASON_PROBE,
+        probed=message.reason == msg.MachineState.REASON_PROBE,
         **{name: getattr(message, name) for name in same},
     )
 
@@ -193,12 +185,12 @@ def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
     return settings
 
 
-def settings_of_block(block: G1Block, settings: Settings) -> Settings:
+def settings_of_block(block: msg.G1Block, settings: Settings) -> Settings:
     return replace(settings_from(block.settings, settings), flank_height=block.flank_height)
 
 
-def loaded_program(program_id: str, name: str, text: str, settings: Settings) -> LoadedProgram:
-    message = LoadedProgram(
+def loaded_program(program_id: str, name: str, text: str, settings: Settings) -> msg.LoadedProgram:
+    message = msg.LoadedProgram(
         program_id=program_id, name=name, text=text, settings=pairs_of(settings)
     )
     for choice in choices(settings):

@@ -34,7 +34,7 @@ def test_the_drive_of_an_axis_is_found_in_a_bag(tmp_path, capfd):
     (result,) = run_session(RunRequest(program, machine=str(tired), record=bag, quiet=True))
     assert result.ok, result.message
     with Bag(bag) as opened:
-        recorded = recorded_feedback(opened)
+        recorded, _ = recorded_feedback(opened, str(tired))
     assert len(recorded.setpoint) >= result.samples
     off = recorded.setpoint - recorded.feedback
     assert 20 * UM < abs(off[:, 0]).max() < 500 * UM

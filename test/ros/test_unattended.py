@@ -73,7 +73,7 @@ def test_without_a_terminal_it_waits_for_cycle_start(program, loses_a_node):
         assert any(line.startswith('line 1: M3: WARNING: ') for line in run.stderr)
         with OperatorClient('operator', *place_told(run)) as client:
             waits(client, MachineState.REASON_APPROACH)
-            assert client.granted(client.trigger('cycle_start')).ok
+            assert client.granted(client.ask('cycle_start')).ok
             waits(client, MachineState.REASON_PROGRAM_STOP)
             if loses_a_node:  # one that is started again does not go on, either
                 for member in family(run.pid):
@@ -108,7 +108,7 @@ def test_a_run_goes_on_and_ends_without_its_fork_server(program):
     os.kill(int(server.name), signal.SIGKILL)
     with OperatorClient('operator', namespace, domain) as client:
         waits(client, MachineState.REASON_PROGRAM_STOP)
-        assert client.granted(client.trigger('cycle_start')).ok
+        assert client.granted(client.ask('cycle_start')).ok
     assert run.wait(PATIENCE) == 0
     assert not any(one.exists() for one in forked)
 

@@ -94,7 +94,7 @@ class Port:
     """The surroundings of a session: a sender with a window, and what was asked of them."""
 
     def __init__(self):
-        self.sender = WindowedSender(0.5)
+        self.outlet, self.sender = self, WindowedSender(0.5)
         self.refused, self.opened, self.planners = [], 0, []
 
     def make_planner(self, first, stands, place, settings):

@@ -127,11 +127,7 @@ def workers_of(
     scheduler: str | None, workers: int, memory: float | None, longest: float,
     preloaded: Sequence[str] = PRELOADED,
 ) -> Workers:  # fmt: skip
-    """Return who carries out a batch.
-
-    ``scheduler``: address of a cluster, None for this computer; ``memory``: most memory of a task
-    [bytes], None for a share of the computer; ``longest``: its longest time [s].
-    """
+    """Return who carries out a batch: a cluster, or processes that share the memory here."""
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)
         return found

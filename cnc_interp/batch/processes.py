@@ -78,8 +78,7 @@ def total_memory() -> float:
 class Processes:
     """Some processes that work at the same time, at the lowest priority.
 
-    ``memory``: most memory of a process [bytes]; ``longest``: longest time of a call [s];
-    ``stopped``: asked again and again whether all shall end; ``preloaded``: modules to load first.
+    ``memory`` [bytes] and ``longest`` time [s] of a call; ``stopped`` tells whether all shall end.
     """
 
     def __init__(

@@ -1,7 +1,4 @@
-"""A sweep: a command with many values of options, as a grid or a search; its table and page.
-
-Points are command lines.
-"""
+"""A sweep: a command with many values of options, as a grid or a search; its table and page."""
 
 import hashlib
 import io
@@ -123,11 +120,7 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 
 
 class Sweep:
-    """Runs points, each once, and keeps what became of them.
-
-    ``words``: the command that is swept, without ``--out``; ``progress``: told the number of
-    points that are done. Raises InterpError if the command cannot be swept.
-    """
+    """Runs points, each once, and keeps what became of them; InterpError for other commands."""
 
     def __init__(
         self, main: Main, words: Sequence[str], folder: Path, workers: Processes,

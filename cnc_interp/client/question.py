@@ -1,12 +1,8 @@
 """What is sent again until it is answered: requests to services, and programs.
 
-An answer can be lost: a node drops it if it has heard of the request before it knows where answers
-are read, as happens on a busy computer while both find each other. A node that was killed never
-answers, and DDS addresses the dead process for some twenty seconds.
-
-A goal keeps its id, so it cannot run twice. Its result is asked for again, too: what was asked may
-have gone to a node that was killed since; the one that is there now does not know the goal and
-says so.
+A node drops an answer if it heard of the request before it knew where answers are read; one that
+was killed never answers. A goal keeps its id, so it cannot run twice. Its result is asked for
+again, too: the node that is there now may not know the goal, and says so.
 """
 
 import math
@@ -78,8 +74,7 @@ class SentProgram:
     def follow(self) -> None:
         """Read an answer, or send the goal or the question for its result again; to be repeated.
 
-        A second answer to the same goal says "not accepted", because the first one runs. So the
-        first answer counts.
+        A second answer says "not accepted", because the first one runs. So the first counts.
         """
         now = time.monotonic()
         if self.handle is not None:

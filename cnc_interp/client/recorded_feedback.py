@@ -29,10 +29,7 @@ class RecordedFeedback:
 
 
 def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine]:
-    """Read the last run in which the machine moved, its approach included; and its machine.
-
-    Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
-    """
+    """Read the last run that moved, approach included, and its machine; InterpError with gaps."""
     chunks = bag.read('executed_setpoints')
     if not chunks:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')

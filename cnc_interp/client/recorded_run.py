@@ -91,12 +91,7 @@ class RecordedRun:
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield what was executed of the program; time counts from its start.
-
-        The approach is left out, and the way by hand away from a hold and back.
-
-        Raises InterpError if a message is not sound, or the period changes.
-        """
+        """Yield what was executed of the program, without approach and ways by hand."""
         count = 0
         for part in self._executed(machine):
             rows = np.flatnonzero(part.block > 0)
@@ -106,10 +101,7 @@ class RecordedRun:
                 count += len(rows)
 
     def beside(self, machine: Machine) -> list[FloatArray]:
-        """Return the executed positions beside the program: the approach, by hand and back.
-
-        Returns (K, n_axes): each from rest to rest [m, rad].
-        """
+        """Return the positions beside the program, from rest to rest, (K, n_axes) [m, rad]."""
         stretches: list[list[FloatArray]] = []
         before, inside = np.zeros((0, len(machine.axis_names))), True
         for part in self._executed(machine):
@@ -140,10 +132,7 @@ class RecordedRun:
                 yield setpoints_from(chunk)
 
     def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
-        """Return the functions of the program, and the setpoints with which they came.
-
-        Raises InterpError if one came out twice, or as another one.
-        """
+        """Return the functions and the setpoints with which they came, if they are those sent."""
         sent = [function for block in self.blocks for function in block.functions]
         messages.check_functions('blocks', sent, machine.signals)
         kept = np.concatenate([np.zeros(0, bool), *(p.block > 0 for p in self._executed(machine))])
@@ -166,10 +155,7 @@ class RecordedRun:
                 yield path
 
     def start_row(self, machine: Machine, blocks: Blocks) -> int:
-        """Return the row of ``blocks`` with which the run started; 1 for a run from the top.
-
-        It is the row that begins nearest to the place on the path where the approach ended.
-        """
+        """Return the row that begins nearest to the end of the approach; 1: from the top."""
         settings, first = self.settings, self.blocks[0]
         if not settings.from_line:
             return 1
@@ -188,10 +174,7 @@ class RecordedRun:
 
 
 def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
-    """Find a run in a bag by its id, or the last one in which the machine moved.
-
-    Raises InterpError if nothing was executed, or blocks or segments are missing.
-    """
+    """Find a run in a bag by its id, or the last that moved; InterpError where parts miss."""
     executed = bag.spooled('executed_setpoints')
     if not executed:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
@@ -257,13 +240,7 @@ def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:
 
 
 def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, Any]:
-    """Write the plan files of a run: nothing is read, smoothed or planned again.
-
-    Blocks, path and setpoints are those of the wire. The feed of the path is that of the executed
-    setpoints.
-
-    Returns the summary as written to ``summary.json``; SI units.
-    """
+    """Write the plan files of a run from what was on the wire, and return the summary."""
     if next(run.setpoints(machine), None) is None:
         raise InterpError(f'{run.name}: the record ends before the program begins')
     way = ExecutedWay(run.setpoints(machine), run.period)

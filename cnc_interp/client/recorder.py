@@ -1,12 +1,8 @@
 """Records the messages of a run into a bag, with the parameters of its nodes.
 
-Beginning and end of a recording are handshakes with every node, so the bag is whole:
-
-- Parameters are asked for after the topics were subscribed to. DDS announces the endpoints of a
-  process in the order in which they were made, so a node that answers knows the subscriptions.
-- At the end every node is asked to publish what it has collected (``~/flush``). On a busy computer
-  its answer may overtake messages that were lost and are sent again. So executed setpoints are
-  counted, and a state of the machine is waited for that was told after the end.
+Both ends are handshakes with every node. Parameters are asked for after the topics were subscribed
+to: a node that answers knows the subscriptions. At the end every node publishes what it has
+collected (``~/flush``); executed setpoints are counted, and a later state of the machine awaited.
 """
 
 import sys
@@ -179,10 +175,7 @@ class Recorder:
 
 
 def record(path: Path, namespace: str) -> int:
-    """Record until Ctrl-C or SIGTERM; returns the number of messages.
-
-    Raises InterpError if the bag cannot be made.
-    """
+    """Record until Ctrl-C or SIGTERM; returns the number of messages."""
     refuse_existing(path)  # before ROS starts
     with stop_signals() as stop, OperatorClient('record', namespace) as client:
         recorder = Recorder(client.node, path)

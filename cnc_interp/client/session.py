@@ -173,12 +173,10 @@ def underruns(count: int) -> str:
 def run_session(
     request: RunRequest, companion: Any = None, started: float | None = None
 ) -> list[RunResult]:
-    """Start the nodes, run one or more programs through them, and end the nodes.
+    """Start the nodes, run programs through them, and end the nodes; InterpError if nothing moved.
 
-    ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
-    ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
-    the first program cannot be read or executed (nothing has moved then), if the machine file is
-    wrong, or if a node cannot start.
+    ``companion``: a process beside the nodes, such as the page; ``started``: when the command
+    began, in monotonic time [s].
     """
     started = time.monotonic() if started is None else started
     for program in request.programs:
@@ -226,10 +224,7 @@ def domain_of_nodes(domain: int | None) -> int:
 
 
 def check_place(namespace: str, domain: int) -> None:
-    """Refuse a namespace or a domain that ROS 2 does not allow.
-
-    Raises InterpError if one of them is wrong; the message says what is allowed.
-    """
+    """Refuse a namespace or a domain that ROS 2 does not allow; InterpError says which."""
     from rclpy.exceptions import InvalidNamespaceException
     from rclpy.validate_namespace import validate_namespace
 

@@ -55,11 +55,7 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
 def work_coordinates(
     table: SetupTable, setup: JobSetup, positions: Any, name: str = '', tip: Any = None
 ) -> dict[str, float]:
-    """Return what the coordinates read with a work offset (or the active one), G92 and the tool.
-
-    ``positions`` are those of the axes, ``tip`` is the tool tip in W where X Y Z are its
-    coordinates, as with tool-tip programming [m, rad].
-    """
+    """Return what coordinates read with an offset, G92 and tool; with TCP by ``tip`` in W."""
     machine = dict(zip(table.axes, positions, strict=False))
     zero = dict(zip(table.axes, table.zero, strict=True))
     if tip is not None:

@@ -105,11 +105,9 @@ def is_bag(path: Path) -> bool:
 def plan_files(
     path: Path, machine: str | None, part: str = ''
 ) -> Iterator[tuple[Path, str | None, list[FloatArray]]]:
-    """Yield a folder of plan files, the machine to use, and the motion beside the program.
+    """Yield a folder of plan files, the machine if it is named, and the motion beside the program.
 
-    None means the machine that they name. For a bag, the plan files of its last run, or of a
-    ``part``, are written to a temporary folder; its motion beside the program is that of
-    ``RecordedRun.beside``.
+    For a bag they are those of its last run, or of a ``part``, in a temporary folder.
     """
     if not is_bag(path):
         yield path, machine, []

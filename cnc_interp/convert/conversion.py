@@ -1,8 +1,4 @@
-"""A part program in another dialect: ``cnc-interp convert``.
-
-``gcode`` and ``cl`` write the blocks of the program, with native splines as chords.
-``siemens-bspline`` writes the smooth path of the look-ahead as lines and pairs of cubic B-splines.
-"""
+"""A part program in another dialect: its blocks, or its smooth path as native B-splines."""
 
 from dataclasses import dataclass, replace
 
@@ -42,11 +38,9 @@ def convert(
     program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float,
     slide: bool = False,
 ) -> Converted:  # fmt: skip
-    """Write a program in another dialect.
+    """Write a program in another dialect; InterpError if that cannot express the program.
 
-    ``fit_tolerance``: largest distance of cubic curves from the smooth path [m]; ``slide``:
-    whether native curves are first joined (``native_joins.py``). Raises InterpError if the dialect
-    cannot express the program.
+    ``fit_tolerance``: of cubic curves from the smooth path [m]; ``slide``: join curves first.
     """
     transform = Transform.of(machine)
     program = replace(program, blocks=with_poses(program.blocks, transform, settings.flank_height))

@@ -1,15 +1,10 @@
 """Native curves joined by parametrization splines [B2013, 2.6, Fig. 4], for ``convert``.
 
-A portion is a pair of cubic B-splines with one knot vector: the tip on the bottom curve, a second
-point of the tool axis on the top curve. Two portions may meet with G2 continuity on both curves,
-and the tool axis still jumps in its rate, because u_top = u_bottom says nothing about the join.
-Here both curves stay as they are. The axis slides along the top curve: u_top = f(u_bottom).
-
-The paper finds three values of f at each end by Newton's method on the third difference of the
-tool axis. The limit of small steps has a closed form (``connection.matching_slopes``): f', f'' and
-f''' for which o_s, o_ss and o_sss continue along the top curve. If both curves are G2 at the
-join, o, o_s and o_ss continue completely. If they are not, the jump that is left is the smallest
-one that any f can reach. ``joining.py`` removes such a rest, but changes the curves.
+Two portions, pairs of cubic B-splines with one knot vector, may meet with G2 continuity, and the
+tool axis still jumps in its rate. Here both curves stay; the axis slides along the top curve:
+u_top = f(u_bottom). The paper finds f at each end by Newton's method. The limit of small steps has
+a closed form (``connection.matching_slopes``): derivatives of f with which o_s, o_ss and o_sss
+continue along the top curve, or jump least. ``joining.py`` removes a rest, but changes the curves.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Smooth segments as lines and pairs of cubic B-splines; ``losses`` tells what controls change.
 
-On a corner the tool axis is the direction of top(f(u)) + E(u) - bottom(u). Two curves with one
-knot vector cannot express f and E. Instead a cubic spline with more knots interpolates
-the second point of the tool axis. It has the derivative of that point at both ends, so o_s agrees
-with the neighbours. Knots are added until the given tolerance holds.
+On a corner the tool axis is that of top(f(u)) + E(u) - bottom(u). A cubic spline with more knots
+interpolates the second point, with its derivatives at both ends, until the tolerance holds.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """Contact with a page: who may command; no stop is lost on the way, nothing else is done late.
 
-What is sent into a connection that breaks is gone; what waits for the next one comes late. So a
-stop is sent by the page until it is answered (``contact.js``), and everything else is done only
-for a page that has lately heard the server: it answers each beat, and its words come in order.
-A browser too slow for all that is sent gets less of it, for what waits in between is old, and a
-tab that nobody sees gets nothing but the beat.
-
-The server has a copy of the text in each field, which is old after such a break. So a key that
-reads fields sends the texts in them when pressed (``act_on_shown``).
+A stop is sent by the page until it is answered (``contact.js``). All else is done only for a page
+that has lately heard the server: it answers each beat, and its words come in order. The server's
+copy of a field is old after a break, so a key that reads fields sends their texts with it.
 """
 
 import asyncio
@@ -150,8 +145,7 @@ class Gate:
 def names_this_host(header: str, host: str) -> bool:
     """Tell whether the Host header is an address, ``localhost`` or the name of the server.
 
-    Another name may have been pointed to this computer by an attacker, whose page would then be of
-    the same origin as this one. An address cannot.
+    An attacker may point another name to this computer; then his page would be of the same origin.
     """
     try:
         name = urlsplit(f'//{header}').hostname or ''
@@ -164,11 +158,9 @@ def names_this_host(header: str, host: str) -> bool:
 
 
 class Access:
-    """The token, and which page is in charge.
+    """The token, and which page is in charge: a browser tab keeps that when it is refreshed.
 
-    Pages are told apart by their browser tab, so a refreshed page stays in charge; when the tab is
-    closed they are free. Any page with the token may take them over, and may always stop the
-    machine.
+    Any page with the token may take the others over, and may always stop the machine.
     """
 
     def __init__(self, token: str = ''):

@@ -66,11 +66,7 @@ class SettingsDialog:
         self._dialog = ui.dialog()
 
     def open(self, settings: Settings) -> None:
-        """Show settings to be changed.
-
-        The fields are made anew: values set from here into old ones come a moment after the dialog
-        is seen, and would overwrite what was typed at once.
-        """
+        """Show settings in new fields: values set into old ones overwrite what is typed."""
         self._settings = settings
         self._dialog.clear()
         with self._dialog, ui.card().classes('settings'):

@@ -1,8 +1,7 @@
 """Motion by hand on a page: keys that move an axis while held, or by steps; fields of numbers.
 
-The browser repeats a beat while a key is held (``hand_motion.js``), and each one becomes a beat of
-topic ``jog``. It names the last beat of the server that the page has heard. So a beat that was on
-its way for long is known, and does not count.
+A held key repeats a beat (``hand_motion.js``) that names the last beat of the server that the page
+has heard. So a beat that was on its way for long is known, and does not count.
 """
 
 from __future__ import annotations

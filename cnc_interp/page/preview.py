@@ -1,8 +1,4 @@
-"""A program planned beside the machine: its path, feeds and times, and the proof.
-
-The same commands that a user gives (`plan`, `check`) run as processes of lower priority than the
-nodes, and their one line of complaint is what the operator reads.
-"""
+"""A program planned and checked beside the machine by the commands that a user gives."""
 
 from __future__ import annotations
 

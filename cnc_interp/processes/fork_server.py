@@ -40,10 +40,7 @@ def begin_loading(modules: Sequence[str]) -> ForkServerContext:
 
 
 def begin_child(name: str) -> None:
-    """Name a child of the fork server in ps, top and pgrep; who started it receives Ctrl-C.
-
-    A SIGTERM that came before counts now.
-    """
+    """Name a child of the fork server in ps; only a SIGTERM counts, also one from before."""
     os.setsid()
     for number in set(STOPS) - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)

@@ -113,8 +113,7 @@ class Children:
     def revive(self) -> dict[str, str]:
         """Restart nodes that were killed, or ended by a fault of ours; return why, by name.
 
-        Raises InterpError when a node has ended by itself, or again by the same fault: it would do
-        so for ever.
+        Raises InterpError when a node has ended by itself, or again by the same fault.
         """
         lost = {}
         for node in tuple(self.nodes.values()):

@@ -1,8 +1,7 @@
 """What DDS keeps in shared memory, removed after processes that could not do so.
 
-A killed process leaves its segment of half a megabyte, and the ports that it had open last.
-Another process may be about to open the same port. If its file were removed after that, whoever
-opens it later would get another file, and no message. So Fast DDS's own lock is held meanwhile.
+Fast DDS's own lock is held meanwhile: a process that opens a port whose file is removed just then
+would get another file than the next one, and no message.
 """
 
 import contextlib

@@ -1,8 +1,7 @@
 """A feed planner with several processes, while this one smooths, interpolates and writes.
 
-At a rest nothing of the motion before it counts but its end time. So stretches between exact stops
-are planned by different processes, each from time zero; the clock is set afterwards, to the same
-bits as in ``FeedPlanner``.
+Stretches between exact stops are planned by different processes, each from time zero; the clock is
+set afterwards, to the same bits as in ``FeedPlanner``.
 """
 
 from __future__ import annotations

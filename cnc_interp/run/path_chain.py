@@ -1,8 +1,4 @@
-"""Blocks -> smooth segments -> path in machine axes, for whoever starts at blocks.
-
-Smoothing proposes stops at doubtful corners (``smoothing/stop_choice.py``), ``is_faster`` plans
-both ways. The look-ahead node only smooths (``smoother_of``).
-"""
+"""Blocks -> smooth segments -> path in machine axes; ``is_faster`` plans both ways at a corner."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

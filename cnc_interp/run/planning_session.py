@@ -1,7 +1,6 @@
 """The planning of one run after the other; no ROS, no clock, no threads.
 
-``step`` returns what is to be done next as a task; who called it has it done, in a thread if need
-be, and hands the result to ``finish``. ``SessionPort`` is the node's side.
+``step`` returns what is to be done next as a task; who called it hands the result to ``finish``.
 """
 
 import math

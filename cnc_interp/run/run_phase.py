@@ -133,8 +133,7 @@ class MachineReport:
 class LossRecovery:
     """Watches a machine after a node was restarted, and tells when to send the program again.
 
-    A machine that still has setpoints starts at once on cycle_start; it must not move meanwhile.
-    So the rest is sent where it goes on resting.
+    A machine with setpoints starts at once on cycle_start; the rest is sent where it rests.
     """
 
     def __init__(self) -> None:

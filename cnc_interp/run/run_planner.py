@@ -39,11 +39,9 @@ class Revision(NamedTuple):
 
 
 class RunPlanner:
-    """The planning of one run: the approach, then the program; or the rest of a program.
+    """The planning of one run, from the top or from ``continue_at`` [m]; it rests at ``stands``.
 
-    The machine rests at ``stands`` [m, rad]; the program goes on from ``continue_at`` [m], if
-    above 0. A machine that stands elsewhere, or any one if the planner ``asks``, waits for
-    cycle_start first.
+    A machine that stands elsewhere, or any if the planner ``asks``, waits for cycle_start first.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
 """The place on the path at which a run starts, and the way there.
 
-A run that does not start at the top begins inside the program. All of it is read and smoothed, so
-the path is that of the full run. Only what lies before the place is not executed.
+All of the program is read and smoothed, so the path is that of the full run.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Stops along the path: the tail of each chunk, and the way down to another plan.
 
-A stop is looked for at every few setpoints of a plan (``StopSearch``). A tail follows the plan to
-the next setpoint with a known stop, then that stop (``ChunkCutter``). A plan that joins in motion
-never asks for less than a stop from there (``way_down``).
+A tail follows the plan to the next setpoint with a known stop, then that stop. A plan that joins
+in motion never asks for less than a stop from there (``way_down``).
 """
 
 from collections import deque

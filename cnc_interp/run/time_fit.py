@@ -1,11 +1,8 @@
 """What a machine file needs to predict run times, fitted to which line a machine executed when.
 
-The model is the planner itself. Parameters are logarithms: the jerk of each linear axis, one
-factor of their accelerations, the velocity jump and the block time of the look-ahead. Residuals
-are measured minus planned times of windows of some seconds in which only the motion takes time.
-Their slopes are planned once; then Gauss-Newton steps with Broyden's update of the slopes follow.
-Velocities come from the feed during rapids. Times of tool changes
-and of the spindle are what is measured beyond the planned motion around each M6.
+Parameters are logarithms: the jerk of each linear axis, one factor of their accelerations, the
+velocity jump and the block time of the look-ahead. Gauss-Newton steps with Broyden's update fit
+the planned times of windows of some seconds in which only the motion takes time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """How one choice of the user is declared: its value, its range, its unit and its sentence.
 
-``Settings`` holds the choices. The command line, ROS parameters, goals, bags, plan files and the
-operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
+Command line, ROS parameters, goals, bags, plan files and page walk ``choices(Settings)``.
 """
 
 import enum

@@ -75,10 +75,7 @@ def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:
 
 
 class JoinGate:
-    """Keeps the first chunks of a plan that joins until there are enough of them.
-
-    With its first chunk alone the machine would run out of setpoints if the next ones were late.
-    """
+    """Keeps the first chunks of a plan that joins until there are enough of them."""
 
     def __init__(self, enough: int):
         self._enough = enough

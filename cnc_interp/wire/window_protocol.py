@@ -1,8 +1,7 @@
 """Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
 
 Items carry gap-free numbers within a program; one may count for several (a chunk of setpoints).
-The receiver says what it expects next and how far it may be sent. The sender keeps every item
-until it is acknowledged, and begins again at the first one that was not after a while.
+The sender keeps every item until it is acknowledged, and begins again at the first that was not.
 """
 
 import math

@@ -121,7 +121,7 @@ def measure(lines: int, folder: Path) -> str:
     program = folder / 'long.ngc'
     write_program(program, lines)
     namespace, domain = f'/long_{uuid.uuid4().hex[:8]}', 1 + os.getpid() % 100
-    command = [sys.executable, '-m', 'cnc_interp.nodes.program_node', '--ros-args']
+    command = [sys.executable, '-m', 'cnc_interp.nodes', 'program_node', '--ros-args']
     command += ['-r', f'__ns:={namespace}', '--params-file', str(nodes_file())]
     command += ['-p', f"program_folders:=['{program}']"]
     command += ['-p', 'resend_after:=10.0']  # nothing is lost here, the taker may be slow

@@ -48,9 +48,7 @@ def carry_out(task: Task, processes: int = 1) -> TaskOutcome:
     except Exception as problem:
         at = traceback.extract_tb(problem.__traceback__)[-1]
         place = f'{Path(at.filename).name}:{at.lineno}'
-        row = Row(
-            Verdict.CRASHED, f'{type(problem).__name__} in {place}: {problem}; please report'
-        )
+        row = Row(Verdict.CRASHED, f'{type(problem).__name__} in {place}: {problem}; report it')
     memory = max(usage.ru_maxrss for usage in _usages()) * 1024.0
     return TaskOutcome(row, Cost(time.perf_counter() - began, _processor_time() - used, memory))
 

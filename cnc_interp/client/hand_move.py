@@ -3,7 +3,7 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -37,16 +37,11 @@ class Ended:
 
     def to_json(self) -> dict[str, Any]:
         names = [axis.name for axis in self.axes]
-        return {
-            'arrived': self.arrived,
-            'message': self.message,
-            'position': dict(zip(names, self.position.tolist(), strict=True)),
-        }
+        position = dict(zip(names, self.position.tolist(), strict=True))
+        return {'arrived': self.arrived, 'message': self.message, 'position': position}
 
 
-def pose_request(
-    values: Mapping[str, float], speed: float, length: float = MM
-) -> MoveAxes.Request:
+def pose_request(values: dict[str, float], speed: float, length: float = MM) -> MoveAxes.Request:
     """Return the request that moves the tool to a pose; what is not named stays as it is."""
     request = MoveAxes.Request(speed=speed)
     request.tip = [values.get(name, math.nan) * length for name in POSE[:3]]
@@ -64,9 +59,7 @@ def connected(
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
         until = time.monotonic() + PATIENCE
-        while not (
-            ready(client) and client.machine and client.state and client.offers('move_axes')
-        ):
+        while not all((ready(client), client.machine, client.state, client.offers('move_axes'))):
             if time.monotonic() > until:
                 raise InterpError(
                     f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
@@ -77,16 +70,15 @@ def connected(
 
 
 def move_by_hand(
-    namespace: str, domain: int | None, values: Mapping[str, float], pose: bool, **fields: Any
+    namespace: str, domain: int | None, values: dict[str, float], pose: bool, **fields: Any
 ) -> Ended:
     """Move axes [mm, deg], or to a pose, and wait; Ctrl-C stops them. InterpError if refused."""
     request = pose_request(values, fields['speed']) if pose else MoveAxes.Request(**fields)
     with connected('jog', namespace, domain) as (client, machine):
         for name, value in values.items() if not pose else ():
             if name not in machine.axis_names:
-                raise InterpError(
-                    f'the machine has no axis {name} ({" ".join(machine.axis_names)})'
-                )
+                known = ' '.join(machine.axis_names)
+                raise InterpError(f'the machine has no axis {name} ({known})')
             request.axes.append(name)
             request.values.append(value * machine.axis(name).shown_size)
         with held_at_interrupt(client):
@@ -200,13 +192,8 @@ class LineEnd:
         return f'{self.line}: {self.answer.message}: {self.place}' if self.line else self.place
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            'line': self.line,
-            'ok': self.answer.ok,
-            'message': self.answer.message,
-            'modes': self.modes,
-            'position': self.position,
-        }
+        told = {'line': self.line, 'ok': self.answer.ok, 'message': self.answer.message}
+        return told | {'modes': self.modes, 'position': self.position}
 
 
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:

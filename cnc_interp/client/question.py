@@ -64,9 +64,8 @@ class SentProgram:
 
     def _send(self) -> None:
         self._sent_at = time.monotonic()
-        self._answers.append(
-            self._client.send_goal_async(self.goal, self._see_feedback, goal_uuid=self._id)
-        )
+        sent = self._client.send_goal_async(self.goal, self._see_feedback, goal_uuid=self._id)
+        self._answers.append(sent)
 
     def _see_feedback(self, message: Any) -> None:
         self.feedback = message.feedback

@@ -47,9 +47,7 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
         columns = (chunk.positions, chunk.velocities, told.positions)
         rows = [np.reshape(column, (-1, chunk.axis_count)) for column in columns]
         if chunk.period != chunks[0].period or len({len(each) for each in rows}) != 1:
-            raise InterpError(
-                f'{bag.path}: setpoints and feedback do not fit; record the run again'
-            )
+            raise InterpError(f'{bag.path}: setpoints and feedback differ; record the run again')
         parts.append(rows)
         following += len(rows[0])
     setpoint, rate, feedback = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -125,7 +123,5 @@ def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
             shares = {state.feed_override, state.rapid_override, state.spindle_override}
             whole = whole and shares == {1.0}
     if not whole:
-        raise InterpError(
-            f'{bag.path}: the run was held, stopped, or had an override; record one without'
-        )
+        raise InterpError(f'{bag.path}: a hold, a stop or an override; record one without')
     return slice(first, len(run.block))

@@ -191,9 +191,8 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('replay', namespace=namespace, context=context)
-    publishers = {
-        topic: node.create_publisher(TOPICS[topic][0], topic, TOPICS[topic][1]) for topic in SHOWN
-    }
+    shown = ((topic, *TOPICS[topic]) for topic in SHOWN)
+    publishers = {topic: node.create_publisher(kind, topic, qos) for topic, kind, qos in shown}
     clocks = node.create_publisher(Clock, '/clock', 10) if clock else None
     count, first, begun = 0, 0, time.monotonic()
     try:

@@ -65,12 +65,9 @@ BY_AXIS = ('following_error', 'velocity_use', 'acceleration_use', 'jerk_use')
 
 class RunConsole:
     def __init__(
-        self,
-        client: OperatorClient,
-        children: Children,
-        request: RunRequest,
+        self, client: OperatorClient, children: Children, request: RunRequest,
         recorder: Recorder | None,
-    ):
+    ):  # fmt: skip
         self._client, self._children, self._request = client, children, request
         self._recorder = recorder
         self._progress = ProgressBar(None if request.quiet else sys.stderr)
@@ -214,9 +211,8 @@ class RunConsole:
             self._progress.show(self._client.waits_for.partition(':')[0], self._client.prepared)
         elif feedback is not None and not feedback.programs_ahead:
             line = f'line {feedback.line_number}' if feedback.line_number else ''
-            self._progress.show(
-                f'running {name}', feedback.progress, line, feedback.remaining_time
-            )
+            share, left = feedback.progress, feedback.remaining_time
+            self._progress.show(f'running {name}', share, line, left)
 
     def _forgotten_result(self) -> RunProgram.Result:
         """Return what is known of a run whose program_node was lost; the words are the default."""
@@ -316,12 +312,9 @@ def enter_pressed() -> bool:
 
 
 def run_recorded(
-    request: RunRequest,
-    machine: Machine,
-    client: OperatorClient,
-    children: Children,
+    request: RunRequest, machine: Machine, client: OperatorClient, children: Children,
     started: float,
-) -> list[RunResult]:
+) -> list[RunResult]:  # fmt: skip
     """Run programs; they are recorded also for ``out`` and for a limit of the tool error."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None

@@ -46,16 +46,9 @@ class RunRequest:
     def from_options(options: Namespace) -> RunRequest:
         """Take the options of the command line, in the shop's units."""
         return RunRequest(
-            program=options.program,
-            then=tuple(options.then),
-            machine=options.machine,
-            settings=settings_from(options),
-            out=options.out,
-            record=options.record,
-            quiet=options.json,
-            pass_stops=options.pass_stops,
-            drives=options.drives,
-        )
+            options.program, tuple(options.then), options.machine, settings_from(options),
+            options.out, options.record, options.json, options.pass_stops, options.drives,
+        )  # fmt: skip
 
     @property
     def programs(self) -> tuple[Path, ...]:
@@ -160,9 +153,7 @@ class RunResult:
         """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
         from cnc_interp.run.plan_figures import excesses
 
-        uses = {
-            kind: getattr(self, f'{kind}_use') for kind in ('velocity', 'acceleration', 'jerk')
-        }
+        uses = {k: getattr(self, f'{k}_use') for k in ('velocity', 'acceleration', 'jerk')}
         return excesses(uses, {}, self.tool_error)
 
 

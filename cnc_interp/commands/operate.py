@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -224,9 +225,8 @@ def probe_rotary_command(options: argparse.Namespace) -> int:
         primary=[angle * DEG for angle in options.primary],
         secondary=[angle * DEG for angle in options.secondary],
     )  # fmt: skip
-    fit, name = probe_rotary_centres(
-        wanted, options.namespace, options.domain, lambda text: print(text, flush=True)
-    )
+    tell = partial(print, flush=True)
+    fit, name = probe_rotary_centres(wanted, options.namespace, options.domain, tell)
     print(f'{len(fit.residuals)} touches fit within {np.abs(fit.residuals).max() / UM:.1f} um')
     print(fit.text())
     if options.out is not None:
@@ -262,11 +262,9 @@ def touch_off_command(options: argparse.Namespace) -> int:
 
 
 def _do(
-    options: argparse.Namespace,
-    service: str,
-    wanted: dict[str, Any] | None,
+    options: argparse.Namespace, service: str, wanted: dict[str, Any] | None,
     words: dict[str, float] | None = None,
-) -> int:
+) -> int:  # fmt: skip
     from cnc_interp.client.setup_client import setup_console
 
     with setup_console(options.namespace, options.domain) as console:

@@ -64,9 +64,8 @@ def plan_command(options: argparse.Namespace) -> int:
     progress = ProgressBar(None if options.json else sys.stderr)
     read_as: tuple[str, ...] = ()
     try:
-        summary = plan_to_files(
-            stream, machine, options.out, settings, progress.of('planning'), options.workers
-        )
+        told, workers = progress.of('planning'), options.workers
+        summary = plan_to_files(stream, machine, options.out, settings, told, workers)
         read_as = stream.read_as  # a refusal is one line
     finally:
         progress.end(complete=False)

@@ -175,9 +175,8 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
 def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
     """Return rotary positions, each closest to the previous one, shape (n, 2) [rad]."""
     found = np.empty((len(blocks), 2))
-    here, _ = start_positions(
-        transform, blocks.axis[0], blocks.rotary[0], np.zeros(2), int(blocks.line_number[0])
-    )
+    first, line = (blocks.axis[0], blocks.rotary[0]), int(blocks.line_number[0])
+    here, _ = start_positions(transform, *first, np.zeros(2), line)
     found[0] = here
     for i in range(1, len(blocks)):
         axis, words = blocks.axis[i], blocks.rotary[i]
@@ -202,13 +201,10 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
 def _cl(blocks: Blocks, source: str) -> Converted:
     feed = effective_feed(blocks)
     notes = []
-    turning = np.isfinite(blocks.rotary[1:]).all(axis=1) & (
-        norm(np.diff(blocks.tip, axis=0)) < SAME_POINT
-    )
+    rests = norm(np.diff(blocks.tip, axis=0)) < SAME_POINT
+    turning = np.isfinite(blocks.rotary[1:]).all(axis=1) & rests
     if turning.any():
-        notes.append(
-            'CL data have no rotary words: rotations about the resting tip become vectors'
-        )
+        notes.append('CL data have no rotary words: turns about the resting tip become vectors')
     smallest = blocks.contour_tolerance.min(), blocks.orientation_tolerance.min()
     reader = Settings()
     if smallest != (reader.contour_tolerance, reader.orientation_tolerance):

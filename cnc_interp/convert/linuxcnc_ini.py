@@ -85,9 +85,8 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
             letter, [dict(source) for source in sources], linear if straight else angular, straight
         )
         if not jerk_known:
-            notes.append(
-                f'jerk of {letter}: none in the INI, taken as acceleration times {JERK:g}/s'
-            )
+            told = f'taken as acceleration times {JERK:g}/s'
+            notes.append(f'jerk of {letter}: none in the INI, {told}')
     content: dict[str, Any] = {
         'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')), 'signals': 'milling',
         'control': {'dialect': 'linuxcnc'},
@@ -116,9 +115,8 @@ def _limits(
         return found
 
     speed, turn = (M_PER_MIN, 1.0) if straight else (REV_PER_MIN, REV)
-    velocity, acceleration = (
-        min(values(key)) * unit for key in ('MAX_VELOCITY', 'MAX_ACCELERATION')
-    )
+    velocity = min(values('MAX_VELOCITY')) * unit
+    acceleration = min(values('MAX_ACCELERATION')) * unit
     told = [jerk for jerk in values('MAX_JERK', need=False) if jerk > 0.0]  # 0: no limit there
     jerk = min(told) * unit if told else JERK * acceleration
     kind, per = ('m', 'm') if straight else ('rev', 'rev')

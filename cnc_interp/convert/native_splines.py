@@ -127,9 +127,8 @@ def clamped(sites: FloatArray, values: FloatArray, rate: FloatArray) -> BSpline:
     from scipy.interpolate import BSpline, make_interp_spline
 
     if len(sites) == 2:  # one cubic: its Bezier points
-        points = np.stack(
-            [values[0], values[0] + rate[0] / 3.0, values[1] - rate[1] / 3.0, values[1]]
-        )
+        first, last = values[0] + rate[0] / 3.0, values[1] - rate[1] / 3.0
+        points = np.stack([values[0], first, last, values[1]])
         return BSpline(np.repeat([0.0, 1.0], 4), points, 3)
     return make_interp_spline(sites, values, k=3, bc_type=([(1, rate[0])], [(1, rate[1])]))
 

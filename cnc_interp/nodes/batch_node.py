@@ -1,7 +1,6 @@
 """The batch node: action ``plan_batch``, many programs planned beside a running machine."""
 
 import re
-import sys
 import threading
 import time
 from collections import Counter
@@ -38,9 +37,8 @@ class BatchNode(Node):
         self._settings = parameters.settings_of(self._values)
         self._stop = threading.Event()
         workers, memory = self._values['workers'], total_memory() / self._values['workers']
-        self._processes = Processes(
-            workers, memory, self._values['longest_planning'], self._stop.is_set
-        )
+        longest = self._values['longest_planning']
+        self._processes = Processes(workers, memory, longest, self._stop.is_set)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix='batch')
         self._handle: Any = None  # the goal that is carried out
         self._progress = Progress(0, 0, 0, 0.0)
@@ -103,9 +101,9 @@ class BatchNode(Node):
             require_allowed(settings.setup, folders)
         jobs = Jobs(programs, machines, settings, folders=folders)
         out = Path(folder) / goal.name
-        results = run_batch(
-            jobs, self._processes, Store(out / 'results'), self._note, self._values['workers']
-        )
+        note = partial(setattr, self, '_progress')
+        store, workers = Store(out / 'results'), self._values['workers']
+        results = run_batch(jobs, self._processes, store, note, workers)
         table, *_ = write_tables(results, None, out)
         write_page(results, None, out / 'batch.html')
         counts = Counter(outcome.row.verdict for _, outcome in results)
@@ -116,15 +114,9 @@ class BatchNode(Node):
             cycle_time=sum(outcome.row.cycle_time or 0.0 for _, outcome in results),
         )  # fmt: skip
 
-    def _note(self, progress: Progress) -> None:
-        self._progress = progress
-
     def close(self) -> None:
         self._stop.set()
         self._thread.shutdown()
 
 
 main = partial(run_node, BatchNode, urgent=False)
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -64,9 +64,8 @@ class ControllerLink:
 
     def __init__(self, namespace: str, controller: str, feedback: str, joints: Sequence[str]):
         self._joints = joints
-        self._node = rclpy.create_node(
-            'controller_link', namespace=namespace, use_global_arguments=False
-        )
+        alone = {'namespace': namespace, 'use_global_arguments': False}
+        self._node = rclpy.create_node('controller_link', **alone)
         topic = f'{controller}/joint_trajectory'
         self._trajectories = self._node.create_publisher(JointTrajectory, topic, TRAJECTORY)
         self._node.create_subscription(JointState, feedback, self._hear, FEEDBACK)

@@ -243,6 +243,3 @@ class FeedrateNode(LifecycleNode):
 
 
 main = partial(run_node, FeedrateNode)
-
-if __name__ == '__main__':
-    sys.exit(main())

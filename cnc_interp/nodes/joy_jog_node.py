@@ -1,6 +1,5 @@
 """The joystick node: ``joy`` in, beats of ``jog`` out while its enable button is pressed."""
 
-import sys
 from functools import partial
 from typing import Any
 
@@ -68,6 +67,3 @@ class JoyJogNode(Node):
 
 
 main = partial(run_node, JoyJogNode)
-
-if __name__ == '__main__':
-    sys.exit(main())

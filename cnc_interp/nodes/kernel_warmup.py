@@ -101,9 +101,8 @@ def warm_kinematics(machine: str, period: float) -> AxisPath:
     made = [warm_lookahead(machine)]
     if loaded.has_rotary and free.pole is not None:
         made.append(segments_of(pole_program(free), free, Settings()))
-    paths = [
-        AxisPathBuilder(free, Settings().flank_height, period).push(segments) for segments in made
-    ]
+    height = Settings().flank_height
+    paths = [AxisPathBuilder(free, height, period).push(segments) for segments in made]
     assert paths[0] is not None
     return paths[0]
 
@@ -154,9 +153,7 @@ def path_without_kernels(machine: Machine) -> AxisPath:
 
 def resting_chunk(position: FloatArray, period: float) -> Chunk:
     number, still = np.arange(4), np.zeros((4, len(position)))
-    samples = Setpoints(
-        number * period, still + position, still, still, still, number, np.zeros(4)
-    )
+    samples = Setpoints(number * period, still + position, *[still] * 3, number, np.zeros(4))
     return Chunk(samples, samples[:0], Wait.END)
 
 

@@ -1,6 +1,5 @@
 """The look-ahead node: ``blocks`` or ``block_batches`` in, rounded ``segments`` out."""
 
-import sys
 from collections import deque
 from functools import partial
 from math import inf
@@ -124,9 +123,8 @@ class LookaheadNode(Node):
         warm_lookahead(values['machine'])
         self._run: SmoothingRun | None = None
         self._diagnostics = Diagnostics(self)
-        self._watch = SenderWatch(
-            self, self._diagnostics, 'blocks', 'program_node', values['peer_timeout']
-        )
+        told, timeout = self._diagnostics, values['peer_timeout']
+        self._watch = SenderWatch(self, told, 'blocks', 'program_node', timeout)
         self._outlet = Outlet(
             self, 'segments', PathSegmentBatch, values['resend_after'],
             lambda segments, _: PathSegmentBatch(segments=segments),
@@ -193,6 +191,3 @@ class LookaheadNode(Node):
 
 
 main = partial(run_node, LookaheadNode)
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,6 +1,5 @@
 """The machine node: ``setpoints`` in, at absolute deadlines into the drives."""
 
-import sys
 from functools import partial
 from typing import Any
 
@@ -71,9 +70,8 @@ class MachineNode(LifecycleNode):
         self._inlet.buffered_time = 0.0
         self._pace = Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
-        self._controls = Controls(
-            self, self._playback, self._diagnostics, self._give_up, self._pace.wake
-        )
+        told = self._diagnostics, self._give_up, self._pace.wake
+        self._controls = Controls(self, self._playback, *told)
         self._topics = MachineTopics(
             self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
         )
@@ -128,9 +126,7 @@ class MachineNode(LifecycleNode):
         if chunk.joins:
             before = playback.before_join(run_id, number)
         if begins and playback.begins_elsewhere(first):
-            text = (
-                'the plan begins where the axes do not stand: they were moved, or machine_node was'
-            )
+            text = 'the plan begins where the axes do not stand: they moved, or machine_node was'
             raise StreamError(f'{text} started again; run the program again', Refusal.GIVEN_UP)
         check_chunk(chunk, playback.axes.machine, self._period, before)
         if chunk.joins:
@@ -225,6 +221,3 @@ def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:
 
 
 main = partial(run_node, MachineNode)
-
-if __name__ == '__main__':
-    sys.exit(main())

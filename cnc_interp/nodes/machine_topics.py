@@ -85,9 +85,8 @@ class MachineTopics:
 
     def tell_signals(self) -> None:
         drives, signals = self._playback.drives, self._playback.axes.machine.signals
-        message = messages.signals_message(
-            signals, drives.outputs.tolist(), drives.inputs.tolist()
-        )
+        values = drives.outputs.tolist(), drives.inputs.tolist()
+        message = messages.signals_message(signals, *values)
         if message != self._told_signals and (signals.outputs or signals.inputs):
             self._told_signals = deepcopy(message)
             message.header.stamp = self._now()

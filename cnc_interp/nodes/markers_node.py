@@ -1,7 +1,6 @@
 """The markers node: programmed and executed path for RViz and Foxglove; it only listens."""
 
 import math
-import sys
 from collections.abc import Iterable
 from functools import partial
 
@@ -82,9 +81,7 @@ class MarkersNode(Node):
         self._publisher = self.create_publisher(MarkerArray, 'markers', MARKERS)
         self.create_subscription(G1Block, 'blocks', self._see_blocks, LISTENING)
         self.create_subscription(G1BlockBatch, 'block_batches', self._see_blocks, LISTENING)
-        self.create_subscription(
-            SetpointChunk, 'executed_setpoints', self._see_setpoints, LISTENING
-        )
+        self.create_subscription(SetpointChunk, 'executed_setpoints', self._see_motion, LISTENING)
         every(self, 1.0 / values['rate'], self._tell)
 
     def _begin(self, program_id: str) -> None:
@@ -111,7 +108,7 @@ class MarkersNode(Node):
             self._programmed.add(tip)
         self._sequence, self._block = block.sequence, block
 
-    def _see_setpoints(self, chunk: SetpointChunk) -> None:
+    def _see_motion(self, chunk: SetpointChunk) -> None:
         q = np.reshape(chunk.positions, (-1, chunk.axis_count))
         if len(q) and chunk.sequences[-1] > 0:  # neither approach nor motion by hand
             self._begin(chunk.program_id)
@@ -130,6 +127,3 @@ class MarkersNode(Node):
 
 
 main = partial(run_node, MarkersNode, urgent=False)
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -31,9 +31,7 @@ def declared(choice: Choice) -> Declared:
     return Declared(choice.name, default, f'{told}{none} [{choice.unit.si}]', low, choice.high)
 
 
-MACHINE = Declared(
-    'machine', DEFAULT_MACHINE, 'Machine: name of a bundled one, or path of a YAML file'
-)
+MACHINE = Declared('machine', DEFAULT_MACHINE, 'Machine: a bundled one, or path of a YAML file')
 AUTOSTART = Declared('autostart', True, 'Configure and activate without waiting for a command')
 RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s]', 0.02, 10.0)
 PEER_TIMEOUT = Declared(
@@ -71,9 +69,7 @@ MACHINE_NODE = (
 PROGRAM = (
     MACHINE,
     *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
-    Declared(
-        'program_folders', [''], 'Programs that goals may name by path: folders, or single files'
-    ),
+    Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
     PEER_TIMEOUT,
     RESEND,
 )
@@ -106,9 +102,8 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
     values = {}
     for parameter in parameters:
         try:
-            found = node.declare_parameter(
-                parameter.name, parameter.default, descriptor_of(parameter)
-            )
+            told = descriptor_of(parameter)
+            found = node.declare_parameter(parameter.name, parameter.default, told)
         except Exception as problem:
             raise InterpError(f'parameter {parameter.name}: {problem}') from None
         values[parameter.name] = found.value

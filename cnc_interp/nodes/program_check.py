@@ -115,9 +115,8 @@ def prepare_on(
     """Read a program on after its probe, as ``ProgramStream.go_on``, and check what follows."""
     assert before.stream is not None
     before.stream.go_on(stands, at)
-    following = check(
-        before.stream, setup, before.text, transform, before.settings, told, may_rest=True
-    )
+    stream, settings = before.stream, before.settings
+    following = check(stream, setup, before.text, transform, settings, told, may_rest=True)
     return replace(following, is_own_setup=before.is_own_setup, line=before.line)
 
 

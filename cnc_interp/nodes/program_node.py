@@ -1,7 +1,6 @@
 """The program node: action ``run_program`` in, ``block_batches`` out within the window."""
 
 import math
-import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -75,9 +74,7 @@ class ProgramNode(Node):
         self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, CONTACTS)
         self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._modes = ActiveModesTopic(self)
-        self._buttons = {
-            name: self.create_client(Trigger, name) for name in ('feed_hold', 'reset')
-        }
+        self._buttons = {k: self.create_client(Trigger, k) for k in ('feed_hold', 'reset')}
         self._server = ActionServer(
             self, RunProgram, 'run_program', lambda _: Result(),
             handle_accepted_callback=self._accept,
@@ -168,9 +165,8 @@ class ProgramNode(Node):
             request = SwitchOutputs.Request(functions=function_messages(functions, 0, signals))
             run.answer = self._switch.call_async(request)
             return
-        self._feed.begin(
-            run.preparation.prepared, run.run_id, run.continue_at, self._outlet.sender
-        )
+        program = run.preparation.prepared
+        self._feed.begin(program, run.run_id, run.continue_at, self._outlet.sender)
 
     def _see_contact(self, contact: ProbeContact) -> None:
         self._contacts = {contact.program_id: contact}
@@ -254,9 +250,8 @@ class ProgramNode(Node):
         succeeded = outcome.code is Code.SUCCEEDED
         if succeeded and run.rests_throughout:
             self._mdi.keep(run.preparation.prepared)
-        self._diagnostics.say(
-            'program', OK if succeeded else WARN, outcome.message, **{WAITING: ''}
-        )
+        level = OK if succeeded else WARN
+        self._diagnostics.say('program', level, outcome.message, **{WAITING: ''})
         self._feed.end(self._outlet.sender)
         run.preparation.close()
         self._setup.release()
@@ -273,6 +268,3 @@ class ProgramNode(Node):
 
 
 main = partial(run_node, ProgramNode)
-
-if __name__ == '__main__':
-    sys.exit(main())

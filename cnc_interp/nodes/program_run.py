@@ -23,7 +23,7 @@ from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import SENDING, Code, MachineReport, Outcome, Phase, PhaseChange
 from cnc_interp.run.run_state import State
 from cnc_interp.wire.path_messages import block_messages, function_messages
-from cnc_interp.wire.run_messages import loaded_program, pairs_of, run_result
+from cnc_interp.wire.run_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender
 
 PATIENCE = 10.0  #: Time that look-ahead and planner may take to accept a run [s].
@@ -336,7 +336,7 @@ class ProgramRun:
         moved = self.run_id.program_id
         if self.parts and self.rests_throughout:
             moved = self.parts[-1].program_id
-        return run_result(outcome, moved, notices)
+        return RunProgram.Result(**vars(outcome), program_id=moved, notices=list(notices))
 
 
 MOST_QUEUED = 512  #: Blocks queued for sending at a time; not the whole program.

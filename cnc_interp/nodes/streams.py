@@ -197,9 +197,7 @@ class Outlet:
         self._before = self.sender
         self._encode = encode
         self._publisher = node.create_publisher(kind, topic or stream, profile)
-        self._subscription = node.create_subscription(
-            StreamStatus, 'stream_status', self._acknowledge, STATUS
-        )
+        node.create_subscription(StreamStatus, 'stream_status', self._acknowledge, STATUS)
 
     def _acknowledge(self, status: StreamStatus) -> None:
         if status.stream != self.stream:

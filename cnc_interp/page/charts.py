@@ -8,14 +8,13 @@ import numpy as np
 from nicegui import ui
 
 from cnc_interp.client.length_unit import LengthUnit
-from cnc_interp.page.desk import SPAN, Desk, Moment
+from cnc_interp.page.desk import KINDS, SPAN, Desk, Moment
 from cnc_interp.page.readings import ShownUnit
 
 INK, GRID = '#93a3af', '#26323b'
 FEED, ASKED, LIMIT = '#4cc38a', '#e6edf3', '#f0a33c'
 #: Colours of the axes in order. They repeat if a machine has more axes.
 AXES = ('#5aa9e6', '#f0a33c', '#4cc38a', '#e06c9f', '#b48ef0', '#c9b458')
-KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
 #: Limits on straight lines and rapids are far above the rest: the chart ends this much above
 #: the feed and what is mostly programmed.
 HEADROOM = 1.5

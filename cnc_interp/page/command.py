@@ -53,9 +53,8 @@ def run_panel(options: Namespace) -> None:
         until_asked(served, options.namespace, domain, dict)
         return
     Machine.load(options.machine)  # a wrong name is told before anything starts
-    parameters: dict[str, dict[str, object]] = {
-        name: {'machine': f"'{options.machine}'"} for name in NODES
-    }
+    machine = f"'{options.machine}'"
+    parameters: dict[str, dict[str, object]] = {name: {'machine': machine} for name in NODES}
     parameters['machine_node'] |= options.drives
     if options.setup is not None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"

@@ -29,6 +29,7 @@ from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.run_messages import goal_of, settings_from
 
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
+KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
 TIP_CODE = 'TRAORI'  #: The code of tool-tip programming (TCP) in the modal state.
 LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
 
@@ -120,9 +121,7 @@ class Desk:
     def _see_state(self, state: MachineState) -> None:
         self.switched['single_block'] = state.single_block
         now = time.monotonic()
-        use = np.array(
-            [state.recent_velocity_use, state.recent_acceleration_use, state.recent_jerk_use]
-        )
+        use = np.array([getattr(state, f'recent_{kind}_use') for kind in KINDS])
         self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
         if self.history and now - self.history[-1].time < STEP:
             return
@@ -268,9 +267,8 @@ class Desk:
             return
         size = float(np.ptp(plan.tip, axis=0).max())
         radius = max(size, 0.02) / 250
-        self.tube, drawn = await asyncio.to_thread(
-            tube, plan.tip, plan.feed, plan.usual_feed, radius
-        )
+        given = plan.tip, plan.feed, plan.usual_feed, radius
+        self.tube, drawn = await asyncio.to_thread(tube, *given)
         self._drawn, self._drawn_lines = plan.s[drawn], plan.line[drawn]
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'

@@ -62,13 +62,9 @@ def step_of(name: str, distance: float, speed: float) -> MoveAxes.Request:
 
 class JogPad:
     def __init__(
-        self,
-        machine: Machine,
-        nodes: OperatorClient,
-        may_move: Callable[[], bool],
-        unit: ShownUnit,
-        command: Command,
-    ):
+        self, machine: Machine, nodes: OperatorClient, may_move: Callable[[], bool],
+        unit: ShownUnit, command: Command,
+    ):  # fmt: skip
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
         self._nodes, self._may_move, self._unit, self._command = nodes, may_move, unit, command
         self._told = ''  # what was told of the key that is held

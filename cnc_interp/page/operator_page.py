@@ -155,17 +155,15 @@ class Page:
         self._build_hand_motion()
         colours = ', '.join(f'rgb{colour}' for colour in SCALE)
         with ui.element('div').classes('legend'):
-            ui.html(
-                f'<i style="background: linear-gradient(90deg, {colours})"></i>', sanitize=False
-            )
+            shade = f'background: linear-gradient(90deg, {colours})'
+            ui.html(f'<i style="{shade}"></i>', sanitize=False)
             self._label('scale', '')
         self._label('start', 'told')
 
     def _build_hand_motion(self) -> None:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
-        self._pad = pad = JogPad(
-            self._machine, nodes, lambda: self._in_charge, self._unit, command
-        )
+        pad = JogPad(self._machine, nodes, lambda: self._in_charge, self._unit, command)
+        self._pad = pad
         pose = PoseField(nodes, lambda: pad.speed, self._unit, command)
         axes = [name for name in self._machine.axis_names if name not in EXTRA_LETTERS]
         touch = TouchOffField(setup, axes, self._unit, command)

@@ -132,12 +132,9 @@ class Planner:
         return path
 
     async def plan(
-        self,
-        program: Path,
-        settings: Settings,
-        see_progress: Callable[[str], None],
+        self, program: Path, settings: Settings, see_progress: Callable[[str], None],
         setup: str = '',
-    ) -> Preview:
+    ) -> Preview:  # fmt: skip
         """Plan a program of ``keep``; InterpError with what `plan` says, one reason in a line."""
         if setup:
             file = Path(self._folder.name) / '.offsets and tools.yaml'

@@ -34,9 +34,8 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
     if job is not None and not desk.shows_run(state):
         words |= words_before_start(job.plan, desk.nodes.override)
     else:
-        words |= progress_words(
-            state, desk.plan_of(state), desk.nodes.override, desk.start_position(), unit
-        )
+        plan, start = desk.plan_of(state), desk.start_position()
+        words |= progress_words(state, plan, desk.nodes.override, start, unit)
     words['state'] = 'no answer' if silent else state_of(state).value
     words['why'] = f'{silent} does not answer' if silent else state.message or desk.nodes.waits_for
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
@@ -85,9 +84,8 @@ def spindle_text(state: MachineState) -> str:
     """Return the speed of the spindle, and where in its turn it stands with an encoder."""
     if not state.spindle_speed and math.isnan(state.spindle_angle):
         return NOTHING
-    angle = (
-        '' if math.isnan(state.spindle_angle) else f', {360.0 * (state.spindle_angle % 1):.0f}°'
-    )
+    turn = state.spindle_angle % 1  # NaN without an encoder
+    angle = '' if math.isnan(turn) else f', {360.0 * turn:.0f}°'
     return f'{state.spindle_speed:.0f} rev/min{angle}'
 
 
@@ -174,9 +172,7 @@ class Messages:
         ui.download(history_text(self._alarms.history).encode(), 'cnc_interp_messages.txt')
 
     def show(self) -> None:
-        alarms = sorted(self._alarms.newest_first, key=lambda one: WEIGHTS.index(one.level))[
-            :SHOWN
-        ]
+        alarms = sorted(self._alarms.newest_first, key=lambda a: WEIGHTS.index(a.level))[:SHOWN]
         if alarms != self._shown:
             self._shown = alarms
             self._list.set_content(alarms_html(alarms))

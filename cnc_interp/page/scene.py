@@ -310,9 +310,8 @@ class MachineView:
             along = (end - start) / length
             bars.append(self._bar(radius, length, (start + end) / 2, along, WAY))
         s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1)))
-        label = self._scene.text(
-            name, f'color: {WAY}; font-weight: 700; text-shadow: 0 0 3px #000'
-        )
+        style = f'color: {WAY}; font-weight: 700; text-shadow: 0 0 3px #000'
+        label = self._scene.text(name, style)
         label.move(*(float(np.interp(s[-1] / 2, s, column)) for column in tips.T))
         return bars
 

@@ -12,9 +12,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  #: What asks a command t
 def stop_signals() -> Iterator[list[int]]:
     """Yield a list that is empty until a signal asks to stop."""
     stop: list[int] = []
-    previous = {
-        number: signal.signal(number, lambda found, _frame: stop.append(found)) for number in STOPS
-    }
+    previous = {k: signal.signal(k, lambda found, _frame: stop.append(found)) for k in STOPS}
     try:
         yield stop
     finally:

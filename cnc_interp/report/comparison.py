@@ -67,14 +67,12 @@ def comparison_figure(first: ExaminedPlan, second: ExaminedPlan) -> Any:
                 legendgroup=line['color'], customdata=hover, hovertemplate=html.AT_PLACE,
             )  # fmt: skip
     for run, line in runs:
-        figure.add_vline(
-            run.proof.cycle_time, line={**line, 'width': 1.0, 'dash': 'dot'}, row=2, col=1
-        )
+        dotted = {**line, 'width': 1.0, 'dash': 'dot'}
+        figure.add_vline(run.proof.cycle_time, line=dotted, row=2, col=1)
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', row=2, col=1)
-    ceiling = max(
-        html.feed_ceiling(run.series.feed, run.series.programmed_feed) for run, _ in runs
-    )
+    drawn = [run.series for run, _ in runs]
+    ceiling = max(html.feed_ceiling(one.feed, one.programmed_feed) for one in drawn)
     fastest = max(float(run.series.feed.max(initial=0.0)) for run, _ in runs)
     figure.update_yaxes(title_text='mm/min', range=[0.0, min(ceiling, 1.08 * fastest) or 1.0])
     return html.laid_out(figure, 520)

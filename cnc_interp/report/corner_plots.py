@@ -57,9 +57,8 @@ def space_figure(view: CornerView) -> Any:
          {'mode': 'markers', 'marker': {'color': html.RED, 'size': 5, 'symbol': 'x'}}),
     ):  # fmt: skip
         hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
-        figure.add_trace(
-            go.Scatter3d(**html.xyz(points - view.vertex), name=name, **style, **hover)
-        )
+        place = html.xyz(points - view.vertex)
+        figure.add_trace(go.Scatter3d(**place, name=name, **style, **hover))
     # Equal ranges on all axes give one scale, and everything stays in view.
     shown = np.concatenate([corner, ends, view.bottom_polygon, view.top_polygon - lowering])
     shown = shown - view.vertex
@@ -123,9 +122,8 @@ def profile_figure(view: CornerView) -> Any:
     window = [max(window[0], view.ends[0] - 1.5 * span), min(window[1], view.ends[1] + 1.5 * span)]
     figure.update_xaxes(title_text='u', range=[0.0, 1.0], row=1, col=1)
     for row in (2, 3):
-        figure.add_vrect(
-            *view.ends, fillcolor='#eef3f8', line_width=0, layer='below', row=row, col=1
-        )
+        shade = {'fillcolor': '#eef3f8', 'line_width': 0, 'layer': 'below'}
+        figure.add_vrect(*view.ends, **shade, row=row, col=1)
         figure.update_xaxes(range=window, row=row, col=1)
     figure.update_xaxes(title_text='path length from the middle of the corner (mm)', row=3, col=1)
     if np.ptp(shape) < 1e-12:

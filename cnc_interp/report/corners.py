@@ -176,10 +176,9 @@ def _third_derivatives(
 ) -> tuple[FloatArray, FloatArray]:
     """Return path length [m] and |o_sss| along a corner [1/m3, B2013, Eq. 11], shapes (K,)."""
     turn, speed = np.empty(len(u)), np.empty(len(u))
+    curves = one.bottom[0], one.top[0], one.connection[0], one.parametrization[0]
     for k, (v, piece) in enumerate(zip(u, inside, strict=True)):
-        tip, axis = corner_jets(
-            one.bottom[0], one.top[0], one.connection[0], one.parametrization[0], v, piece
-        )
+        tip, axis = corner_jets(*curves, v, piece)
         rate = speed_of(tip)
         speed[k] = rate[0]
         turn[k] = np.linalg.norm([jet.by_arc_length.py_func(tuple(a), rate)[3] for a in axis])

@@ -69,9 +69,8 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
     near = spans[max(worst - AROUND, 0) : worst + AROUND + 1]
     near = near[np.abs(near - spans[worst]) <= AROUND]
     u = np.linspace(0.0, 1.0, POINTS)
-    points = np.concatenate(
-        [bezier_values(segments.bottom[i].T[None], u[:, None]) for i in near], axis=0
-    )
+    curves = segments.bottom[near].transpose(0, 2, 1)
+    points = np.concatenate([bezier_values(one[None], u[:, None]) for one in curves])
     rows = slice(max(int(segments.block[near].min()) - 1, 0), int(segments.block[near].max()) + 2)
     tips = plan.blocks['tip'][rows]
     middle = points.mean(axis=0)

@@ -70,9 +70,7 @@ def table(heads: Iterable[str], rows: Iterable[Sequence[str]], span: int = 1) ->
 
 
 def tiles(rows: Iterable[tuple[str, str]]) -> str:
-    cells = (
-        f'<div class="tile"><b>{value}</b><span>{label}</span></div>' for value, label in rows
-    )
+    cells = (f'<div class="tile"><b>{x}</b><span>{label}</span></div>' for x, label in rows)
     return f'<div class="tiles">{"".join(cells)}</div>'
 
 

@@ -75,14 +75,10 @@ def write_identified(
             for key, value, width in values_of(machine, each)
         )
         table = f'<table><tbody>{rows}</tbody></table>'
-        figures = html.drawing(_time_figure(machine, each, period)) + html.drawing(
-            _bode(each, period)
-        )
-        sections.append(
-            html.section(
-                machine.axis_names[axis], escape(_residual(machine, each)), table + figures
-            )
-        )
+        both = _time_figure(machine, each, period), _bode(each, period)
+        figures = ''.join(map(html.drawing, both))
+        name, told = machine.axis_names[axis], escape(_residual(machine, each))
+        sections.append(html.section(name, told, table + figures))
     title = f'Drives of {machine.name}'
     out.parent.mkdir(parents=True, exist_ok=True)
     body = f'<h1>{escape(title)}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
@@ -133,9 +129,8 @@ def _measured_transfer(found: IdentifiedAxis, period: float) -> tuple[FloatArray
         rows = slice(first, first + size)
         whole = found.rows[first + size] - found.rows[first] == size
         if whole and (np.all(given[rows] > 0.0) or np.all(given[rows] < 0.0)):
-            spectra = [
-                np.fft.rfft(taper * (each[rows] - np.mean(each[rows]))) for each in (given, did)
-            ]
+            parts = given[rows], did[rows]
+            spectra = [np.fft.rfft(taper * (part - np.mean(part))) for part in parts]
             power += np.abs(spectra[0]) ** 2
             answer += np.abs(spectra[1]) ** 2
             across += np.conj(spectra[0]) * spectra[1]

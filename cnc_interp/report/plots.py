@@ -29,9 +29,8 @@ def path_figure(series: Series) -> Any:
         (programmed, 'program', {'color': '#c3cad1', 'width': 1}),
         (_tool_lines(series), 'tool axis', {'color': '#9aa5b1', 'width': 2}),
     ):
-        figure.add_scatter3d(
-            **html.xyz(points), mode='lines', line=line, name=name, hoverinfo='skip'
-        )
+        place = html.xyz(points)
+        figure.add_scatter3d(**place, mode='lines', line=line, name=name, hoverinfo='skip')
     figure.add_trace(go.Scatter3d(
         **html.xyz(tip), mode='lines', name='tool path', showlegend=False,
         line={
@@ -90,9 +89,8 @@ def feed_figure(series: Series) -> Any:
             ('programmed', asked, {'color': html.INK, 'width': 1.2, 'dash': 'dot'}, plain),
             ('planned', series.feed, {'color': html.BLUE, 'width': 1.8}, place),
         ):
-            html.add_curve(
-                figure, row, x[rows], y[rows], name, line, row == 1, legendgroup=name, **hover
-            )
+            more = {'legendgroup': name, **hover}
+            html.add_curve(figure, row, x[rows], y[rows], name, line, row == 1, **more)
     if series.switched:
         at = list(series.switched)[:: 1 + len(series.switched) // MOST_SWITCHES]
         figure.add_scatter(
@@ -150,9 +148,8 @@ def _draw_use(
         '<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
     )  # fmt: skip
     for level in (-100.0, 100.0):
-        figure.add_hline(
-            level, line={'color': html.RED, 'width': 0.8, 'dash': 'dot'}, row=row, col=col
-        )
+        line = {'color': html.RED, 'width': 0.8, 'dash': 'dot'}
+        figure.add_hline(level, line=line, row=row, col=col)
     largest = float(np.abs(use).max(initial=0.0))
     figure.add_annotation(
         text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
@@ -264,9 +261,8 @@ def _figure(plain: ToolError, compensated: ToolError, period: float) -> Any:
         line = {'color': colour, 'width': 1.2}
         for row, curve in ((1, error.tip / UM), (2, error.axis / ARCSEC)):
             kept = extremes(curve, html.BUCKETS)
-            html.add_curve(
-                figure, row, kept * period, curve[kept], name, line, row == 1, mode='lines'
-            )
+            time = kept * period
+            html.add_curve(figure, row, time, curve[kept], name, line, row == 1, mode='lines')
     figure.update_xaxes(title_text='time [s]', row=2, col=1)
     figure.update_yaxes(title_text='tip [µm]', row=1, col=1)
     figure.update_yaxes(title_text='axis [arcsec]', row=2, col=1)

@@ -148,9 +148,8 @@ def extremes(values: FloatArray, buckets: int) -> IntArray:
     if count <= buckets * (1 + 2 * table.shape[1]):
         return np.arange(count)
     size = -(-count // buckets)
-    padded = np.pad(table, ((0, -count % size), (0, 0)), mode='edge').reshape(
-        -1, size, table.shape[1]
-    )
+    padded = np.pad(table, ((0, -count % size), (0, 0)), mode='edge')
+    padded = padded.reshape(-1, size, table.shape[1])
     start = np.arange(len(padded)) * size
     kept = [start, np.array([count - 1])]
     for column in range(table.shape[1]):

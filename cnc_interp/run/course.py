@@ -165,9 +165,7 @@ def sliced(piece: PlannedPiece) -> list[PlannedPiece]:
     law = without_long_rows(piece.law)
     stretch = np.floor((law.time - law.time[0]) / SLICE)
     borders = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(law)]
-    return [
-        PlannedPiece(piece.path, law[np.arange(first, last)]) for first, last in pairwise(borders)
-    ]
+    return [PlannedPiece(piece.path, law[np.arange(a, b)]) for a, b in pairwise(borders)]
 
 
 def without_long_rows(law: MotionLaw) -> MotionLaw:

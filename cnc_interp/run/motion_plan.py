@@ -176,8 +176,8 @@ class MotionPlan:
             self._history.append((leg, piece))
             first = cutter.next_number
             self._append(leg.interpolator.push(piece))
-            for number, stop in self._search.stops(leg, piece, range(first, cutter.next_number)):
-                cutter.add_stop(number, stop)
+            numbers = range(first, cutter.next_number)
+            cutter.stops.extend(self._search.stops(leg, piece, numbers))
         else:
             assert leg.wait is not None
             self._legs.popleft()
@@ -224,9 +224,8 @@ class MotionStream:
         tool: ToolLimit | None = None, signals: Signals = NO_SIGNALS,
     ):  # fmt: skip
         functions = FunctionQueue(signals)
-        self._context = PlanContext(
-            limits, period, chunk_size, line_of, tool=tool, functions=functions
-        )
+        given = limits, period, chunk_size, line_of
+        self._context = PlanContext(*given, tool=tool, functions=functions)
         self.course, self.functions = self._context.course, self._context.functions
         self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
 
@@ -253,9 +252,8 @@ class MotionStream:
         if v <= 0.0:
             todo = finely(self.course.after(s))
             rest = self.course.rest_at(s)
-            return MotionPlan(
-                self._context, settings, todo, number + 1, before=self.current, rests=rest
-            )
+            before, first = self.current, number + 1
+            return MotionPlan(self._context, settings, todo, first, before=before, rests=rest)
         stop, rests = self.current.way_down(number), settings.override <= 0.0
         if stop is None or (float(stop.law.duration.sum()) < BRIEF and not rests):
             return None

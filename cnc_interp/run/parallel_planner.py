@@ -102,9 +102,8 @@ class PlannerProcess:
         self.waiting = 0  # sections that were given and not taken back
         self._sections: multiprocessing.Queue[PathSection | None] = context.Queue()
         self.results, theirs = context.Pipe(duplex=False)
-        self._process = context.Process(
-            target=_live, args=(planning, os.getpid(), self._sections, theirs)
-        )
+        given = planning, os.getpid(), self._sections, theirs
+        self._process = context.Process(target=_live, args=given)
         self._process.start()
         theirs.close()
 

@@ -61,9 +61,8 @@ class PathChain:
         self, transform: Transform, settings: Settings, watch: Stopwatch | None = None
     ):  # fmt: skip
         self._smoother = smoother_of(transform, settings)
-        self._builder = AxisPathBuilder(
-            transform, settings.flank_height, settings.interpolation_period
-        )
+        height, period = settings.flank_height, settings.interpolation_period
+        self._builder = AxisPathBuilder(transform, height, period)
         self._watch = watch or Stopwatch()
 
     @property

@@ -38,9 +38,8 @@ class ToleranceUse:
 
     def blocks(self, blocks: Blocks) -> None:
         rows = self._rows + np.arange(len(blocks))
-        told = np.column_stack(
-            [rows, blocks.contour_tolerance, blocks.orientation_tolerance, blocks.on_spline]
-        )
+        tolerances = blocks.contour_tolerance, blocks.orientation_tolerance
+        told = np.column_stack([rows, *tolerances, blocks.on_spline])
         known = self._marks[-1:, 1:] if len(self._marks) else np.full((1, 3), np.nan)
         changed = np.diff(told[:, 1:], axis=0, prepend=known).astype(bool).any(axis=1)
         self._marks = np.concatenate([self._marks, told[changed]])
@@ -64,9 +63,8 @@ class ToleranceUse:
             return
         place = np.searchsorted(marks[:, 0], segments.block, 'right') - 1
         tolerance: FloatArray = marks[place, 1:3].min(axis=1)
-        at, kind = np.unravel_index(
-            int(np.argmax(segments.deviation / tolerance)), tolerance.shape
-        )
+        worst = int(np.argmax(segments.deviation / tolerance))
+        at, kind = np.unravel_index(worst, tolerance.shape)
         raise BlockError(
             f'the rounded path leaves the {("contour", "orientation")[kind]} tolerance: '
             f'{segments.deviation[at, kind] / UM:.4g} um of {tolerance[at, kind] / UM:.4g} um; '
@@ -144,16 +142,6 @@ class PlanFigures:
             self._tool_error = np.maximum(self._tool_error, largest)
 
     @property
-    def _told_error(self) -> dict[str, float] | None:
-        """The largest errors at the tool and their limit, if there is one [m]."""
-        if self._tool is None:
-            return None
-        if self._tool_motion is not None:
-            self._note_error(self._tool_motion.copy().settle())
-        tip, axis = self._tool_error.tolist()
-        return {'limit': self._tool.largest, 'tip': tip, 'axis': axis}
-
-    @property
     def cycle_time(self) -> float:
         as_planned = abs(self._spanned - self._planned) <= self._period
         return self._planned if as_planned else self._spanned
@@ -175,7 +163,14 @@ class PlanFigures:
         """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
         if self._last is not None:
             self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
+        error = None
+        if self._tool is not None:
+            if self._tool_motion is not None:
+                self._note_error(self._tool_motion.copy().settle())
+            error = dict(zip(('tip', 'axis'), self._tool_error.tolist(), strict=True))
+            error['limit'] = self._tool.largest
         machine = self._machine
+        stands = self.functions.standstill(machine.signals, machine.standstill)
         uses = {
             name: dict(zip(machine.axis_names, use.tolist(), strict=True))
             for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
@@ -197,9 +192,7 @@ class PlanFigures:
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
             'functions': self.functions.counts(machine.signals),
-            'standstill': float(
-                self.functions.standstill(machine.signals, machine.standstill).sum()
-            ),
+            'standstill': float(stands.sum()),
             'samples': self.samples,
             'blocks': self._blocks - 1,
             'segments': self._segments,
@@ -213,7 +206,7 @@ class PlanFigures:
                 'contour': float(self._tolerances.largest[0]),
                 'orientation': float(self._tolerances.largest[1]),
             },
-            'tool_error': self._told_error,
+            'tool_error': error,
             'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
         }

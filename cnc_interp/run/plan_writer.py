@@ -237,9 +237,8 @@ class _Column:
         self._along, self._count = int(name in _CELLS), 0
         self._shape, self._dtype = like.shape, like.dtype
         number = like.shape[0] if self._along else 1
-        self.lanes: list[BinaryIO] = [
-            file.with_name(f'{file.name}.{k}').open('w+b') for k in range(number)
-        ]
+        files = (file.with_name(f'{file.name}.{k}') for k in range(number))
+        self.lanes: list[BinaryIO] = [lane.open('w+b') for lane in files]
 
     def append(self, rows: NDArray[Any]) -> None:
         for lane, part in zip(self.lanes, rows if self._along else [rows], strict=True):

@@ -223,9 +223,8 @@ class PlanningSession:
         place = self._continue_at
         if goes_on and report.path_position > 0.0:
             place = report.path_position
-        self.planner = self._port.make_planner(
-            self._segments[0], report.stands, place, self.settings
-        )
+        first = self._segments[0]
+        self.planner = self._port.make_planner(first, report.stands, place, self.settings)
         if report.run_id.program_id == self.run_id.program_id:
             self.planner.stream.functions.done = report.functions
         self._change(Change.PLACE)
@@ -248,15 +247,14 @@ class PlanningSession:
         self._begin_plan(0)
         sender.begin(self.run_id)
         s, stands = report.path_position, report.stands
-        return PlanningTask(lambda: planner.resume(s, stands, settings), self._resumed)
+        return PlanningTask(
+            lambda: planner.resume(s, stands, settings), lambda _, __: self._change(Change.DONE)
+        )
 
     def _begin_plan(self, joins_at: int) -> None:
         self._plans += 1
         self.run_id, self.joins_at = replace(self.run_id, plan=self._plans), joins_at
         self.path_end = min(self.path_end, PathEnd.PLANNED)
-
-    def _resumed(self, _: Any, _now: float) -> None:
-        self._change(Change.DONE)
 
     def _must_revise(self, planner: RunPlanner, now: float) -> bool:
         followed = planner.stream.current.settings
@@ -345,9 +343,8 @@ class PlanningSession:
         if wants and self._segments:
             count = min(SEGMENTS_PER_TASK, len(self._segments))
             read = self._port.read([self._segments.popleft() for _ in range(count)])
-            return PlanningTask(
-                lambda: planner.push(*read), lambda _, __: self._port.consumed(count)
-            )
+            consumed = self._port.consumed
+            return PlanningTask(lambda: planner.push(*read), lambda _, __: consumed(count))
         if self.path_end is PathEnd.KNOWN and not self._segments:
             self.path_end = PathEnd.PLANNED
             return PlanningTask(planner.finish, lambda _, __: None)

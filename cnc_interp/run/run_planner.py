@@ -55,9 +55,8 @@ class RunPlanner:
         limits = limits_at(transform.machine, period)
         chunk_size = max(1, round(chunk_time / period))
         signals = transform.machine.signals
-        self.stream = MotionStream(
-            limits, period, chunk_size, self.line_of, settings, tool, signals
-        )
+        lines = self.line_of
+        self.stream = MotionStream(limits, period, chunk_size, lines, settings, tool, signals)
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)

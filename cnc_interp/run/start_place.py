@@ -56,24 +56,17 @@ class StartPlace:
             f'state there: {" ".join(block.words)}',
         ]
         if self.line != block.line:
-            told.append(
-                f'line {block.line} moves nothing; the next motion is that of line {self.line}'
-            )
+            after = f'the next motion is that of line {self.line}'
+            told.append(f'line {block.line} moves nothing; {after}')
         return tuple(told)
 
     def to_json(self) -> dict[str, Any]:
         block = self.block
         return {
-            'line': block.line,
-            'pass': block.which,
-            'passes': block.passes,
-            'row': block.row,
-            'first_line': self.line,
-            'words': list(block.words),
-            'path_position': self.s,
-            'position': self.position.tolist(),
-            'notes': list(self.texts),
-        }
+            'line': block.line, 'pass': block.which, 'passes': block.passes, 'row': block.row,
+            'first_line': self.line, 'words': list(block.words), 'path_position': self.s,
+            'position': self.position.tolist(), 'notes': list(self.texts),
+        }  # fmt: skip
 
 
 class StartFinder:
@@ -144,9 +137,8 @@ class StartFinder:
 
     def place(self, block: StartBlock) -> StartPlace:
         if self._s is None or self._vertex is None:
-            raise ProgramError(
-                'no motion follows this line; start before it', self._start.source, block.line
-            )
+            why = 'no motion follows this line; start before it'
+            raise ProgramError(why, self._start.source, block.line)
         return StartPlace(block, int(self._vertex.line_number[1]), self._s, self._position)
 
     def _place(self, path: AxisPath, row: int, last: bool) -> float | None:

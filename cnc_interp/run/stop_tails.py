@@ -52,11 +52,8 @@ class StopSearch:
                 ahead = self._course.ahead(float(piece.law.s[0]))
             stop = stop_law(ahead, state, self._table, 0.0)
             if stop is not None:
-                yield number, self._sampled(stop)
-
-    def _sampled(self, stop: PlannedPiece) -> Setpoints:
-        interpolator = Interpolator(self._period, 1)
-        return Setpoints.concatenate([interpolator.push(stop), interpolator.finish()])
+                down = Interpolator(self._period, 1)
+                yield number, Setpoints.concatenate([down.push(stop), down.finish()])
 
 
 class FunctionQueue:
@@ -108,7 +105,7 @@ class ChunkCutter:
         self._size, self._functions, self._block = size, functions, -1  # the last block cut
         self._first = self.next_number = number
         self._kept: deque[Setpoints] = deque()  # from setpoint _first on
-        self._stops: deque[tuple[int, Setpoints | None]] = deque()
+        self.stops: deque[tuple[int, Setpoints | None]] = deque()  # known; None: at rest
         self._waits: dict[int, Wait] = {}
 
     def take(self, samples: Setpoints) -> None:
@@ -116,27 +113,24 @@ class ChunkCutter:
             self._kept.append(samples)
             self.next_number += len(samples)
 
-    def add_stop(self, number: int, stop: Setpoints) -> None:
-        self._stops.append((number, stop))
-
     def end_leg(self, wait: Wait) -> None:
-        self._stops.append((self.next_number - 1, None))
+        self.stops.append((self.next_number - 1, None))
         self._waits[self.next_number - 1] = wait
 
     def cut(self) -> list[Chunk]:
-        if not self._stops:
+        if not self.stops:
             return []
         kept = Setpoints.concatenate(list(self._kept))
         chunks: list[Chunk] = []
         base = begin = self._first
-        while self._stops:
+        while self.stops:
             end = begin + self._size
             end = min(end, min((n + 1 for n in self._waits if n >= begin), default=end))
-            while self._stops and self._stops[0][0] < end - 1:
-                self._stops.popleft()
-            if not self._stops:
+            while self.stops and self.stops[0][0] < end - 1:
+                self.stops.popleft()
+            if not self.stops:
                 break
-            number, stop = self._stops[0]
+            number, stop = self.stops[0]
             tail = kept[end - base : number + 1 - base]
             if stop is not None:
                 tail = Setpoints.concatenate([tail, stop])

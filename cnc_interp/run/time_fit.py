@@ -206,9 +206,8 @@ def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
     moves = np.sort(moves[since > SETTLED], axis=0)[-HELD:]
     if len(moves) < HELD:
         return np.zeros(3)
-    return np.asarray(
-        np.where(moves[0] > 0.99 * moves[-1], np.round(np.median(moves, axis=0), 3), 0.0)
-    )
+    held, usual = moves[0] > 0.99 * moves[-1], np.round(np.median(moves, axis=0), 3)
+    return np.asarray(np.where(held, usual, 0.0))
 
 
 @dataclass(frozen=True)
@@ -308,9 +307,8 @@ class TimeFit:
         self._machine = replace(machine, max_velocity=velocity)
         self._runs, self._tell = runs, tell
         self._kept = [run.program.covers(run.trace.line[run.windows]) for run in runs]
-        self._measured = np.concatenate(
-            [run.measured[kept] for run, kept in zip(runs, self._kept, strict=True)]
-        )
+        pairs = zip(runs, self._kept, strict=True)
+        self._measured = np.concatenate([run.measured[kept] for run, kept in pairs])
 
     def motions(self, x: FloatArray, whole: bool = False) -> list[Motion]:
         """Plan the programs of the runs, each once; their samples, or all of them."""
@@ -337,7 +335,8 @@ class TimeFit:
         best = (np.inf, x, off, slopes)
         for number in range(STEPS + 1):
             self._tell(f'step {number}: off by {np.sqrt(np.mean(off**2)):.3f} s in a window')
-            best = min(best, (self._cost(off), x, off, slopes), key=lambda one: one[0])
+            cost = float((np.hypot(1.0, off / ROBUST) - 1.0).sum())
+            best = min(best, (cost, x, off, slopes), key=lambda one: one[0])
             step = self._step(x, off, slopes)
             if number == STEPS or np.abs(step).max() < ENOUGH:
                 break
@@ -346,10 +345,6 @@ class TimeFit:
             off = off + change
             slopes = slopes + np.outer(change - slopes @ step, step) / (step @ step)
         return self._fitted(*best[1:])
-
-    @staticmethod
-    def _cost(off: FloatArray) -> float:
-        return float((np.hypot(1.0, off / ROBUST) - 1.0).sum())
 
     @staticmethod
     def _weights(off: FloatArray) -> tuple[FloatArray, float]:

@@ -86,9 +86,7 @@ def _check_interpolation(name: str, message: G1Block) -> None:
 
 def _check_extra(name: str, values: array[float], count: int) -> None:
     if len(values) != count:
-        raise StreamError(
-            f'{name}: extra_axes holds {len(values)} values, the machine needs {count}'
-        )
+        raise StreamError(f'{name}: extra_axes has {len(values)} values, not {count}')
     if not all(map(math.isfinite, values)):
         raise StreamError(f'{name}: extra_axes is not finite; send numbers')
 

@@ -127,9 +127,8 @@ def _parametrization(spans: FloatArray) -> BSpline:
     inner = np.repeat(spans[1:, 0], SPAN_DEGREE)
     knots = np.concatenate([np.zeros(SPAN_DEGREE + 1), inner, np.ones(SPAN_DEGREE + 1)])
     points = np.concatenate([spans[:, 1:-1].ravel(), spans[-1:, -1]])
-    return BSpline(
-        degree=SPAN_DEGREE, dimension=1, knots=packed(knots), control_points=packed(points)
-    )
+    rows = {'knots': packed(knots), 'control_points': packed(points)}
+    return BSpline(degree=SPAN_DEGREE, dimension=1, **rows)
 
 
 def _spans_of(spline: BSpline) -> FloatArray:

@@ -15,16 +15,10 @@ from cnc_interp.core.errors import SettingsError
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
 from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_phase import MachineReport, Outcome
+from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import State
 from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import Settings, texts_of, with_texts
-
-
-def run_result(outcome: Outcome, program_id: str, notices: tuple[str, ...]) -> RunProgram.Result:
-    return RunProgram.Result(
-        code=outcome.code, message=outcome.message, program_id=program_id, notices=list(notices)
-    )
 
 
 def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) -> None:
@@ -51,13 +45,11 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
     period = state.interpolation_period
     share = min(1.0, max(0.0, state.path_position / path_length))
     driven = (state.samples - state.approach_samples) * period
+    left = driven * (1.0 - share) / share if share > 0.0 else math.nan
     return RunProgram.Feedback(
-        sequence=state.sequence,
-        line_number=state.line_number,
-        progress=share,
-        remaining_time=driven * (1.0 - share) / share if share > 0.0 else math.nan,
-        elapsed_time=state.samples * period,
-    )
+        sequence=state.sequence, line_number=state.line_number, progress=share,
+        remaining_time=left, elapsed_time=state.samples * period,
+    )  # fmt: skip
 
 
 def modal_state(modes: ActiveModes, program_id: str = '') -> msg.ModalState:
@@ -154,9 +146,8 @@ def goal_of(
 ) -> RunProgram.Goal:
     """Return the goal that runs a program with settings: those of some names, or all."""
     wanted = [c for c in choices(settings) if names is None or c.name in names]
-    pairs = [
-        KeyValue(key=c.name, value=c.text_with_unit(getattr(settings, c.name))) for c in wanted
-    ]
+    texts = {c.name: c.text_with_unit(getattr(settings, c.name)) for c in wanted}
+    pairs = [KeyValue(key=name, value=value) for name, value in texts.items()]
     return RunProgram.Goal(program=str(program), text=text, settings=pairs)
 
 
@@ -186,9 +177,8 @@ def settings_of_block(block: msg.G1Block, settings: Settings) -> Settings:
 
 
 def loaded_program(program_id: str, name: str, text: str, settings: Settings) -> msg.LoadedProgram:
-    message = msg.LoadedProgram(
-        program_id=program_id, name=name, text=text, settings=pairs_of(settings)
-    )
+    message = msg.LoadedProgram(program_id=program_id, name=name, text=text)
+    message.settings = pairs_of(settings)
     for choice in choices(settings):
         if choice.name in message.get_fields_and_field_types():
             setattr(message, choice.name, choice.plain(getattr(settings, choice.name)))

@@ -276,7 +276,7 @@ def test_a_program_runs_to_its_end(nodes, line, tmp_path):
 @pytest.mark.parametrize('line', [line for line in of('action') if '/plan_batch' in line])
 def test_a_batch_is_planned(line, tmp_path):
     (tmp_path / 'program.ngc').write_text(PROGRAM)
-    command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
+    command = [sys.executable, '-m', 'cnc_interp.nodes', 'batch_node', '--ros-args']
     given = f"program_folders:=['{tmp_path}']", f'batch_folder:={tmp_path / "plans"}'
     words = [word for one in given for word in ('-p', one)]
     with subprocess.Popen([*command, *words], env=environment_of(DOMAIN)) as node:

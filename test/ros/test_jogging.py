@@ -148,7 +148,7 @@ def test_a_program_and_motion_by_hand_exclude_each_other(bench):
 
 def test_a_joystick_moves_axes_while_its_button_is_pressed(bench):
     start = until_idle(bench)
-    command = [sys.executable, '-m', 'cnc_interp.nodes.joy_jog_node', '--ros-args']
+    command = [sys.executable, '-m', 'cnc_interp.nodes', 'joy_jog_node', '--ros-args']
     command += ['-r', f'__ns:={bench.namespace}', '-p', 'axis.Z:=1', '-p', 'scale.Z:=-0.3']
     node = subprocess.Popen(command, env=os.environ | {'ROS_DOMAIN_ID': str(bench.domain)})
     try:

@@ -43,7 +43,7 @@ class Viewer:
 
     def __init__(self):
         namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
-        command = [sys.executable, '-m', 'cnc_interp.nodes.markers_node', '--ros-args']
+        command = [sys.executable, '-m', 'cnc_interp.nodes', 'markers_node', '--ros-args']
         self.process = subprocess.Popen(
             [*command, '-r', f'__ns:={namespace}'],
             env=os.environ

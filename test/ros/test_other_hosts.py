@@ -161,7 +161,7 @@ def attack(hosts, words, participants, **variables):
     [
         (['cnc_interp', 'run', 'PROGRAM'], 5),
         pytest.param(['cnc_interp', 'panel', '--port', '0'], 5, marks=pytest.mark.thorough),
-        pytest.param(['cnc_interp.nodes.program_node'], 1, marks=pytest.mark.thorough),
+        pytest.param(['cnc_interp.nodes', 'program_node'], 1, marks=pytest.mark.thorough),
     ],
 )
 def test_nobody_else_reaches_what_is_started_without_options(hosts, program, words, participants):

@@ -28,7 +28,7 @@ class Client:
 
     def __init__(self, folder):
         namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
-        command = [sys.executable, '-m', 'cnc_interp.nodes.batch_node', '--ros-args']
+        command = [sys.executable, '-m', 'cnc_interp.nodes', 'batch_node', '--ros-args']
         given = [f"program_folders:=['{folder / 'programs'}']", f'batch_folder:={folder / "out"}']
         given.append('use_sim_time:=true')  # and nobody publishes /clock
         command += ['-r', f'__ns:={namespace}', *(w for one in given for w in ('-p', one))]

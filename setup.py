@@ -62,7 +62,7 @@ setup(
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={
         NAME: ['py.typed', 'commit.txt'],
-        f'{NAME}.page': ['*.css', '*.js'],
+        **{f'{NAME}.{room}': ['*.css', '*.js'] for room in ('page', 'report', 'batch')},
         f'{NAME}.cam': ['*.html', '*.js'],
         f'{NAME}.problems': ['*.csv'],
         f'{NAME}.processes': ['*.xml'],

@@ -92,40 +92,8 @@ SHOWN = (
     ('jerk', 'jerk_use', '.1%'), ('torque', 'torque_use', '.1%'),
     ('contour', 'contour_used', '.1%'), ('orientation', 'orientation_used', '.1%'),
 )  # fmt: skip
-LOCAL_STYLE = """
-th[data-sort] { cursor: pointer; position: sticky; top: 0; background: white; }
-td:nth-child(-n+3), th:nth-child(-n+3) { text-align: left; }
-tr.red td:nth-child(3) { color: #c0392b; font-weight: 600; }
-td small, td details { display: block; font-weight: 400; font-size: 12px; color: #5c6b78;
-  max-width: 640px; white-space: pre-line; }
-td:first-child { min-width: 230px; max-width: 270px; overflow-wrap: anywhere; }
-th, td { padding-right: 10px; }
-#find { font: inherit; padding: 4px 8px; margin: 2px 0 8px; width: 280px;
-  border: 1px solid #c3cad1; border-radius: 4px; }
-"""
-SCRIPT = """
-const body = document.querySelector('#rows'), rows = [...body.rows];
-document.querySelectorAll('th[data-sort]').forEach((head, column) => {
-  let up = false;
-  head.onclick = () => {
-    up = !up;
-    const value = row => {
-      const cell = row.cells[column];
-      return cell ? cell.dataset.value ?? cell.textContent : '';
-    };
-    const order = (a, b) => {
-      const [x, y] = [value(a), value(b)], [m, n] = [parseFloat(x), parseFloat(y)];
-      const by = isNaN(m) || isNaN(n) ? x.localeCompare(y) : m - n;
-      return up ? by : -by;
-    };
-    body.append(...[...body.rows].sort(order));
-  };
-});
-document.querySelector('#find').oninput = event => {
-  const wanted = event.target.value.toLowerCase();
-  rows.forEach(row => row.hidden = !row.textContent.toLowerCase().includes(wanted));
-};
-"""
+LOCAL_STYLE = Path(__file__).with_name('table.css').read_text(encoding='utf-8')
+SCRIPT = Path(__file__).with_name('table.js').read_text(encoding='utf-8')
 
 
 def write_page(results: Results, rate: float | None, file: Path) -> None:

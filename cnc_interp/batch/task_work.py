@@ -29,6 +29,8 @@ from cnc_interp.settings.options import Settings, with_texts
 
 #: A line, a corner and an exact stop: it loads what every task needs.
 TINY = b'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X3 C5 F3000\nY4\nM30\n'
+#: Figures of the summary that a row has, too.
+SAME = ('blocks', 'path_length', 'cycle_time', 'time_bound', 'standstill')
 #: The plan files whose content is the plan.
 PLAN = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')
 
@@ -78,12 +80,8 @@ def _planned(task: Task, processes: int) -> Row:
     return Row(
         Verdict.PROVEN if proof.ok else Verdict.NOT_PROVEN,
         '; '.join(proof.failures),
-        blocks=summary['blocks'],
         setpoints=summary['samples'],
-        path_length=summary['path_length'],
-        cycle_time=summary['cycle_time'],
-        time_bound=summary['time_bound'],
-        standstill=summary['standstill'],
+        **{name: summary[name] for name in SAME},
         **{f'{kind}_use': _use(proof, kind) for kind in proof.kinds},
         contour_used=proof.largest('contour error').ratio,
         orientation_used=proof.largest('orientation error').ratio,

@@ -63,12 +63,12 @@ class AlarmList:
         self._cleared = {alarm for alarm in now if gone(alarm) or alarm in before}
 
     def add(self, level: str, source: str, message: str) -> None:
-        alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
         with self._lock:
-            self._add(alarm, message)
+            self._add(level, source, message)
 
-    def _add(self, alarm: Alarm, message: str) -> None:
-        now, level, source = self._clock(), alarm.level, alarm.source
+    def _add(self, level: str, source: str, message: str) -> None:
+        now = self._clock()
+        alarm = Alarm(datetime.now().strftime('%H:%M:%S'), level, source, message)
         told_by, told_at = self._told.get(message, (source, -math.inf))
         if level != 'notice' and told_by != source and now - told_at < TOGETHER:
             return

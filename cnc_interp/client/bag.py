@@ -44,8 +44,7 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
 }
 #: Topics whose messages end with a checksum.
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
-#: Before the parameters of the nodes, in the custom data of a bag.
-PARAMETER = 'parameter.'
+PARAMETER = 'parameter.'  #: Before the parameters of the nodes, in the custom data of a bag.
 NOTED = 'noted.json'  #: The custom data of a bag that is not closed yet.
 ENDLESS = interfaces.QosTime(2147483647, 4294967295)
 

@@ -53,6 +53,7 @@ def plan_command(options: argparse.Namespace) -> int:
     from cnc_interp.program import open_program
     from cnc_interp.program.notices import tell
     from cnc_interp.run.chain import plan_to_files
+    from cnc_interp.run.plan_figures import excesses
 
     machine = machine_of(options)
     settings = settings_from(options)
@@ -72,18 +73,18 @@ def plan_command(options: argparse.Namespace) -> int:
         tell((*read_as, *stream.notices))
     if summary['cycle_time'] > HOUR:
         tell([f'the motion lasts {summary["cycle_time"] / HOUR:.4g} h; is the feed right?'])
+    over = excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
         if options.look or sys.stdout.isatty():
             print(sketch(options.out))
         print(f'plan files     {options.out}')
-        over = excesses_of(summary)
         print(
             f'NOT proven     {"; ".join(over)}' if over
             else 'proven         every setpoint keeps the limits, every curve the tolerances; '
             f'all of it: cnc-interp check {options.out}'
         )  # fmt: skip
-    return FAILED if excesses_of(summary) else FINE
+    return FAILED if over else FINE
 
 
 def _compile(machine: Machine) -> None:
@@ -105,12 +106,6 @@ def machine_of(options: argparse.Namespace) -> Machine:
     if not any((*shift, options.turn)):
         return Machine.load(options.machine)
     return placed_machine(options.machine, shift, options.turn, options.out / 'machine.yaml')
-
-
-def excesses_of(summary: dict[str, Any]) -> list[str]:
-    from cnc_interp.run.plan_figures import excesses
-
-    return excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])
 
 
 def describe(summary: dict[str, Any]) -> str:

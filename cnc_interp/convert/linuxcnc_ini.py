@@ -14,8 +14,7 @@ from cnc_interp.core.errors import MachineError
 from cnc_interp.core.units import DEG, INCH, M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.machine_model.machine import from_mapping
 
-#: Jerk where the INI has none, over the acceleration [1/s].
-JERK = 10.0
+JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
 #: Names of units in ``[TRAJ]`` [m, rad].
 UNITS = {
     'mm': MM, 'metric': MM, 'inch': INCH, 'in': INCH, 'imperial': INCH,

@@ -153,7 +153,8 @@ def path_without_kernels(machine: Machine) -> AxisPath:
 
 def resting_chunk(position: FloatArray, period: float) -> Chunk:
     number, still = np.arange(4), np.zeros((4, len(position)))
-    samples = Setpoints(number * period, still + position, *[still] * 3, number, np.zeros(4))
+    time, s = number * period, np.zeros(4)
+    samples = Setpoints(time, still + position, still, still, still, number, s)
     return Chunk(samples, samples[:0], Wait.END)
 
 

@@ -31,9 +31,7 @@ LAST_WORDS = Duration(seconds=0.2)  #: Longest wait for last messages, each topi
 NICENESS = -10  #: Of the nodes, if permitted: setpoints do not wait for others.
 
 
-def run_node(
-    make: Callable[[], Any], arguments: list[str] | None = None, urgent: bool = True
-) -> int:
+def run_node(make: Callable[[], Any], words: list[str] | None = None, urgent: bool = True) -> int:
     """Run one node until Ctrl-C, SIGTERM, or the end of its context or of the run around it."""
     stop: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -41,7 +39,7 @@ def run_node(
     if urgent:
         come_first()
     stay_on_this_host()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
     node = executor = None
     try:
         node = make()

@@ -205,9 +205,7 @@ class ProgramRun:
         self.probed = machine.stands, at
         return None
 
-    def read_on(
-        self, future: Future[Prepared], state: MachineState, sent: int, now: float
-    ) -> None:
+    def read_on(self, ready: Future[Prepared], state: MachineState, sent: int, now: float) -> None:
         """Begin the part of the program after a probe; it is read and checked meanwhile."""
         assert self.probed is not None
         self.parts.append(state)
@@ -219,7 +217,7 @@ class ProgramRun:
         self._known_by.clear()
         if self.preparation.prepared is not None:
             self._noticed = self.preparation.prepared.notices
-        self.preparation.again(future)
+        self.preparation.again(ready)
         self._change(PhaseChange.READ_ON, now)
 
     def _see_nodes(self, peers: Peers, now: float) -> None:

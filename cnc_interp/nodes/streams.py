@@ -108,8 +108,9 @@ class Inlet:
         except StreamError as fault:
             if fault.kind is Refusal.PLAN_OVER:
                 receiver.close(str(fault))
-            elif fault.kind is Refusal.TOO_LATE:
-                self._turn_away(run_id, fault)
+            elif fault.kind is Refusal.TOO_LATE:  # the stream goes on with the plan before
+                self._name(WARN, fault.kind, str(fault))
+                self._publish(run_id, refusal_kind=fault.kind, refusal=str(fault))
             else:
                 self.refuse(run_id, fault.kind, str(fault))
             return
@@ -136,11 +137,6 @@ class Inlet:
         else:
             harmless = mine and fault.kind is Refusal.REPEAT  # the sender made sure
             self._name(OK if harmless else WARN, fault.kind, str(fault))
-
-    def _turn_away(self, run_id: RunId, fault: StreamError) -> None:
-        """Tell the sender that a plan cannot join; the stream goes on with the plan before."""
-        self._name(WARN, fault.kind, str(fault))
-        self._publish(run_id, refusal_kind=fault.kind, refusal=str(fault))
 
     def _ask_again(self, kind: Refusal, reason: str) -> None:
         self._name(WARN, kind, reason)

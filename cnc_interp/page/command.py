@@ -24,6 +24,7 @@ from cnc_interp.processes.node_processes import NODES, Children
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
 
+Revive = Callable[[], dict[str, str]]  #: Starts lost nodes again; returns why, by name.
 #: Environment variable with the process of the run; the page ends when that process ends.
 PARENT = 'CNC_INTERP_PARENT'
 #: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
@@ -84,9 +85,7 @@ def is_loopback(host: str) -> bool:
         return host == 'localhost'
 
 
-def until_asked(
-    served: Served, namespace: str, domain: int, revive: Callable[[], dict[str, str]]
-) -> None:
+def until_asked(served: Served, namespace: str, domain: int, revive: Revive) -> None:
     """Serve; Ctrl-C is the way to end it and no fault."""
     from cnc_interp.page.server import serve
 

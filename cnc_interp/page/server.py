@@ -8,7 +8,7 @@ import os
 import socket
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from fastapi import Response
 from nicegui import app, ui
 
 from cnc_interp.core.errors import InterpError
-from cnc_interp.page.command import PARENT
+from cnc_interp.page.command import PARENT, Revive
 from cnc_interp.page.contact import AGAIN, Access, Gate
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
@@ -71,9 +71,7 @@ class Served:
         return Served(host, free_port(host, port), token, program.name if program else '', text)
 
 
-def serve(
-    served: Served, namespace: str, domain: int, revive: Callable[[], dict[str, str]]
-) -> None:
+def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
     """Serve until a signal, or until ``revive``, which starts nodes again, raises InterpError."""
     access = Access(served.token)
     with ExitStack() as closing:
@@ -83,9 +81,7 @@ def serve(
         _serve(served, access, desk, revive)
 
 
-def _serve(
-    served: Served, access: Access, desk: Desk, revive: Callable[[], dict[str, str]]
-) -> None:
+def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
     text = served.text
     lost: InterpError | None = None
 

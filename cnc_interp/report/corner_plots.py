@@ -19,20 +19,7 @@ GAP = 1.1  #: Distance between the drawn curves, as a multiple of the corner siz
 FEW = 60  #: Curves with fewer points than this are drawn with a marker at each point.
 
 #: One scene serves all corners, because browsers limit the number of scenes of a page.
-CHOOSER = """
-window.drawMore = function () {
-  var corners = JSON.parse(document.getElementById('corner-data').textContent);
-  var choice = document.getElementById('corner-choice');
-  function show() {
-    var corner = corners[Number(choice.value)];
-    ['space', 'profile'].forEach(function (part) {
-      Plotly.react('corner-' + part, corner[part].data, corner[part].layout, CONTROLS);
-    });
-  }
-  choice.addEventListener('change', show);
-  show();
-};
-"""
+CHOOSER = html.BESIDE.joinpath('corner_choice.js').read_text(encoding='utf-8')
 
 
 def space_figure(view: CornerView) -> Any:

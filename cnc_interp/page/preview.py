@@ -85,7 +85,7 @@ class Preview:
         """Read the plan files, thinned to what a screen shows."""
         with np.load(directory / 'path.npz') as path, np.load(directory / 'setpoints.npz') as run:
             s = path['s']
-            rows = np.unique(np.linspace(0, len(s) - 1, min(len(s), DRAWN)).astype(int))
+            rows = thinned(len(s))
             block = path['block']
             last = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
             block_end = s[last[np.searchsorted(last, rows)]]
@@ -109,6 +109,10 @@ class Preview:
             bound=bound_text(summary),
             **columns,
         )
+
+
+def thinned(count: int) -> IntArray:
+    return np.unique(np.linspace(0, count - 1, min(count, DRAWN)).astype(int))
 
 
 class Planner:

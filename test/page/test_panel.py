@@ -186,7 +186,7 @@ def test_the_preview_is_the_plan(planned):
 
 
 def test_long_paths_are_thinned_with_their_ends():
-    rows = thinned(np.zeros((5 * DRAWN, 3)), np.zeros((5 * DRAWN, 3)))
+    rows = thinned(5 * DRAWN)
     assert len(rows) == DRAWN and rows[0] == 0 and rows[-1] == 5 * DRAWN - 1
 
 

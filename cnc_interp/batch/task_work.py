@@ -12,6 +12,7 @@ from contextlib import chdir
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,12 +78,12 @@ def _planned(task: Task, processes: int) -> Row:
         summary = plan_to_files(stream, machine, plan, settings, processes=processes)
         proof = verify_plan(plan, machine)
         digest = _hash(plan / name for name in PLAN)
+    uses: dict[str, Any] = {f'{kind}_use': _use(proof, kind) for kind in proof.kinds}
     return Row(
         Verdict.PROVEN if proof.ok else Verdict.NOT_PROVEN,
         '; '.join(proof.failures),
         setpoints=summary['samples'],
-        **{name: summary[name] for name in SAME},
-        **{f'{kind}_use': _use(proof, kind) for kind in proof.kinds},
+        **{name: summary[name] for name in SAME} | uses,
         contour_used=proof.largest('contour error').ratio,
         orientation_used=proof.largest('orientation error').ratio,
         notices=tuple(stream.notices),

@@ -99,10 +99,13 @@ class Chunk:
     first_function: int = 0  #: Number in the run of the first of them.
 
     @property
+    def ends_approach(self) -> bool:
+        """Tell whether the machine rests at the start pose after the chunk, before the program."""
+        return not len(self.tail) and self.samples.block[-1] == 0
+
+    @property
     def rests(self) -> bool:
-        """Tell whether the machine rests after the chunk: also at the end of the approach."""
-        at_start = not len(self.tail) and self.samples.block[-1] == 0
-        return self.wait is not Wait.NOTHING or bool(at_start)
+        return self.wait is not Wait.NOTHING or self.ends_approach
 
     def head(self, count: int) -> Chunk:
         rest = self.samples[count:]
@@ -179,7 +182,8 @@ def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> Fl
     asked += table[VISCOUS, :, 0] * (steps[1:] + steps[:-1]) / (2.0 * period)
     friction, way = table[COULOMB, :, 0], np.sign(sign[1:] + sign[:-1])
     turns = sign[1:] * sign[:-1] < 0.0
-    turning = np.maximum(np.abs(asked) - friction, 0.0)
-    torque = np.where(turns, turning, np.abs(asked + way * friction))
+    torque = np.where(
+        turns, np.maximum(np.abs(asked) - friction, 0.0), np.abs(asked + way * friction)
+    )
     shares: FloatArray = torque / table[DRIVE, :, 0]
     return shares

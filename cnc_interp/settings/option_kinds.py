@@ -1,6 +1,7 @@
 """How one choice of the user is declared: its value, its range, its unit and its sentence.
 
-Command line, ROS parameters, goals, bags, plan files and page walk ``choices(Settings)``.
+``Settings`` holds the choices. The command line, ROS parameters, goals, bags, plan files and the
+operator page are made from the declarations: they walk ``choices(Settings)`` and name none.
 """
 
 import enum

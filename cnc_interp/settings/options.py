@@ -185,7 +185,10 @@ def values_of(settings: Settings) -> dict[str, Value]:
 def with_texts(
     settings: Settings, texts: Iterable[tuple[str, str]], need_units: bool = False
 ) -> Settings:
-    """Return settings with some choices from texts: in SI, or ``need_units`` refuses them."""
+    """Return settings with some choices replaced by texts; a number without a unit is in SI.
+
+    ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError.
+    """
     known = {choice.name: choice for choice in choices(settings)}
     given: dict[str, Any] = {}
     for key, text in texts:

@@ -120,7 +120,11 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
 
 
 class Sweep:
-    """Runs points, each once, and keeps what became of them; InterpError for other commands."""
+    """Runs points, each once, and keeps what became of them.
+
+    ``words``: the command that is swept, without ``--out``; ``progress``: told the number of
+    points that are done. Raises InterpError if the command cannot be swept.
+    """
 
     def __init__(
         self, main: Main, words: Sequence[str], folder: Path, workers: Processes,

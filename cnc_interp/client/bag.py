@@ -134,7 +134,10 @@ class BagWriter:
                 self._fault = fault
 
     def close(self) -> None:
-        """Write index and metadata; OSError if this or a message could not be written."""
+        """Write index and metadata.
+
+        Raises OSError if this or a message could not be written: the disk is full.
+        """
         try:
             if self._fault is not None:
                 raise self._fault
@@ -258,7 +261,11 @@ class Bag:
         return SpooledMessages(file, ends, lambda data: self.message(topic, data))
 
     def message(self, topic: str, data: bytes) -> Any:
-        """Return a message; StreamError by its checksum, InterpError if it is of no such type."""
+        """Return a message.
+
+        Raises StreamError if its checksum is wrong. Raises InterpError if it is none of this
+        topic.
+        """
         kind = TOPICS[topic][0]
         try:
             return opened(data, kind) if topic in SEALED else deserialize_message(data, kind)
@@ -286,7 +293,17 @@ class Bag:
 
 
 def repair(path: Path, out: Path) -> tuple[int, float]:
-    """Write what the bag of a killed recorder holds as a sound one; returns count and time [s]."""
+    """Write what a bag holds whose recorder was killed as a sound one.
+
+    Returns
+    -------
+        Number of messages, and the time from the first to the last one [s].
+
+    Raises
+    ------
+    InterpError
+        If there is no message, or ``out`` exists.
+    """
     from mcap.records import Channel, Message
 
     files = sorted(path.glob('*.mcap'))

@@ -29,7 +29,10 @@ class RecordedFeedback:
 
 
 def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine]:
-    """Read the last run that moved, approach included, and its machine; InterpError with gaps."""
+    """Read the last run in which the machine moved, its approach included.
+
+    Raises InterpError if nothing was executed, or setpoints or feedback are not complete.
+    """
     chunks = bag.read('executed_setpoints')
     if not chunks:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')
@@ -76,7 +79,11 @@ class Lesson:
 
 
 def recorded_lesson(bag: Bag) -> Lesson:
-    """Learn from the last run in a bag; InterpError if not compensated, or not in one piece."""
+    """Learn from the last run in a bag.
+
+    Raises InterpError if the run was not compensated, or its setpoints are not those of the plan
+    in one piece.
+    """
     told = {name: str(bag.parameters.get(f'machine_node.{name}', '')) for name in NAMES}
     name, model, learnt = (told[key] for key in NAMES)
     if not model:
@@ -123,5 +130,7 @@ def _rows_of_program(bag: Bag, run: RecordedFeedback) -> slice:
             shares = {state.feed_override, state.rapid_override, state.spindle_override}
             whole = whole and shares == {1.0}
     if not whole:
-        raise InterpError(f'{bag.path}: a hold, a stop or an override; record one without')
+        raise InterpError(
+            f'{bag.path}: the run was held, stopped, or had an override; record one without'
+        )
     return slice(first, len(run.block))

@@ -91,7 +91,12 @@ class RecordedRun:
         return replace(settings, interpolation_period=self.period)
 
     def setpoints(self, machine: Machine) -> Iterator[Setpoints]:
-        """Yield what was executed of the program, without approach and ways by hand."""
+        """Yield what was executed of the program; time counts from its start.
+
+        The approach is left out, and the way by hand away from a hold and back.
+
+        Raises InterpError if a message is not sound, or the period changes.
+        """
         count = 0
         for part in self._executed(machine):
             rows = np.flatnonzero(part.block > 0)
@@ -132,7 +137,10 @@ class RecordedRun:
                 yield setpoints_from(chunk)
 
     def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
-        """Return the functions and the setpoints with which they came, if they are those sent."""
+        """Return the functions of the program, and the setpoints with which they came.
+
+        Raises InterpError if one came out twice, or as another one.
+        """
         sent = [function for block in self.blocks for function in block.functions]
         messages.check_functions('blocks', sent, machine.signals)
         kept = np.concatenate([np.zeros(0, bool), *(p.block > 0 for p in self._executed(machine))])
@@ -174,7 +182,10 @@ class RecordedRun:
 
 
 def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
-    """Find a run in a bag by its id, or the last that moved; InterpError where parts miss."""
+    """Find a run in a bag by its id, or the last one in which the machine moved.
+
+    Raises InterpError if nothing was executed, or blocks or segments are missing.
+    """
     executed = bag.spooled('executed_setpoints')
     if not executed:
         raise InterpError(f'{bag.path}: nothing was executed in this bag; record a run')

@@ -175,7 +175,10 @@ class Recorder:
 
 
 def record(path: Path, namespace: str) -> int:
-    """Record until Ctrl-C or SIGTERM; returns the number of messages."""
+    """Record until Ctrl-C or SIGTERM; returns the number of messages.
+
+    Raises InterpError if the bag cannot be made.
+    """
     refuse_existing(path)  # before ROS starts
     with stop_signals() as stop, OperatorClient('record', namespace) as client:
         recorder = Recorder(client.node, path)

@@ -98,7 +98,11 @@ class RunConsole:
         self._interrupted = True
 
     def run(self, machine: Machine, started: float) -> list[RunResult]:
-        """Run one program after the other; InterpError if the first is refused before motion."""
+        """Run one program after the other, each to its end.
+
+        ``started``: when the command began, in monotonic time [s]. Raises InterpError when the
+        first program was refused before anything moved, or a node ended.
+        """
         self._wait_for_nodes()
         programs = [self._send(program) for program in self._request.programs]
         results: list[RunResult] = []

@@ -164,10 +164,12 @@ def underruns(count: int) -> str:
 def run_session(
     request: RunRequest, companion: Any = None, started: float | None = None
 ) -> list[RunResult]:
-    """Start the nodes, run programs through them, and end the nodes; InterpError if nothing moved.
+    """Start the nodes, run one or more programs through them, and end the nodes.
 
-    ``companion``: a process beside the nodes, such as the page; ``started``: when the command
-    began, in monotonic time [s].
+    ``companion``: a process beside the nodes, such as the page, with ``start`` and ``finish``;
+    ``started``: when the command began, in monotonic time; None for now [s]. Raises InterpError if
+    the first program cannot be read or executed (nothing has moved then), if the machine file is
+    wrong, or if a node cannot start.
     """
     started = time.monotonic() if started is None else started
     for program in request.programs:
@@ -215,7 +217,10 @@ def domain_of_nodes(domain: int | None) -> int:
 
 
 def check_place(namespace: str, domain: int) -> None:
-    """Refuse a namespace or a domain that ROS 2 does not allow; InterpError says which."""
+    """Refuse a namespace or a domain that ROS 2 does not allow.
+
+    Raises InterpError if one of them is wrong; the message says what is allowed.
+    """
     from rclpy.exceptions import InvalidNamespaceException
     from rclpy.validate_namespace import validate_namespace
 

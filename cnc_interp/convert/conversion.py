@@ -38,9 +38,11 @@ def convert(
     program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float,
     slide: bool = False,
 ) -> Converted:  # fmt: skip
-    """Write a program in another dialect; InterpError if that cannot express the program.
+    """Write a program in another dialect.
 
-    ``fit_tolerance``: of cubic curves from the smooth path [m]; ``slide``: join curves first.
+    ``fit_tolerance``: largest distance of cubic curves from the smooth path [m]; ``slide``:
+    whether native curves are first joined (``native_joins.py``). Raises InterpError if the dialect
+    cannot express the program.
     """
     transform = Transform.of(machine)
     program = replace(program, blocks=with_poses(program.blocks, transform, settings.flank_height))

@@ -101,7 +101,11 @@ def plan_to_files(
     stream: ProgramStream, machine: Machine, directory: Path, settings: Settings | None = None,
     progress: Callable[[float], None] | None = None, processes: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
-    """Plan a program while it is read, in flat memory; write plan files, return the summary."""
+    """Plan a program while it is read and write its plan files; memory does not grow with it.
+
+    ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the
+    same files. Returns the summary in SI units, or raises InterpError.
+    """
     settings = settings or Settings()
     start = None
     if stream.start.line:

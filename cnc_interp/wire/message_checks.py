@@ -86,7 +86,8 @@ def _check_interpolation(name: str, message: G1Block) -> None:
 
 def _check_extra(name: str, values: array[float], count: int) -> None:
     if len(values) != count:
-        raise StreamError(f'{name}: extra_axes has {len(values)} values, not {count}')
+        told = f'extra_axes holds {len(values)} values, the machine needs {count}'
+        raise StreamError(f'{name}: {told}')
     if not all(map(math.isfinite, values)):
         raise StreamError(f'{name}: extra_axes is not finite; send numbers')
 

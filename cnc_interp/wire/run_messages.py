@@ -152,7 +152,11 @@ def goal_of(
 
 
 def settings_of_goal(goal: RunProgram.Goal, defaults: Settings) -> Settings:
-    """Return the settings that a goal asks for: its fields unless 0 or empty, then its list."""
+    """Return the settings that a goal asks for: its fields unless 0 or empty, then its list.
+
+    Raises SettingsError if a choice is unknown or not possible, belongs to the nodes and differs
+    from theirs, or is only for `plan`.
+    """
     fields = goal.get_fields_and_field_types()
     given = {
         choice.name: choice.from_plain(getattr(goal, choice.name))

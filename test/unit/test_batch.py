@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from worker_calls import half, lost_with_its_server, slow_to_die, stubborn
 
 from cnc_interp.batch import processes
 from cnc_interp.batch.batch_run import Store, run_batch
@@ -197,19 +198,6 @@ def test_a_changed_subprogram_or_machine_is_another_task(programs, tmp_path):
     assert len({before, task(str(machine)).key, task().key}) == 3
 
 
-def half(number):
-    """A function of a worker that fares badly with some numbers."""
-    if number == 1:
-        os.kill(os.getpid(), signal.SIGSEGV)
-    if number == 2:
-        os._exit(3)
-    if number == 3:
-        time.sleep(600.0)
-    if number == 4:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number / 2
-
-
 @pytest.mark.thorough
 def test_what_a_worker_dies_of_is_told():
     calls = [partial(int, k) for k in range(6)]
@@ -219,26 +207,6 @@ def test_what_a_worker_dies_of_is_told():
     assert (ended[2].result, ended[2].why) == (Loss.CRASHED, 'exit code 3')
     assert ended[3].result is Loss.TOO_LONG
     assert ended[4].result is Loss.KILLED and ended[4].kills > 3
-
-
-def count_call(path):
-    with Path(path).open('a+') as file:
-        file.write('x')
-        return file.tell()
-
-
-def stubborn(path):
-    """A function of a worker that is killed 30 times, and once is not."""
-    times = count_call(path)
-    if times <= 30:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return times
-
-
-def slow_to_die(seconds):
-    """A function of a worker that works for some time [s], and then is killed."""
-    time.sleep(seconds)
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.thorough
@@ -251,15 +219,6 @@ def test_a_killed_call_is_begun_again_as_long_as_it_has_time(tmp_path, monkeypat
     assert (ended.result, ended.kills) == (Loss.KILLED, 5)
     (ended,) = Processes(1, 4 * GIGA, 2.0).run(slow_to_die, [partial(float, 1.0)])
     assert isinstance(ended.result, Loss) and ended.kills <= 2
-
-
-def lost_with_its_server(path):
-    """A function of a worker that dies with the fork server twice."""
-    times = count_call(path)
-    if times <= 2:
-        os.kill(os.getppid(), signal.SIGKILL)
-        os.kill(os.getpid(), signal.SIGKILL)
-    return times
 
 
 def test_a_killed_fork_server_loses_no_call(tmp_path, monkeypatch):

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 import ruckig
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.machine_model.machine import Machine

@@ -22,9 +22,7 @@ from paths import cases, dense_cases
 from programs import CASES
 from whole_plans import path_of
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MS
+from cnc_interp.core import MS, FloatArray, InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from cnc_interp.commands.cli import main as command
-from cnc_interp.core.units import DEG, UM
+from cnc_interp.core import DEG, UM
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive

@@ -33,8 +33,7 @@ from paths import dome
 from programs import CASES, PROGRAMS, program_file
 from whole_plans import Kept
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.core import MM, MM_PER_MIN, UM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, open_program

@@ -10,7 +10,7 @@ from figures import Figures
 from rivals import topp3
 from whole_plans import Kept
 
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.problems.paths import of_blocks
 from cnc_interp.program import Blocks

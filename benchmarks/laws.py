@@ -9,7 +9,7 @@ import time
 from active import largest_use
 from paths import cases, stop_at_corners
 
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import PlanningError
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from compensation import EXAMPLES, MACHINE, SHARED, quietly, wrong
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, UM
+from cnc_interp.core import DEG, UM, FloatArray
 from cnc_interp.drives import learning
 from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_model import follow_all, words_of

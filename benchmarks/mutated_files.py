@@ -34,7 +34,7 @@ from test_hostile_files import MACHINE, SMALL, mutant
 from cnc_interp.cam.surface_file import answer
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
 from cnc_interp.commands.check import plan_files
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify

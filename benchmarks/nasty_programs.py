@@ -23,8 +23,7 @@ from active import share_active
 from rotary_words import files_of
 from whole_plans import Plan, plan_program
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

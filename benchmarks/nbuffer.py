@@ -26,8 +26,7 @@ from cnc_interp.cam.needle_tiles import cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.commands.cam import tile_workers
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, FloatArray
 
 MILL, SIDE, STEPOVER, TILT = Cutter(5 * MM, 1.5 * MM), 30 * MM, 2 * MM, 5 * DEG
 POSES = 0.2 * MM

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import casadi
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.limits_by_position import PLACE
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limit_use import AxisLimits

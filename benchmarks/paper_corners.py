@@ -22,9 +22,8 @@ from paths import ROOT
 from ratios import programs
 from whole_plans import Plan, plan_program, write_plan
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

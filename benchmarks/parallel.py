@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core import MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program

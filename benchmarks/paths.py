@@ -13,10 +13,8 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.interpolate import BSpline
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.core.limits_by_position import constant_table
-from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder

@@ -18,8 +18,7 @@ import numpy as np
 from rotary_words import files_of, random_program
 from whole_plans import plan_program
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MS
+from cnc_interp.core import MS, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -19,9 +19,7 @@ from pole import pole_of
 from rotary_words import files_of, rotary_machines
 from whole_plans import plan_program
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -21,7 +21,7 @@ from figures import ROOT
 from strokes import stroke_time
 
 from cnc_interp import axis_motion, plan_path
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import PlanningError
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.problems import Problem, Score, known, paths, problems, score
 

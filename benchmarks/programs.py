@@ -28,8 +28,7 @@ from linuxcnc_oracle import PROGRAMS as ORACLE_PROGRAMS
 from linuxcnc_oracle import judged
 from whole_plans import plan_program, summary_of, write_plan
 
-from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core import MM_PER_MIN, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program

@@ -36,7 +36,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 from whole_plans import Plan, plan_program
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform

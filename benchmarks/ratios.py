@@ -17,8 +17,7 @@ import numpy as np
 from paths import ROOT, SHARED, time_along
 from whole_plans import path_of
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of

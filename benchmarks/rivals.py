@@ -13,7 +13,7 @@ from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, LinearConstraint
 from toppra.interpolator import AbstractGeometricPath
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.limits_by_position import PLACE, constant_table
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import AxisLimits

@@ -19,8 +19,7 @@ import yaml
 from rotary_words import files_of
 from whole_plans import plan_program
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -24,8 +24,7 @@ from pathlib import Path
 import numpy as np
 from whole_plans import Plan, plan_program
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

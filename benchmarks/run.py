@@ -26,7 +26,7 @@ from rivals import topp3, toppra_slowed
 from strokes import line_path, stroke_time
 from tables import write_tables
 
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.problems import Problem, stretches

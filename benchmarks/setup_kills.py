@@ -21,7 +21,7 @@ import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.program.job import JobSetup, SetupChange, Tool
 from cnc_interp.program.setup_table import SetupTable
 

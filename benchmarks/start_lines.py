@@ -27,9 +27,7 @@ from pathlib import Path
 import numpy as np
 from programs import CASES, ROOT, commit, program_file
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError, ProgramError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions

@@ -21,8 +21,7 @@ from types import ModuleType
 
 import numpy as np
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import INCH, MM
+from cnc_interp.core import INCH, MM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Tool, read_program

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from figures import ROOT, column, load, where
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 
 RESULTS = Path(__file__).with_name('RESULTS.md')
 MEASURED = ROOT / 'docs' / 'measured' / 'README.md'

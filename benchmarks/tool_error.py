@@ -20,7 +20,7 @@ import numpy as np
 from compensation import MACHINE, PROGRAMS, wrong
 from whole_plans import Kept
 
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at

@@ -8,13 +8,13 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.core import kernel_cache
+from cnc_interp import kernel_cache
 
 if TYPE_CHECKING:
     from cnc_interp.cam.cutter import Cutter
     from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
     from cnc_interp.cam.shapes import BSplineSurface
-    from cnc_interp.core.errors import InterpError
+    from cnc_interp.core import InterpError
     from cnc_interp.feedrate.feed_planner import plan_path
     from cnc_interp.feedrate.motion_law import axis_motion
     from cnc_interp.feedrate.plan_options import PlanOptions
@@ -38,7 +38,7 @@ __all__ = [
 #: Modules that hold them.
 _HOMES = {
     'cam.cutter': 'Cutter', 'cam.iso_scallop': 'IsoScallopOptions iso_scallop_paths',
-    'cam.shapes': 'BSplineSurface', 'core.errors': 'InterpError',
+    'cam.shapes': 'BSplineSurface', 'core': 'InterpError',
     'feedrate.feed_planner': 'plan_path', 'feedrate.motion_law': 'axis_motion',
     'feedrate.plan_options': 'PlanOptions', 'kinematics.axis_path': 'evaluate',
     'kinematics.path_from_arrays': 'axis_path_from',

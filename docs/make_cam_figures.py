@@ -38,8 +38,7 @@ from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.commands.cli import main as command
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, FloatArray
 from cnc_interp.papers.classical import classical_paths
 
 HERE = Path(__file__).parent

@@ -17,9 +17,8 @@ import numpy as np
 from make_pictures import BLUE, INK, ORANGE, PICTURES, QUIET, STYLE
 from matplotlib import pyplot as plt
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.core.units import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program

@@ -23,9 +23,8 @@ from matplotlib.collections import PolyCollection
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from scipy.optimize import brentq
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.core.units import MM, MM_PER_MIN
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder

@@ -18,7 +18,7 @@ from matplotlib import pyplot as plt
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.report.series import Series, extremes, series_of

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.batch.task import BatchEntry, TaskOutcome, Verdict
+from cnc_interp.core import HOUR
 from cnc_interp.core.small_files import write_whole
-from cnc_interp.core.units import HOUR
 from cnc_interp.report import html
 
 Results = Sequence[tuple[BatchEntry, TaskOutcome]]

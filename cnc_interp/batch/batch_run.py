@@ -10,7 +10,7 @@ from typing import Protocol
 from cnc_interp.batch.processes import PRELOADED, EndedCall, Loss, Processes, total_memory
 from cnc_interp.batch.task import BatchEntry, Jobs, Row, Task, TaskOutcome, Verdict
 from cnc_interp.batch.task_work import carry_out
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 #: Verdicts that another attempt may change.

@@ -21,7 +21,7 @@ from cnc_interp.batch.processes import (
     total_memory,
 )
 from cnc_interp.batch.task import engine
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 
 PATIENCE = 10  #: Time for the scheduler to answer [s].
 MOST_LOST_WORKERS = 20  #: A task that has lost so many workers is given up.

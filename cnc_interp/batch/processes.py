@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from typing import Generic, TypeVar
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 
 #: What the fork server loads for programs, and for tiles of needles.

@@ -19,9 +19,8 @@ from scipy.optimize import differential_evolution
 from cnc_interp.batch.batch_page import csv_text
 from cnc_interp.batch.processes import EndedCall, Loss, Processes
 from cnc_interp.batch.task import engine
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import UM, InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
-from cnc_interp.core.units import UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import html

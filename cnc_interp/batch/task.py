@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.named_files import open_named
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.program.source import PROGRAM_SUFFIXES, called_files

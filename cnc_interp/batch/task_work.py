@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.batch.task import Cost, Model, Row, Task, TaskOutcome, Verdict
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import parse_yaml
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.transform import Transform

@@ -12,9 +12,7 @@ from math import isfinite
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, FloatArray, InterpError
 
 
 @dataclass(frozen=True)

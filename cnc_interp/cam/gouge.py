@@ -8,8 +8,7 @@ from cnc_interp.cam.passes import Angles
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import resting
 from cnc_interp.cam.surface import Surface, SurfaceError, place
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, BoolArray, FloatArray
 
 #: Rays on which the bottom of the mill is tested, and its circles as shares of R.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)

@@ -20,10 +20,8 @@ import numpy as np
 
 from cnc_interp.cam.needle_cuts import TOP
 from cnc_interp.cam.needles import NeedleGrid, patches
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import UM, BoolArray, FloatArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
-from cnc_interp.core.units import UM
 
 GOUGE = 0.5 * UM  #: Depth from which a needle counts as gouged [m].
 CLASS = 0.1 * UM  #: Width of the classes of the histogram [m].

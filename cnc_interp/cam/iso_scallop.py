@@ -39,9 +39,7 @@ from cnc_interp.cam.scallop import (
     scallop_points,
 )
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.vectors import norm
 
 CLOSER = 0.985  #: Distance of a pass that starts afresh, as a share of its half width.

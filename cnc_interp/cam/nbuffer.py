@@ -15,7 +15,7 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import Figures, deviations, is_cut
 from cnc_interp.cam.needle_cuts import TOP, cut
 from cnc_interp.cam.needles import MotionPieces, Needles, patches
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 
 #: What cuts: numba on the processor, or Warp on the processor or on a graphics card.
 Device = Literal['cpu', 'warp-cpu', 'cuda']

@@ -10,8 +10,7 @@ from math import sqrt
 
 from numba import njit
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 
 #: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM

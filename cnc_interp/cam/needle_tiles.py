@@ -10,8 +10,7 @@ from typing import Any, Protocol
 from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.nbuffer import Device, cut_part
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles, patches
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 
 #: Files whose text decides the heights of a tile.
 ENGINE = ('needle_cuts.py', 'nbuffer.py', 'heights.py', 'needles.py', 'warp_cuts.py')

@@ -10,9 +10,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import DEPTH, ROUNDING, SHORT, TOP
 from cnc_interp.cam.surface import Surface
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.vectors import dot, norm
 from cnc_interp.program.subdivide import great_circle, ragged
 

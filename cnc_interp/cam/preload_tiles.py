@@ -9,7 +9,7 @@ from cnc_interp.cam.needle_cuts import TOP
 from cnc_interp.cam.needle_tiles import TileTask, cut_tile
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.shapes import Plane
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 
 axis = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 tip = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]) * MM

@@ -20,8 +20,7 @@ from cnc_interp.cam.shapes import (
     within,
 )
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.vectors import norm
 
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.

@@ -10,7 +10,7 @@ from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.pole_turn import PoleTurn
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import MachinedFace
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM
 
 
 def facts_of(faces: Sequence[MachinedFace]) -> dict[str, Any]:

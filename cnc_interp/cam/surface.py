@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, FloatArray, InterpError
 from cnc_interp.core.vectors import cross, dot, norm, scaled
 
 

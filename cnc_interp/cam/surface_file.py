@@ -20,9 +20,8 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.cam.shapes import BSplineSurface, Bumps, Cap, Cylinder, Plane, Torus
 from cnc_interp.cam.step_file import Part, read_step_part
 from cnc_interp.cam.surface import Placed, Surface, SurfaceError
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import DEG, MM, FloatArray
 from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json
-from cnc_interp.core.units import DEG, MM
 
 STEP_SUFFIXES = '.step', '.stp', '.p21'
 #: Keys of each kind of surface, and those that may be left out.

@@ -14,9 +14,7 @@ from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.spline_pass import ARM, SplinePass, sampled
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.convert.conversion import convert
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.vectors import norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

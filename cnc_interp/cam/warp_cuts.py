@@ -14,8 +14,7 @@ import numpy as np
 
 from cnc_interp.cam import needle_cuts
 from cnc_interp.cam.needles import MotionPieces
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 
 #: What is translated, in the order of their calls.
 FUNCTIONS = ('gap', 'entry', 'entry_at', 'lowest', 'cut_roughly', 'cut_finely')

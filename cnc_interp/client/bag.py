@@ -18,7 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 
-from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.core import InterpError, StreamError
 from cnc_interp.core.ros_share import share_directory
 from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json, read_yaml
 from cnc_interp.nodes import qos

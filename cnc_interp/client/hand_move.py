@@ -14,9 +14,7 @@ from cnc_interp_msgs.srv import MoveAxes
 
 from cnc_interp.client.operator_client import SILENCE, Answer, OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
 
 PATIENCE = 10.0  #: Longest wait for the nodes [s].

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.core import DEG, INCH, MINUTE, MM
 
 LINEAR = 'XYZUVW'  #: Letters of linear axes; what other letters name is an angle.
 

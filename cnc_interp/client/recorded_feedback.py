@@ -7,8 +7,7 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.client.bag import Bag
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.drives import learning
 from cnc_interp.drives.compensation import Compensation, compensated_model
 from cnc_interp.machine_model.machine import Machine

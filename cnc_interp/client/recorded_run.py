@@ -11,8 +11,7 @@ import numpy as np
 from cnc_interp_msgs.msg import FollowedSpindle, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.client.bag import Bag
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine

@@ -17,7 +17,7 @@ from rosgraph_msgs.msg import Clock
 
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -12,9 +12,7 @@ from cnc_interp_msgs.msg import ProbeContact
 from cnc_interp.client.hand_move import connected
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.setup_client import SetupClient, work_zero
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.rotary_centres import RotaryCentres, ball_of, fit_rotary_centres
 from cnc_interp.machine_model.transform import Transform

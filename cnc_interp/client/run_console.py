@@ -26,7 +26,7 @@ from cnc_interp.client.question import SentProgram
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.recorder import NEEDED, Recorder
 from cnc_interp.client.session import RunRequest, RunResult
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.feedrate.plan_options import tool_warnings
 from cnc_interp.machine_model.machine import Machine

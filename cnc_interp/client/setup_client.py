@@ -14,7 +14,7 @@ from cnc_interp_msgs.msg import SetupTable
 from cnc_interp.client.hand_move import connected
 from cnc_interp.client.length_unit import MILLIMETRES
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.frames import rotation

@@ -13,7 +13,7 @@ from cnc_interp.commands.parser import (
     command,
     positive,
 )
-from cnc_interp.core.units import HOUR, MINUTE
+from cnc_interp.core import HOUR, MINUTE
 from cnc_interp.settings.command_line import add_settings, settings_from
 from cnc_interp.settings.options import DEFAULT_MACHINE
 
@@ -102,7 +102,7 @@ def batch_command(options: argparse.Namespace) -> int:
 
 def cluster_command(options: argparse.Namespace) -> int:
     from cnc_interp.batch.batch_run import dask_workers
-    from cnc_interp.core.errors import InterpError
+    from cnc_interp.core import InterpError
 
     if options.workers < (1 if options.join else 0):
         raise InterpError('--workers must be 1 or more')

@@ -9,7 +9,7 @@ from cnc_interp.commands.parser import (
     command,
     positive,
 )
-from cnc_interp.core.units import HOUR
+from cnc_interp.core import HOUR
 
 
 def add_cam_commands(commands: Any) -> None:

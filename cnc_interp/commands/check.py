@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 
 
 def add_check_commands(commands: Any) -> None:

@@ -23,7 +23,7 @@ from cnc_interp.commands.plan import add_plan_command
 from cnc_interp.commands.problems import add_problems_command
 from cnc_interp.commands.run import add_panel_command, add_run_command
 from cnc_interp.commands.sweep import add_sweep_command
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

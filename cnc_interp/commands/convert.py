@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FINE, command
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.settings.command_line import settings_from
 
 

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FINE, command
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, InterpError
 from cnc_interp.settings.command_line import add_settings, settings_from
 
 

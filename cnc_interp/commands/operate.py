@@ -15,8 +15,7 @@ from cnc_interp.commands.parser import (
     command,
     positive,
 )
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, InterpError
 
 
 def add_operate_commands(commands: Any) -> None:

@@ -18,8 +18,7 @@ from cnc_interp.commands.parser import (
     FINE,
     command,
 )
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import HOUR, MM
+from cnc_interp.core import HOUR, MM, InterpError
 from cnc_interp.settings.command_line import settings_from
 
 if TYPE_CHECKING:
@@ -46,7 +45,7 @@ def add_plan_command(commands: Any) -> None:
 
 
 def plan_command(options: argparse.Namespace) -> int:
-    from cnc_interp.core import kernel_cache
+    from cnc_interp import kernel_cache
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.feedrate.plan_options import tool_warnings
     from cnc_interp.machine_model.transform import Transform

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MS, UM
+from cnc_interp.core import MS, UM, InterpError
 
 
 def add_problems_command(commands: Any) -> None:

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command, count
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import HOUR
+from cnc_interp.core import HOUR, InterpError
 
 FAULTS = 5  #: Most reasons why points do not move that are printed; the page has all.
 

@@ -6,9 +6,7 @@ import numpy as np
 
 from cnc_interp.convert.native_joins import Joins, portions
 from cnc_interp.convert.native_splines import Portion, SplineMoves
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import BlockError, ProgramError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, BlockError, FloatArray, IntArray, ProgramError
 from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, on_pole, start_positions

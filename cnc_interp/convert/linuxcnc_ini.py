@@ -10,8 +10,7 @@ from typing import Any
 
 import yaml
 
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import DEG, INCH, M_PER_MIN, MM, REV, REV_PER_MIN
+from cnc_interp.core import DEG, INCH, M_PER_MIN, MM, REV, REV_PER_MIN, MachineError
 from cnc_interp.machine_model.machine import from_mapping
 
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import DEG, MM, BlockError, FloatArray
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.bspline import corner_end_derivatives, cubic_bezier_points
-from cnc_interp.core.errors import BlockError
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks

@@ -1,1 +1,128 @@
-"""What all packages use: array types, units, errors, jets, B-splines and Bezier pieces."""
+"""What all rooms use: types of arrays, units and errors.
+
+Units are those of the shop floor in SI: ``0.02 * MM`` is a length in metres. All values in the
+code are SI.
+"""
+
+from enum import IntEnum
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+MM = 1e-3
+UM = 1e-6
+INCH = 25.4e-3
+DEG = pi / 180.0
+ARCSEC = DEG / 3600.0
+REV = 2.0 * pi
+MINUTE, HOUR = 60.0, 3600.0
+MS = 1e-3
+MM_PER_MIN = MM / MINUTE
+M_PER_MIN = 1.0 / MINUTE
+REV_PER_MIN = REV / MINUTE
+
+
+class InterpError(Exception):
+    """A request cannot be carried out; the message says what is wrong and what to do."""
+
+
+class ProgramError(InterpError):
+    """A part program cannot be read; ``line_number`` counts from 1, 0 is the whole file."""
+
+    def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
+        self.message = message
+        self.source, self.line_number, self.word = source, line_number, word
+        place = source + (f':{line_number}' if line_number else '')
+        at = f'{word}: ' if word else ''
+        super().__init__(f'{place}: {at}{message}' if place else f'{at}{message}')
+
+
+class RefusedLinesError(ProgramError):
+    """A part program cannot be read for several reasons; the attributes are of the first."""
+
+    def __init__(self, errors: list[ProgramError], text: str):
+        first = errors[0]
+        super().__init__(first.message, first.source, first.line_number, first.word)
+        self.errors, self.text = tuple(errors), text
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class MachineError(InterpError):
+    """A machine file cannot be used; ``key`` is the entry that is wrong."""
+
+    def __init__(self, message: str, key: str = ''):
+        self.key = key
+        super().__init__(f'{key}: {message}' if key else message)
+
+
+class SettingsError(InterpError):
+    """The user chose a value that is not possible."""
+
+    def __init__(self, name: str, reason: str):
+        self.name, self.reason = name, reason
+        super().__init__(f'{name}: {reason}')
+
+
+class BlockError(InterpError):
+    """A block is refused before anything moves; a caller that knows the file sets ``source``."""
+
+    def __init__(
+        self, message: str, line_number: int = 0, axis: str = '', value: float = float('nan')
+    ):
+        self.message, self.source = message, ''
+        self.line_number, self.axis, self.value = line_number, axis, value
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        if self.source:
+            line = f':{self.line_number}' if self.line_number else ''
+            return f'{self.source}{line}: {self.message}'
+        return f'line {self.line_number}: {self.message}' if self.line_number else self.message
+
+
+class TravelError(BlockError):
+    """A pose lies outside the travel of an axis."""
+
+
+class SingularityError(BlockError):
+    """The path passes a pose at which a rotary axis is undefined."""
+
+
+class PlanningError(BlockError):
+    """No motion law within the axis limits was found along a path."""
+
+
+class Refusal(IntEnum):
+    """Reason why a message or the rest of a run is refused; constants of ``StreamStatus``."""
+
+    NONE = 0
+    # The whole run is refused:
+    BAD_MESSAGE = 1  # a message has a wrong value or shape
+    NOT_READY = 2  # the node is not active, or the machine is busy or on hold
+    BAD_PATH = 3  # a block cannot be executed on this machine
+    GIVEN_UP = 4  # the machine was reset or restarted
+    MACHINE_FAULT = 5  # the machine stopped by a fault or an emergency stop
+    PROBED = 6  # no fault: the run has ended where the probe answered
+    # One message is refused, and the stream continues:
+    GAP = 16  # messages before it are missing
+    SPOILT = 17  # its checksum is wrong
+    REPEAT = 18  # it was received before
+    FOREIGN_RUN = 19  # the message belongs to another run
+    LATE = 20  # it comes after the end of its run
+    PLAN_OVER = 21  # no fault: the message was under way when a stop ended its plan
+    TOO_LATE = 22  # its plan was to join where the machine has passed; the plan before goes on
+
+
+class StreamError(InterpError):
+    """A message breaks the rules of its stream: gap, repeat, wrong program or wrong shape."""
+
+    def __init__(self, message: str, kind: Refusal = Refusal.BAD_MESSAGE):
+        self.kind = kind
+        super().__init__(message)

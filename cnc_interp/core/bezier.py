@@ -10,7 +10,7 @@ from math import comb
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.jet import Jet
 from cnc_interp.core.vectors import norm
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.jet import Jet
 
 

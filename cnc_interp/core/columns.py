@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self, dataclass_transform
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import BoolArray, IntArray
+from cnc_interp.core import BoolArray, IntArray
 
 #: Dtypes by the annotation of the field.
 KINDS = {'FloatArray': np.float64, 'IntArray': np.int64, 'BoolArray': np.bool_}

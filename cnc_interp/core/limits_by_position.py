@@ -18,7 +18,7 @@ the same, 1/s]. ``DRIVE`` is infinite where the axis has no such limit.
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 
 VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 
 
 def require_inside(path: Path, folders: Sequence[str]) -> Path:

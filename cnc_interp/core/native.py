@@ -8,7 +8,7 @@ from numba import njit, types
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.extending import intrinsic
 
-from cnc_interp.core.arrays import IntArray
+from cnc_interp.core import IntArray
 
 #: ``CLOCK_MONOTONIC`` and ``TIMER_ABSTIME`` of <time.h>.
 MONOTONIC, ABSOLUTE = 1, 1

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:

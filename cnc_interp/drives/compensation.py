@@ -26,8 +26,7 @@ import math
 import numpy as np
 from numba import carray, cfunc, njit, types
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import MachineError
+from cnc_interp.core import FloatArray, IntArray, MachineError
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine

@@ -28,7 +28,7 @@ import math
 import numpy as np
 from numba import carray, cfunc, njit, types
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.native import pointer
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine

@@ -18,9 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import InterpError, MachineError
-from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, InterpError, MachineError
 from cnc_interp.drives.drive_model import axis_words, follow_all, place, room_of_delay
 from cnc_interp.machine_model.axis_drives import (
     ENTRIES,

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, path_and_axis_errors
 from cnc_interp.machine_model.axis_drives import AxisDrive

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_model import follow_all, lag_of, memory_of, words_of
 from cnc_interp.machine_model.machine import Machine

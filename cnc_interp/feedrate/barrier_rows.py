@@ -32,7 +32,7 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 

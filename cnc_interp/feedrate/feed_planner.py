@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import FloatArray, PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
 from cnc_interp.feedrate.limit_use import AxisLimits

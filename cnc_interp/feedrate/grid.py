@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     DRIVE,

@@ -9,7 +9,7 @@ with its share of the time. Without the weight, short cells would stay away from
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.barrier_rows import (
     CHUNK,

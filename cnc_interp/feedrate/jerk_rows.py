@@ -28,7 +28,7 @@ Thus the Newton matrix is pentadiagonal, and one axis costs three multiplication
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     COULOMB,

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import MS, FloatArray, IntArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     JERK,
@@ -14,7 +14,6 @@ from cnc_interp.core.limits_by_position import (
     limits_along,
     load_use,
 )
-from cnc_interp.core.units import MS
 from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_jet
 from cnc_interp.machine_model.machine import Machine
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.options import Settings
 

@@ -8,7 +8,7 @@ purposes: it shows where time is spent, and it is the starting point of the inte
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     COULOMB,

@@ -17,7 +17,7 @@ then less braking. If none keeps the limits, the motion goes on as planned until
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.kinematics.axis_path import AxisPath, cut

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     FAR,

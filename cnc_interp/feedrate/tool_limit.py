@@ -22,9 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import SettingsError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, FloatArray, SettingsError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 
 if 'toppra' not in sys.modules and (_spec := find_spec('toppra')) is not None:
     # The package without what stands in its __init__: plots with matplotlib, which take a second.

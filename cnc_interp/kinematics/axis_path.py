@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 
 UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
 

@@ -10,7 +10,7 @@ from math import comb
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.kinematics.pole_bounds import (
     TURN,

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core import BlockError, BoolArray, FloatArray, IntArray
 from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_checks import (

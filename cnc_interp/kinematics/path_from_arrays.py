@@ -3,8 +3,7 @@
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, FloatArray, IntArray
 from cnc_interp.kinematics.path_at_pole import SAME_PLACE, Guides, PassageEnd, PathAtPole
 from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, RESTING
 from cnc_interp.machine_model.transform import ON_POLE, Transform, branch_at

@@ -7,7 +7,7 @@ break where the third derivative may jump: at joins and at u = 0.5 of corners.
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 from cnc_interp.kinematics.segment_axes import (
     BRANCH,

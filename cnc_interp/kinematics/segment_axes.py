@@ -5,8 +5,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import jet
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray, jet
 from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.machine.switching import ActsOfChunk
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait

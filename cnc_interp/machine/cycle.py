@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, IntArray, StreamError
 from cnc_interp.core.native import publish
 from cnc_interp.machine.cycle_kernels import (
     CHUNK,

@@ -11,9 +11,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.errors import StreamError
 
 
 class DriveFaultError(StreamError):

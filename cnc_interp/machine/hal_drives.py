@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import DEG, MM, FloatArray
 from cnc_interp.core.native import publish
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError
 from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.signals import Signals, home_input, index_signals
 
 NO_SIGNALS = Signals()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, cfunc, njit, types
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.native import NANOSECONDS, call_c, pointer, publish, time_now
 from cnc_interp.machine.hal_file import BITS
 

@@ -7,8 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import BoolArray, FloatArray, StreamError
 from cnc_interp.machine.drives import HomedDrives
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
 from cnc_interp.machine.playback import Playback
 from cnc_interp.run.run_id import RunId

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, tool_line

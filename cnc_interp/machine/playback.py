@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import FloatArray, Refusal, StreamError
 from cnc_interp.machine import cycle_kernels as kernel
 from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints

@@ -9,8 +9,7 @@ import resource
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import IntArray
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, IntArray
 
 #: Flags of `mlockall` in <sys/mman.h>: present and future pages, each once it is used.
 LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4

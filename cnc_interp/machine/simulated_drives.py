@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import carray, cfunc, types
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.drives.compensation import Compensation, compensate_all, compensate_once
 from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of

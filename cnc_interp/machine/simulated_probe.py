@@ -25,11 +25,9 @@ from typing import Any
 import numpy as np
 from numba import carray, cfunc, njit, types
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.core.small_files import UnreadableError, read_yaml
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import SINCE as STAMPED

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import STATES, SURFACE, THREAD
 

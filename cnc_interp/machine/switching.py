@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.drives import Drives
 from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, Signals, Step
 from cnc_interp.run.setpoints import Chunk, Wait

@@ -13,8 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, FloatArray, IntArray
 from cnc_interp.machine.drives import AxisFeedback, AxisRows, DriveFaultError
 from cnc_interp.machine_model.machine import Machine
 

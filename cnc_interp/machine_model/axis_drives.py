@@ -7,9 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import ARCSEC, DEG, MM, UM
+from cnc_interp.core import ARCSEC, DEG, MM, UM, FloatArray, MachineError
 from cnc_interp.machine_model.machine_entries import (
     entries_by_axis,
     number,

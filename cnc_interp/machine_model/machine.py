@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import MachineError
+from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineError
 from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
-from cnc_interp.core.units import DEG, MINUTE, MM, UM
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import DEG, M_PER_MIN, MM, REV, REV_PER_MIN
+from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 

@@ -16,9 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import GEOMETRY
 from cnc_interp.machine_model.transform import Transform

@@ -12,7 +12,7 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import MachineError
+from cnc_interp.core import MachineError
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.machine_model.machine_entries import is_number

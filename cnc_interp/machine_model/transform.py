@@ -23,9 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import jet
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core import BlockError, FloatArray, jet
 from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_kernels import (

@@ -7,8 +7,7 @@ from math import atan2, cos, floor, pi, sin, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import jet
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray, jet
 from cnc_interp.core.jet import Jet, Vector, VectorJet
 
 #: Places of the vectors in the packed geometry: directions of both rotary axes [-], then m, d, e

@@ -12,7 +12,7 @@ from cnc_interp_msgs.srv import Home, MoveAxes, SwitchOutputs
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from cnc_interp.core.errors import BlockError, StreamError
+from cnc_interp.core import BlockError, StreamError
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback

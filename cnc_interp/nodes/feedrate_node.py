@@ -14,9 +14,7 @@ from typing import Any
 from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal, StreamError
-from cnc_interp.core.units import MS
+from cnc_interp.core import MS, FloatArray, Refusal, StreamError
 from cnc_interp.feedrate.plan_options import tool_warnings, wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

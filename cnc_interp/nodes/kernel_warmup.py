@@ -9,8 +9,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray
 from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath

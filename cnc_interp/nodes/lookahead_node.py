@@ -7,7 +7,7 @@ from math import inf
 from cnc_interp_msgs.msg import Function, G1Block, G1BlockBatch, PathSegment, PathSegmentBatch
 from rclpy.node import Node
 
-from cnc_interp.core.errors import InterpError, Refusal
+from cnc_interp.core import InterpError, Refusal
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters

@@ -7,7 +7,7 @@ import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import Refusal, StreamError
 from cnc_interp.machine.cycle import MachineClock
 from cnc_interp.machine.drive_kinds import drives_of
 from cnc_interp.machine.playback import Playback

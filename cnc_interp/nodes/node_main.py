@@ -22,7 +22,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.processes.this_host import stay_on_this_host
 
 SPIN_TIMEOUT = 0.1  #: Timeout of the executor [s]; signals are noticed after it.

@@ -5,7 +5,7 @@ from typing import Any
 
 from rcl_interfaces import msg
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine.drive_kinds import Declared, parameters_of_drives
 from cnc_interp.nodes.qos import DEPTH
 from cnc_interp.settings.option_kinds import Choice, Stage, choices

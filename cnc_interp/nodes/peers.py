@@ -7,7 +7,7 @@ from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
 from cnc_interp.run.run_id import RunId

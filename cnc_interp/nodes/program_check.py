@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import BlockError, InterpError, ProgramError
+from cnc_interp.core import BlockError, FloatArray, IntArray, InterpError, ProgramError
 from cnc_interp.core.named_files import open_named, require_allowed
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program

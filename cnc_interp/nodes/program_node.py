@@ -14,8 +14,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters

@@ -9,8 +9,7 @@ import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ProbeContact
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import FloatArray, Refusal, StreamError
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared

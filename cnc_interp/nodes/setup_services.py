@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp_msgs.msg import SetupTable as SetupMessage
 from cnc_interp_msgs.srv import ReadSetup, SetOffset, SetTool, TouchOff
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers

@@ -13,7 +13,7 @@ from rclpy._rclpy_pybind11 import RCLError
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
 from cnc_interp.run.run_id import RunId

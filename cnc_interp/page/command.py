@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cnc_interp.client import session
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.processes.node_processes import NODES, Children

@@ -16,8 +16,7 @@ from cnc_interp_msgs.msg import LoadedProgram, ModalState
 from cnc_interp.client.hand_move import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
 from cnc_interp.client.setup_client import SetupClient, of_axes, work_coordinates, zero_here
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview

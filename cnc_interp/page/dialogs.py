@@ -10,7 +10,7 @@ from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
 from cnc_interp.client.setup_client import SetupClient, of_axes
-from cnc_interp.core.errors import InterpError, SettingsError
+from cnc_interp.core import InterpError, SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.readings import ShownUnit
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS

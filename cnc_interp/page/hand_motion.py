@@ -24,7 +24,7 @@ from cnc_interp.client.hand_move import POSE, pose_request
 from cnc_interp.client.length_unit import LengthUnit
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.setup_client import SetupClient, of_axes
-from cnc_interp.core.units import MINUTE
+from cnc_interp.core import MINUTE
 from cnc_interp.machine.jog_motion import LEAST_SHARE, Slides
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import VIEW_ONLY, Command, act_on_shown, asked, key

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.compile_time import COMPILING
-from cnc_interp.core.errors import InterpError
 from cnc_interp.processes.temporary_folder import TemporaryFolder
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.plan_figures import bound_text

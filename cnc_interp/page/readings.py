@@ -10,7 +10,7 @@ from nicegui import ui
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.length_unit import MILLIMETRES, LengthUnit
 from cnc_interp.client.operator_client import MachineState
-from cnc_interp.core.units import MS, UM
+from cnc_interp.core import MS, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import key
 from cnc_interp.page.desk import TIP_CODE, Desk

@@ -9,7 +9,7 @@ import numpy as np
 from nicegui import ui
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.description import urdf
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import WayThere

@@ -18,7 +18,7 @@ from urllib.parse import quote
 from fastapi import Response
 from nicegui import app, ui
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.page.command import PARENT, Revive
 from cnc_interp.page.contact import AGAIN, Access, Gate
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk

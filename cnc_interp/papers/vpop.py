@@ -8,7 +8,7 @@ end j is the lowest one until v = a^2 / (2 j), and stays constant from there on.
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.feedrate.jerk_stage import ACCEPTED
 from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numba
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.stretch import time_at
 from cnc_interp.kinematics.axis_path import septic_jet

@@ -10,10 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.core.ros_share import config_directory
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.kinematics.path_from_arrays import axis_path_from
 from cnc_interp.library import smooth_path

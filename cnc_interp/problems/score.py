@@ -6,9 +6,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, FloatArray, InterpError
 from cnc_interp.drives.tool_error import HEIGHT, on_chord
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.problems.paths import Problem, known

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.processes.fork_server import SERVER_LOST, begin_child, begin_loading
 from cnc_interp.processes.shared_memory import remove_dead_segments
 from cnc_interp.processes.temporary_folder import TemporaryFolder, remove_dead_folders

@@ -10,8 +10,7 @@ from math import nan
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MINUTE
+from cnc_interp.core import MINUTE, FloatArray
 
 NONE = -1.0  #: In place of a motion code, a feed or a state: there is none.
 #: More states, or more changes of state, motion code and feed, are not kept.

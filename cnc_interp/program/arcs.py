@@ -15,9 +15,7 @@ from math import nan, pi, sin, tan
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import INCH, MM
+from cnc_interp.core import INCH, MM, BoolArray, FloatArray, IntArray, ProgramError
 
 #: Plane to first axis, second axis and normal axis; G2 is clockwise seen against the normal.
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}

@@ -7,9 +7,8 @@ from math import nan
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.units import MM
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
 #: Values of ``Blocks.corner``: whether a stop is faster is tried, or known.

@@ -9,9 +9,7 @@ from math import inf, nan, pi, sqrt
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MINUTE, MM, MM_PER_MIN
+from cnc_interp.core import MINUTE, MM, MM_PER_MIN, FloatArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs, cl_words, codes
 from cnc_interp.program.active_modes import NONE, ActiveModes

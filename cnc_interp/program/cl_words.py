@@ -11,9 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.program import codes
 from cnc_interp.program.cycles import Hole, pecks_of
 from cnc_interp.program.frames import rotation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from cnc_interp.core.units import INCH, MM
+from cnc_interp.core import INCH, MM
 from cnc_interp.program import job
 from cnc_interp.program.notices import WARNING
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program.words import BlockWords
 
 #: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second

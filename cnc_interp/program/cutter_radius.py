@@ -18,9 +18,7 @@ from math import isfinite, nan, pi
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, FloatArray, ProgramError
 from cnc_interp.program import target_row as col
 
 SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ by less [rad].

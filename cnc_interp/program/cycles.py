@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.codes import DWELL
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 
 Vector = FloatArray

@@ -9,9 +9,8 @@ from math import nan
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray, ProgramError
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.errors import ProgramError
 from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, Signals
 

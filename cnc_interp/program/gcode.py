@@ -8,9 +8,7 @@ from copy import deepcopy
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import INCH, MM
+from cnc_interp.core import INCH, MM, FloatArray, ProgramError
 from cnc_interp.machine_model import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, cycles, probing, scan

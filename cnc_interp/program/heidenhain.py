@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES, Corner
 from cnc_interp.program.cursor import Loop

@@ -7,8 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, FloatArray
 from cnc_interp.program.arcs import PLANES
 from cnc_interp.program.frames import rotation
 from cnc_interp.program.modal_state import ORIENTED

@@ -10,9 +10,8 @@ from typing import Any
 
 import yaml
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml, read_yaml
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.settings.options import Settings
 
 LETTERS = 'XYZABC'

@@ -8,9 +8,7 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, INCH, MINUTE, MM
+from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes

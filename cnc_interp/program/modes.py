@@ -8,8 +8,7 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, FloatArray
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES, Corner
 from cnc_interp.program.contact_normal import NORMAL_WORDS, ToolShape

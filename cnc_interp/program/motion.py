@@ -7,9 +7,7 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MINUTE, MM
+from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, THREAD
 from cnc_interp.program import codes
 from cnc_interp.program.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of

@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import arcs
 from cnc_interp.program import target_row as col

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from cnc_interp.core.errors import ProgramError, RefusedLinesError
+from cnc_interp.core import ProgramError, RefusedLinesError
 
 #: How a notice of something begins that somebody must do before the tool cuts.
 WARNING = 'WARNING: '

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from math import isfinite
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.core.ros_share import config_directory
 
 NAMES = ('surface', 'edge', 'bore', 'boss', 'angle', 'tool')

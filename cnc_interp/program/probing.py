@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, FloatArray
 from cnc_interp.machine_model.signals import AWAY, TOWARD, Signals
 from cnc_interp.program.control_profiles import FANUC, PLAIN
 from cnc_interp.program.motion import Mover

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.active_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks

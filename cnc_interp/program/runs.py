@@ -7,8 +7,7 @@ from math import inf, nan, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import DEG, MINUTE
+from cnc_interp.core import DEG, MINUTE, FloatArray, IntArray
 from cnc_interp.program import scan
 from cnc_interp.program import target_row as col
 from cnc_interp.program.arcs import PLANES, TOLD, arcs_of

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 
 #: Kinds of lines: without effect, plain, and those for the general reader.
 EMPTY, PLAIN, RARE = 0, 1, 2

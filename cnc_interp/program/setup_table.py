@@ -13,10 +13,8 @@ from typing import TextIO
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import MM, FloatArray, InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, write_whole
-from cnc_interp.core.units import MM
 from cnc_interp.program.frames import Frames
 from cnc_interp.program.job import MOST_TOOL, WORK_OFFSETS, JobSetup, Position, SetupChange, Tool
 

@@ -12,8 +12,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, IntArray, ProgramError
 from cnc_interp.core.named_files import open_named
 from cnc_interp.program import scan
 

@@ -11,8 +11,7 @@ from math import isfinite, nan, sqrt
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.program import codes
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.motion import Mover

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, ProgramError
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, FloatArray, IntArray
 
 Poses = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
 

@@ -10,9 +10,7 @@ from math import inf, nan
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, FloatArray, IntArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import target_row as col
 from cnc_interp.program.active_modes import NONE, ModesOfBlocks

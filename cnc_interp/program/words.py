@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from math import nan
 from typing import Any
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import ProgramError
 from cnc_interp.program.codes import HARMLESS_KEYS, refused_key
 from cnc_interp.program.expressions import (
     NOTHING,

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 
 #: Decimals of coordinates [mm], angles [deg] and tool axes [-]; finer than double precision needs.

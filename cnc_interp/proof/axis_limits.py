@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine import Machine
 
 AT_REST = 1e-12  #: An axis that moves less than this in a period stands still [m or rad].

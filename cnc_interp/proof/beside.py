@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, FloatArray
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine_model.machine import Machine

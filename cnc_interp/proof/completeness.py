@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.plan_files import PlanFiles, gathered, spans
 from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes

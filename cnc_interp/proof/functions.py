@@ -7,8 +7,7 @@ from collections import Counter
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, IntArray
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BoolArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import AWAY, FOLLOWS, TOWARD, Signals
 from cnc_interp.proof.axis_limits import limits_of_differences

@@ -20,10 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml
-from cnc_interp.core.units import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, ReadMove

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.axis_limits import limits_at

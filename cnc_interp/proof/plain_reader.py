@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, FloatArray, ProgramError
 
 # G codes that move nothing: plane and units are handled apart.
 IDLE_G = frozenset((

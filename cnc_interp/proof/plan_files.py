@@ -16,9 +16,8 @@ from zipfile import ZIP_STORED, BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.core.columns import Column
-from cnc_interp.core.errors import InterpError
 from cnc_interp.core.small_files import UnreadableError, read_json
 
 Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``Stored``).

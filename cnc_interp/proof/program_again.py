@@ -10,9 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import (
+    DEG,
+    MM,
+    MM_PER_MIN,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InterpError,
+    ProgramError,
+)
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.functions import compare_words

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 
 WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.
 WIDE_WINDOW = 500  #: The most rows searched where blocks are shorter than the tolerance.

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import MM, MS
+from cnc_interp.core import MM, MS, FloatArray, IntArray, MachineError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.beside import with_tool_error

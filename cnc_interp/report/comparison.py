@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from plotly.subplots import make_subplots
 
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM
 from cnc_interp.report import html
 from cnc_interp.report.page import ExaminedPlan
 from cnc_interp.report.series import extremes

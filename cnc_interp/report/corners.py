@@ -5,12 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from cnc_interp.core import jet
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import MM, MM_PER_MIN, UM, FloatArray, IntArray, InterpError, jet
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.segment_axes import speed_of
 from cnc_interp.program.blocks import POSES

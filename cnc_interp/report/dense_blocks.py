@@ -8,10 +8,8 @@ from zipfile import BadZipFile
 import numpy as np
 import plotly.graph_objects as go
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import MM, UM, FloatArray, InterpError
 from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, UM
 from cnc_interp.kinematics.segment_axes import FOLLOWING, LINEAR, arc_length, beside_of, shapes_of
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core import MM_PER_MIN
 from cnc_interp.machine_model.machine_entries import STOPS
 from cnc_interp.report import html
 from cnc_interp.report.series import extremes

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import FloatArray, InterpError
 
 BESIDE = Path(__file__).parent  #: The texts of the pages that are no Python.
 STYLE = BESIDE.joinpath('style.css').read_text(encoding='utf-8')

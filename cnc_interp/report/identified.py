@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import ARCSEC, UM
+from cnc_interp.core import ARCSEC, UM, FloatArray
 from cnc_interp.drives.identification import IdentifiedAxis
 from cnc_interp.machine_model import axis_drives
 from cnc_interp.machine_model.machine import Machine

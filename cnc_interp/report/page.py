@@ -7,8 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
 from cnc_interp.proof.verdict import Proof

@@ -8,8 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import ARCSEC, UM
+from cnc_interp.core import ARCSEC, UM, FloatArray
 from cnc_interp.drives.tool_error import ToolError
 from cnc_interp.report import html
 from cnc_interp.report.series import KINDS, Series, extremes

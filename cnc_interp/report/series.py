@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import MM, MM_PER_MIN, UM, FloatArray, IntArray
 from cnc_interp.core.limits_by_position import limits_along
-from cnc_interp.core.units import MM, MM_PER_MIN, UM
 from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core import MM_PER_MIN, FloatArray
 
 #: Eighths of a character cell, and their substitutes on an ASCII terminal.
 EIGHTHS, PLAIN = ' ▁▂▃▄▅▆▇█', ' ...::::#'

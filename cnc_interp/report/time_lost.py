@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.report.html import section, table
 from cnc_interp.report.series import KINDS, Series
 

@@ -5,8 +5,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
+from cnc_interp.core import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.core.compile_time import working_time
-from cnc_interp.core.errors import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool

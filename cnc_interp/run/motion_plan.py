@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import FloatArray, PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut

@@ -7,9 +7,8 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from cnc_interp.core.arrays import IntArray
+from cnc_interp.core import IntArray, InterpError
 from cnc_interp.core.compile_time import working_time
-from cnc_interp.core.errors import InterpError
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions

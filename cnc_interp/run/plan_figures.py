@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cnc_interp import __version__
-from cnc_interp.core.arrays import BoolArray, FloatArray
-from cnc_interp.core.errors import BlockError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, BlockError, BoolArray, FloatArray
 from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine

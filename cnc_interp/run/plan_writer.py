@@ -14,9 +14,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import HOUR
+from cnc_interp.core import HOUR, FloatArray, IntArray, InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath, cut

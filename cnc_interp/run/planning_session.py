@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Any, Protocol
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import InterpError, Refusal
+from cnc_interp.core import FloatArray, InterpError, Refusal
 from cnc_interp.program.functions import Functions
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_id import NO_RUN, RunId

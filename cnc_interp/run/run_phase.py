@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import Refusal
+from cnc_interp.core import FloatArray, Refusal
 from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_state import SELF_STARTING, State
 

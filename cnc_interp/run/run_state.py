@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 
 
 class State(Enum):

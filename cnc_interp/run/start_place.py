@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray, IntArray
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import FloatArray, IntArray, ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.signals import Signals

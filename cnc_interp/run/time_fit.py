@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from cnc_interp.core.errors import SettingsError
+from cnc_interp.core import SettingsError
 from cnc_interp.settings.option_kinds import Choice, Stage, choices
 from cnc_interp.settings.options import Settings
 

@@ -12,8 +12,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import SettingsError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
+from cnc_interp.core import DEG, MM, MM_PER_MIN, MS, SettingsError
 
 DECLARED = 'choice'  #: Key of a declaration in the metadata of a dataclass field.
 DIGITS = 17  #: Most digits that a number needs to be read back bit for bit.

@@ -6,8 +6,7 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core.errors import SettingsError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, MS
+from cnc_interp.core import DEG, MM, MM_PER_MIN, MS, SettingsError
 from cnc_interp.settings.option_kinds import (
     ANGLE,
     FEED,

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings

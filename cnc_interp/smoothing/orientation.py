@@ -5,7 +5,7 @@ from math import atan2, cos, sin, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.vectors import cross, dot, norm
 
 # Beside the pole, see ``pole.py``.

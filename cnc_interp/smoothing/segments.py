@@ -7,8 +7,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import jet
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray, jet
 from cnc_interp.core.bezier import bezier_jet, quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.columns import Table, column

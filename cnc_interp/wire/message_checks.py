@@ -8,8 +8,7 @@ from array import array
 import numpy as np
 from cnc_interp_msgs.msg import BSpline, G1Block, MachineState, PathSegment, SetpointChunk
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import SettingsError, StreamError
+from cnc_interp.core import FloatArray, SettingsError, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals

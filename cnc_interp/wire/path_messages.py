@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.msg import BSpline, Function, G1Block, G1BlockBatch, PathSegment
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks

@@ -11,7 +11,7 @@ from cnc_interp_msgs import msg
 from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 
-from cnc_interp.core.errors import SettingsError
+from cnc_interp.core import SettingsError
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
 from cnc_interp.run.run_id import RunId

@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from cnc_interp.core.errors import Refusal, StreamError
+from cnc_interp.core import Refusal, StreamError
 from cnc_interp.run.run_id import NO_RUN, RunId
 
 Item = TypeVar('Item')

@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 from cnc_interp.commands.cli import BAD_INPUT, FINE, main
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 
 HERE = Path(__file__).parent

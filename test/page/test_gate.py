@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip('nicegui', reason='needs requirements/panel.txt; run it with ./cnc test')
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.page.command import is_loopback
 from cnc_interp.page.contact import FORM, Gate, names_this_host
 from cnc_interp.page.server import free_port

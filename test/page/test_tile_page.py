@@ -8,7 +8,7 @@ from cnc_interp.cam.heights import TILE, Figures, HeightStore
 from cnc_interp.cam.needles import NeedleGrid, patches
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.cam.tile_work import TilePage
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM
 
 pytest.importorskip('zarr', reason='needs the optional part tiles')
 

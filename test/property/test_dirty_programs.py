@@ -10,8 +10,7 @@ from path_samples import deviation, jumps
 from tiers import examples
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.errors import BlockError, InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BlockError, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program import Program

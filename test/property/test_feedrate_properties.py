@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tiers import examples, few_of
 
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import PlanningError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine

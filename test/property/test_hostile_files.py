@@ -11,7 +11,7 @@ from plan_directories import line_x, write
 from tiers import examples
 
 from cnc_interp.cam.surface_file import read_part
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.program.job import JobSetup
 from cnc_interp.proof.plan_files import Stored, read_plan

@@ -5,8 +5,7 @@ from programs import blocks_of
 from tiers import examples
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program import Program
 from cnc_interp.proof.verify import verify_plan

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 from tiers import examples, few_of
 from whole_plans import plan_program
 
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -7,7 +7,7 @@ import pytest
 from tiers import few_of
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -28,7 +28,7 @@ from cnc_interp.client.recorded_feedback import recorded_lesson
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan

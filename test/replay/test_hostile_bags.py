@@ -15,7 +15,7 @@ from backports import zstd
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import recorded_run
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 
 HELD = Path(__file__).parent / 'held'
 MUTANTS = examples(10, 5000)

@@ -12,8 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.commands.parser import FAILED
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, InterpError
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.settings.options import Settings

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.commands.cli import main
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.verify import verify_plan
 

@@ -19,7 +19,7 @@ from nodes_under_test import DOMAIN, PATIENCE
 from operated import Bench
 
 from cnc_interp.client.session import nodes_file
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.processes.node_processes import Children
 
 pytestmark = pytest.mark.thorough

@@ -10,7 +10,7 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import recorded_feedback
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.commands.cli import main
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 
 #: A vertical mill whose X is tired.

@@ -10,7 +10,7 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.settings.options import Settings

@@ -17,7 +17,7 @@ from limit_use import limit_use
 from operated import LIMITS, MACHINE, PROGRAM, Bench, T, blocks_of, path_of, waves
 from std_msgs.msg import Float64
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.processes.node_processes import NODES
 from cnc_interp.run.run_id import NO_RUN, RunId

@@ -13,7 +13,7 @@ from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 from whole_plans import plan_program
 
-from cnc_interp.core.errors import BlockError, InterpError, ProgramError
+from cnc_interp.core import BlockError, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import prepare

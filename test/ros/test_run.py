@@ -16,8 +16,7 @@ from cnc_interp_msgs.msg import MachineState
 
 from cnc_interp.client.session import RunRequest, run_session
 from cnc_interp.convert.conversion import convert
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import UM
+from cnc_interp.core import UM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

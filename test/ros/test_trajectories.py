@@ -15,7 +15,7 @@ from nodes_under_test import DOMAIN, PATIENCE
 from operated import PROGRAM, Bench, T, path_of
 
 from cnc_interp.client.session import nodes_file
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.processes.node_processes import Children
 

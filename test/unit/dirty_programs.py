@@ -3,7 +3,7 @@
 import numpy as np
 from programs import blocks_of
 
-from cnc_interp.core.units import MM, MM_PER_MIN, UM
+from cnc_interp.core import MM, MM_PER_MIN, UM
 
 
 def some(rng, n, often, share, usual, other):

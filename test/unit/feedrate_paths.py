@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray
 from cnc_interp.core.limits_by_position import constant_table
-from cnc_interp.core.units import M_PER_MIN, MM, REV, REV_PER_MIN
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(12)

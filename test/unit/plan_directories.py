@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from ruckig import InputParameter, Ruckig, Trajectory
 
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core import MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import BPoly, BSpline, PPoly
 
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.segments import SPLINE, PathSegments
 

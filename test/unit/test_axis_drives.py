@@ -10,9 +10,8 @@ import pytest
 from plan_directories import stroke
 from scipy.integrate import solve_ivp
 
-from cnc_interp.core.errors import MachineError
+from cnc_interp.core import ARCSEC, MM, UM, MachineError
 from cnc_interp.core.small_files import read_yaml
-from cnc_interp.core.units import ARCSEC, MM, UM
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad

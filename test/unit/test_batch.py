@@ -24,7 +24,7 @@ from cnc_interp.batch.task import Jobs, Row, Task, TaskOutcome, Verdict, program
 from cnc_interp.batch.task_work import carry_out, tiny_task
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.settings.options import Settings
 
 GIGA = 1e9

@@ -7,7 +7,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 
 from cnc_interp_msgs.msg import G1Block
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform

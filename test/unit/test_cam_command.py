@@ -16,7 +16,7 @@ from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

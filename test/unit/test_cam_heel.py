@@ -10,7 +10,7 @@ from cnc_interp.cam.iso_scallop import HeelError, IsoScallopOptions, PassRecursi
 from cnc_interp.cam.passes import constant_tilt, kept_places, kept_ranges, places_around
 from cnc_interp.cam.shapes import BSplineSurface, Bumps, Plane
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM
 
 Y = np.array([0.0, 1.0, 0.0])
 

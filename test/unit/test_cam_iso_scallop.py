@@ -12,8 +12,7 @@ from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.scallop import fit_postures, scallop_points
 from cnc_interp.cam.shapes import Bumps, Cylinder, Plane, Torus
 from cnc_interp.cam.surface import SurfaceError
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, InterpError
 
 MILL = Cutter(5 * MM, 1.5 * MM)
 HEIGHT = 10 * UM

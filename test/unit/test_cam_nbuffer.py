@@ -16,8 +16,7 @@ from cnc_interp.cam.simulation import Motion, cross_sections, thinned
 from cnc_interp.cam.spline_pass import CLOSE, SplinePass, chord_error, sampled
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, InterpError
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 MILL = Cutter(5 * MM, 1.5 * MM)

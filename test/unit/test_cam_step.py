@@ -13,7 +13,7 @@ from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
-from cnc_interp.core.units import DEG, INCH, MM
+from cnc_interp.core import DEG, INCH, MM
 
 METRE = '(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT($,.METRE.))'
 MILLIMETRE = METRE.replace('$', '.MILLI.')

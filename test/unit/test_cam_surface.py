@@ -17,7 +17,7 @@ from cnc_interp.cam.shapes import (
 )
 from cnc_interp.cam.surface import Placed, SurfaceError
 from cnc_interp.cam.surface_file import read_part
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 

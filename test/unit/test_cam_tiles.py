@@ -24,8 +24,7 @@ from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.tile_work import STEP, ZERO, TilePage
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM, InterpError
 
 TILTED = np.array([
     [1.0, 0.0, 0.0],

@@ -13,8 +13,7 @@ from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, InterpError
 
 MILL = Cutter(5 * MM, 1.5 * MM)
 Y = np.array([0.0, 1.0, 0.0])

@@ -14,7 +14,7 @@ import pytest
 import cnc_interp
 from cnc_interp.commands.cli import main, parser
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from plan_directories import stroke
 
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, MachineError
 from cnc_interp.drives.compensation import LATER, Compensation, compensate_all
 from cnc_interp.drives.tool_error import tool_error
 from cnc_interp.machine.cycle import Cycle

@@ -11,8 +11,7 @@ from programs import dome as dome_of
 from scipy.special import comb
 from tiers import examples
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, InterpError
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.core.errors import InterpError, ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text

@@ -8,7 +8,7 @@ from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
 from cnc_interp.convert.conversion import convert
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

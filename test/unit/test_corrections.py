@@ -6,7 +6,7 @@ from programs import zigzag
 from tiers import few_of
 from whole_plans import path_of
 
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiers import few_of
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text

@@ -12,8 +12,7 @@ import yaml
 from feedrate_paths import line_path, polyline_path, random_polyline
 from programs import zigzag
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import MachineError, StreamError
+from cnc_interp.core import FloatArray, MachineError, StreamError
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law

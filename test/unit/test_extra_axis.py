@@ -8,8 +8,7 @@ import pytest
 import yaml
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.errors import MachineError, ProgramError, StreamError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, MachineError, ProgramError, StreamError
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform

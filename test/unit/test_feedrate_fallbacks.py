@@ -14,7 +14,7 @@ from feedrate_paths import (
     scaled,
 )
 
-from cnc_interp.core.errors import PlanningError
+from cnc_interp.core import PlanningError
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.feed_planner import (
     CONVERGED,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import MachineError, ProgramError
+from cnc_interp.core import MachineError, ProgramError
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import Signals, signals

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 from cnc_interp.machine.playback import LOST, Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine.switching import Act

@@ -3,7 +3,7 @@
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_file import columns_of, hal_file
 from cnc_interp.machine_model.signals import signals as signals_of
 

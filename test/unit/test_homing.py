@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_jog import MM, Bench, T
 
-from cnc_interp.core.errors import MachineError, StreamError
+from cnc_interp.core import MachineError, StreamError
 from cnc_interp.core.small_files import read_yaml
 from cnc_interp.machine.homing import BACK, AxisHoming, Homing
 from cnc_interp.machine.jog import AHEAD

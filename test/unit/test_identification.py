@@ -10,8 +10,7 @@ import pytest
 from plan_directories import stroke
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.drives.identification import (
     excitation,
     identify_axis,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tiers import examples, few_of
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 from cnc_interp.machine.jog import AHEAD, GIVEN_UP, LATE, PIECE, Jog
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cnc_interp.core import kernel_cache
+from cnc_interp import kernel_cache
 
 CONSTANT = 'VALUE = {value}\n'
 INNER = (
@@ -19,7 +19,7 @@ OUTER = (
     'from numba import njit\nfrom pack.inner import inner\n\n'
     '@njit(cache=True)\ndef outer():\n    return inner()\n'
 )
-START = 'import os\nfrom pack.core import kernel_cache\nkernel_cache.register(os.environ)\n'
+START = 'import os\nfrom pack import kernel_cache\nkernel_cache.register(os.environ)\n'
 ASK = 'from pack.outer import outer; print(outer(), sum(outer.stats.cache_hits.values()))'
 
 
@@ -27,8 +27,8 @@ ASK = 'from pack.outer import outer; print(outer(), sum(outer.stats.cache_hits.v
 def package(tmp_path):
     """A package with our cache: one kernel calls another, which reads a constant."""
     folder = tmp_path / 'pack'
-    (folder / 'core').mkdir(parents=True)
-    shutil.copy(kernel_cache.__file__, folder / 'core')
+    folder.mkdir()
+    shutil.copy(kernel_cache.__file__, folder)
     for name, text in (
         ('__init__', START), ('limits', CONSTANT.format(value=1)),
         ('inner', INNER), ('outer', OUTER), ('plain', 'x = 1\n'),

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from plan_directories import stroke
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, InterpError
 from cnc_interp.drives.compensation import FADE, HEAD, LEFT, ROW, Compensation, compensate_all
 from cnc_interp.drives.drive_model import follow_all, words_of
 from cnc_interp.drives.learning import (

@@ -13,8 +13,7 @@ from cnc_interp.commands.cli import main
 from cnc_interp.convert.conversion import convert
 from cnc_interp.convert.native_joins import Joins, join, linked
 from cnc_interp.convert.native_splines import Portion
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

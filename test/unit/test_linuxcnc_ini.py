@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.units import DEG, INCH
+from cnc_interp.core import DEG, INCH
 from cnc_interp.machine_model.machine import Machine
 
 TABLE = """[EMC]

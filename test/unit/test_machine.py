@@ -9,8 +9,7 @@ import pytest
 from plan_directories import stroke
 from scipy.integrate import solve_ivp
 
-from cnc_interp.core.errors import StreamError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, StreamError
 from cnc_interp.drives.drive_model import discretise
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from whole_plans import plan_program
 
-from cnc_interp.core.errors import TravelError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, TravelError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cnc_interp.core.errors import MachineError
-from cnc_interp.core.units import DEG, MM, REV
+from cnc_interp.core import DEG, MM, REV, MachineError
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 
 CONTENT = yaml.safe_load(find_machine_file('xyzac').read_text())

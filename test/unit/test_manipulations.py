@@ -16,8 +16,7 @@ from tiers import few_of
 from whole_plans import plan_program, write_plan
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

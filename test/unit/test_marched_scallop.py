@@ -9,7 +9,7 @@ from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.passes import Angles
 from cnc_interp.cam.scallop import scallop_points
 from cnc_interp.cam.shapes import Bumps, Torus
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM
 
 MILL = Cutter(5 * MM, 1.5 * MM)
 Y = np.array([0.0, 1.0, 0.0])

@@ -15,7 +15,7 @@ from programs import spline_segments
 from rclpy.serialization import deserialize_message, serialize_message
 from tiers import examples
 
-from cnc_interp.core.errors import InterpError, StreamError
+from cnc_interp.core import InterpError, StreamError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text

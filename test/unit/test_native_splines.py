@@ -11,9 +11,7 @@ import pytest
 from scipy.interpolate import BSpline
 from whole_plans import path_of, plan_program, write_plan
 
-from cnc_interp.core import jet
-from cnc_interp.core.errors import BlockError, ProgramError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, BlockError, ProgramError, jet
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.machine_model.transform import Transform

@@ -10,7 +10,7 @@ from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
-from cnc_interp.core.units import DEG, MM, UM
+from cnc_interp.core import DEG, MM, UM
 from cnc_interp.papers.classical import _Run, classical_paths
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)

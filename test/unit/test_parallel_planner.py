@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from feedrate_paths import XYZAC, polyline_path, random_polyline
 
-from cnc_interp.core.errors import InterpError, PlanningError
+from cnc_interp.core import InterpError, PlanningError
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from programs import blocks_of, pyramid, spline_segments, zigzag
 
-from cnc_interp.core.errors import BlockError, SingularityError, TravelError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, BlockError, SingularityError, TravelError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, evaluate_cells
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.path_checks import check_travel

@@ -7,7 +7,7 @@ import pytest
 from programs import pyramid, zigzag
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.units import MM, MM_PER_MIN
+from cnc_interp.core import MM, MM_PER_MIN
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of

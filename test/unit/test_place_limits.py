@@ -12,10 +12,8 @@ import yaml
 from feedrate_paths import XYZAC, Limits, line_path, polyline_path, random_polyline
 from tiers import examples
 
-from cnc_interp.core.arrays import FloatArray
-from cnc_interp.core.errors import MachineError, StreamError
+from cnc_interp.core import MM, FloatArray, MachineError, StreamError
 from cnc_interp.core.limits_by_position import largest_between, limits_along, place_table
-from cnc_interp.core.units import MM
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions

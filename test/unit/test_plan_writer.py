@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MS
+from cnc_interp.core import MS, InterpError
 from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine

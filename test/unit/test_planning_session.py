@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import PlanningError, Refusal
+from cnc_interp.core import PlanningError, Refusal
 from cnc_interp.run import planning_session
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.planning_session import (

@@ -9,8 +9,7 @@ from tiers import few_of
 from whole_plans import plan_program
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import BlockError, TravelError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, BlockError, TravelError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine, find_machine_file

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import BlockError
+from cnc_interp.core import BlockError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 

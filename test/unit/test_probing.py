@@ -10,7 +10,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 
 from test_functions_played import MACHINE, NAMES, Bench
 
-from cnc_interp.core.errors import InterpError, MachineError, ProgramError
+from cnc_interp.core import InterpError, MachineError, ProgramError
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import read_yaml
 from cnc_interp.machine.simulated_probe import COLUMNS, ProbingDrives, distance, read_surfaces

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, ProgramError
 from cnc_interp.machine.simulated_probe import distance, read_surfaces
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, ProgramError
 from cnc_interp.proof import linuxcnc_reader
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.plain_reader import read_plainly

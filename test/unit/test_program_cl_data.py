@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, ProgramError
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cnc_interp.core.errors import MachineError, ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, MachineError, ProgramError
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text

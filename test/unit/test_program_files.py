@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, read_program

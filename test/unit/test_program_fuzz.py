@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from tiers import examples
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.reading import ProgramStream

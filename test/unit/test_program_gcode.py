@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_program_subdivision import TableAC
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from whole_plans import path_of
 
-from cnc_interp.core.errors import ProgramError
+from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, read_text

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text

@@ -3,7 +3,7 @@
 import pytest
 from test_program_subdivision import TableAC
 
-from cnc_interp.core.errors import ProgramError, RefusedLinesError
+from cnc_interp.core import ProgramError, RefusedLinesError
 from cnc_interp.program import read_text
 from cnc_interp.program.notices import MOST
 from cnc_interp.settings.options import Settings

@@ -11,7 +11,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState, ProbeContact, StreamStatus
 
-from cnc_interp.core.errors import Refusal
+from cnc_interp.core import Refusal
 from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, STARTING, ProgramRun
 from cnc_interp.program.probing import Probe
 from cnc_interp.run.run_id import RunId

@@ -5,7 +5,7 @@ from math import pi
 import pytest
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text

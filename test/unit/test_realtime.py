@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import carray, cfunc, types
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 from cnc_interp.core.native import pointer, time_now
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.cycle_kernels import REST, SOURCE

@@ -15,8 +15,7 @@ from packed_page import PACKED, unpacked
 from plan_directories import files, line_x, stroke, write
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN
+from cnc_interp.core import DEG, MM, MM_PER_MIN, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify

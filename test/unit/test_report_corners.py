@@ -14,8 +14,7 @@ from plan_directories import line_x, write
 from tiers import few_of
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import write_report

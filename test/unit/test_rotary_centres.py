@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, with_geometry
 from cnc_interp.machine_model.rotary_centres import fit_rotary_centres
 from cnc_interp.machine_model.transform import Transform

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.core.errors import StreamError
+from cnc_interp.core import StreamError
 from cnc_interp.nodes.machine_node import LEVELS
 from cnc_interp.run.run_state import (
     AT_REST,

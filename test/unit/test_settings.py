@@ -14,8 +14,7 @@ from cnc_interp_msgs.msg import G1Block
 from diagnostic_msgs.msg import KeyValue
 
 from cnc_interp.commands.cli import parser
-from cnc_interp.core.errors import SettingsError, StreamError
-from cnc_interp.core.units import DEG
+from cnc_interp.core import DEG, SettingsError, StreamError
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
 from cnc_interp.settings.option_kinds import Stage, choices

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.core.small_files import LONGEST_YAML
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

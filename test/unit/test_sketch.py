@@ -3,7 +3,7 @@
 import numpy as np
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.units import MM_PER_MIN
+from cnc_interp.core import MM_PER_MIN
 from cnc_interp.report.sketch import EIGHTHS, MARGIN, ROWS, feed_sketch
 
 

@@ -12,8 +12,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 from tiers import examples
 
-from cnc_interp.core.errors import BlockError, InterpError
-from cnc_interp.core.units import DEG, MM
+from cnc_interp.core import DEG, MM, BlockError, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
 from cnc_interp.machine_model.transform import Transform

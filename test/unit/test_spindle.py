@@ -10,8 +10,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 
 from test_functions_played import MACHINE, Bench, T
 
-from cnc_interp.core.errors import ProgramError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, ProgramError
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cnc_interp.core.errors import InterpError, ProgramError
+from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.kinematics.axis_path import AxisPath

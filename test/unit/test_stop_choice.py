@@ -9,7 +9,7 @@ from programs import blocks_of
 from tiers import few_of
 from whole_plans import path_of
 
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.core import DEG, MM, MM_PER_MIN, UM
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of

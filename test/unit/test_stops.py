@@ -7,7 +7,7 @@ import pytest
 from feedrate_paths import XYZAC, Limits, first_axes, line_path, polyline_path, random_polyline
 from tiers import few_of
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law

@@ -10,7 +10,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from limit_use import limit_use
 from tiers import few_of
 
-from cnc_interp.core.errors import Refusal, StreamError, TravelError
+from cnc_interp.core import Refusal, StreamError, TravelError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.kinematics.axis_path import AxisPath

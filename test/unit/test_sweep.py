@@ -19,7 +19,7 @@ from cnc_interp.batch.sweep import (
 )
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 PYRAMID = str(EXAMPLES / 'pyramid.apt')

@@ -11,7 +11,7 @@ import pytest
 import whole_plans
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM
 from cnc_interp.drives.error_series import error_series
 from cnc_interp.drives.tool_error import path_and_axis_errors, tool_error
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path

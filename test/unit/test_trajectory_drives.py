@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from controller_model import SECOND, ControllerModel
 from test_drives_port import MACHINE, START, TARGET, T, chunks
 
-from cnc_interp.core.errors import InterpError
+from cnc_interp.core import InterpError
 from cnc_interp.machine.drive_kinds import joints_of
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.trajectory_drives import (

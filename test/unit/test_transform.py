@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.transform import Transform
 

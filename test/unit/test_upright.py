@@ -8,7 +8,7 @@ from path_samples import sampled
 from programs import blocks_of
 from whole_plans import plan_program
 
-from cnc_interp.core.units import MM, UM
+from cnc_interp.core import MM, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform

@@ -19,8 +19,7 @@ from plan_directories import (
 from ruckig import InputParameter, Ruckig, Trajectory
 from whole_plans import plan_program, write_plan
 
-from cnc_interp.core.errors import InterpError
-from cnc_interp.core.units import DEG, MM, MM_PER_MIN, UM
+from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM
 from cnc_interp.proof.completeness import VertexSearch
 from cnc_interp.proof.programmed_path import ProgrammedPath, distances_to_vertices
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import cnc_interp
-from cnc_interp.core import kernel_cache
+from cnc_interp import kernel_cache
 
 ROOT = Path(__file__).parents[2]
 

@@ -22,7 +22,7 @@ from math import comb
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points
 from cnc_interp.core.vectors import cross, dot, norm

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.vectors import cross, norm
 from cnc_interp.machine_model.machine_traits import AxisRates

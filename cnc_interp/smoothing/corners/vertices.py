@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
-from cnc_interp.core.errors import BlockError
-from cnc_interp.core.units import MM
+from cnc_interp.core import MM, BlockError, BoolArray, FloatArray, IntArray
 from cnc_interp.core.vectors import dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks

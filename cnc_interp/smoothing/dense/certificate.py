@@ -12,7 +12,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import BoolArray, FloatArray
+from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.bezier import quintic_part
 from cnc_interp.smoothing.dense.polyline import Polyline
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings

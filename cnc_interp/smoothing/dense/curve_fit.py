@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import quintic_end_jet
 from cnc_interp.core.bspline import clamped_knots, quintic_bezier_matrices, quintic_bezier_points
 from cnc_interp.smoothing.dense.certificate import certify

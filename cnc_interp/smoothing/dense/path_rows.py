@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks

@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core.arrays import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.bspline import quintic_basis, quintic_end_coefficients
 
 #: Output of ``knots.sample_points``.

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core.arrays import FloatArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.bezier import divided, least_length, start_derivatives, weighted_largest
 from cnc_interp.core.vectors import cross, dot, norm
 from cnc_interp.program.blocks import Blocks

@@ -17,7 +17,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGE = Path(__file__).resolve().parent
 #: The variables by which numba finds this module, and by which a user chooses another folder.
 LOCATORS, FOLDER = 'NUMBA_CACHE_LOCATOR_CLASSES', 'NUMBA_CACHE_DIR'
 IMPORT = re.compile(rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import ([\w, ]+))?', re.M)
@@ -40,7 +40,8 @@ def _imported(source: Path) -> list[Path]:
     names = IMPORT.findall(source.read_text(encoding='utf-8'))
     dotted = {name for name, _ in names}
     dotted |= {f'{name}.{inner.strip()}' for name, all_ in names for inner in all_.split(',')}
-    files = [PACKAGE.joinpath(*name.split('.')).with_suffix('.py') for name in dotted]
+    places = [PACKAGE.joinpath(*name.split('.')) for name in dotted]
+    files = [file for place in places for file in (Path(f'{place}.py'), place / '__init__.py')]
     return [file for file in files if file.is_file()]
 
 

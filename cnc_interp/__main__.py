@@ -1,7 +1,5 @@
 """Run `cnc-interp`, the installed command or `python -m cnc_interp`."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -5,8 +5,6 @@ the annotation gives the dtype, the comment gives the meaning and the unit. Slic
 of shapes, files and messages come from these declarations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self, dataclass_transform

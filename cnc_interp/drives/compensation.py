@@ -19,8 +19,6 @@ What earlier runs of a program have taught (``learning.py``) is added to g, whil
 those of that program, bit for bit. After any other setpoint the added part fades to zero.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

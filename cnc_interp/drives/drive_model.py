@@ -21,8 +21,6 @@ the step over one period is exact, by the matrix exponential, whatever the perio
 period is divided: within a step the loops and the mode are exact, friction is implicit.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

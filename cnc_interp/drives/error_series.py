@@ -17,8 +17,6 @@ values of the model that is inverted,
 and the table is H M later. With a true model this is r.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

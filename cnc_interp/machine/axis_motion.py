@@ -1,7 +1,5 @@
 """What the axes did, compared with what they were told: errors, use of limits; no clock."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One period of the cycle, compiled: choose a setpoint, step the drives, record both."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

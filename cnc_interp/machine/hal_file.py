@@ -1,7 +1,5 @@
 """A HAL file for this machine, made of the HAL files of a LinuxCNC configuration."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ The number of rows in the FIFO tells how fast HAL's clock runs. In motion the cl
 is shifted a little until the wanted number waits; at rest a row is repeated or left out.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

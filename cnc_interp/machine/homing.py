@@ -1,7 +1,5 @@
 """Homing: axes move to their switches, slowly back until these release, and on to an index."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """Motion by hand: beats ask for velocities, moves for targets; both become pieces with stops."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 When a stop tail was followed, the plan is over; the next one begins where the machine rests.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

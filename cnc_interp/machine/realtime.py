@@ -1,7 +1,5 @@
 """Punctuality of a periodic thread; real-time scheduling and locked memory where permitted."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import resource

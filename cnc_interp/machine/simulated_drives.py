@@ -1,7 +1,5 @@
 """Simulated drives behind the port of ``drives.py``, and a whole motion of them at once."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import carray, cfunc, types
 

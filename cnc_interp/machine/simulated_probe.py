@@ -15,8 +15,6 @@ The ball touches where the signed distance of its centre from a surface is its r
 beside edges are those of the planes that meet there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -6,8 +6,6 @@ trajectories of a motion count time from the same instant, and their points lie 
 so one continues the other exactly. A controller that hears nothing more rests on the path.
 """
 
-from __future__ import annotations
-
 import time
 from typing import NamedTuple, Protocol
 

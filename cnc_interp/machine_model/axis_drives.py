@@ -1,7 +1,5 @@
 """How the drive of each axis follows its setpoints: the section ``drives`` of a machine file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

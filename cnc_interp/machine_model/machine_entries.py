@@ -1,7 +1,5 @@
 """Entries of a machine file, checked and turned into SI units."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import isfinite

@@ -1,7 +1,5 @@
 """MachineTraits: the properties of a machine that the smoothing needs; rates of its axes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ A machine with an output ``SPEED`` has ``STATES``, too. Words set them like outp
 gets them: the cycle (``machine/spindle.py``) and the planner of the feed read them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite

@@ -1,7 +1,5 @@
 """The five-axis transformation, compiled: jets of machine axes (see ``transform.py``)."""
 
-from __future__ import annotations
-
 from math import atan2, cos, floor, pi, sin, sqrt
 
 import numpy as np

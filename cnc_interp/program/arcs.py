@@ -6,8 +6,6 @@ the axis, which changes linearly because programs round both radii, the point at
     p(u) = c + (n . v) n + r(u) / r(0) Rot(n, u sweep) v_across + u rise n
 """
 
-from __future__ import annotations
-
 from cmath import phase
 from collections.abc import Callable
 from dataclasses import dataclass

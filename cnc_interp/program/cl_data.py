@@ -1,7 +1,5 @@
 """CL data (APT cutter location files) to motion targets: GOTO points with tool axis vectors."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

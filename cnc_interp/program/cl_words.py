@@ -4,8 +4,6 @@
 The first system of MSYS or CSYS is that of the workpiece; points of others are taken into it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """The meaning of each code: a setting, harmless, or refused with a reason."""
 
-from __future__ import annotations
-
 import re
 
 from cnc_interp.core import INCH, MM

@@ -1,7 +1,5 @@
 """Dialects: the form of a text, and what its words mean where controls differ."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The position of the reader in a program: its line, and the active subprogram calls."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from math import inf

@@ -3,8 +3,6 @@
 One machine executes the structures of all: a loop goes back to its head, which decides.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from math import floor, inf

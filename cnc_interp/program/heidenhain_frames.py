@@ -1,7 +1,5 @@
 """Frames of Heidenhain, each in the one before: datum shift (cycle 7), planes, rotation (10)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Set
 from functools import reduce
 

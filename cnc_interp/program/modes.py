@@ -1,7 +1,5 @@
 """Settings that need more than one attribute, words of several letters, and assignments."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """What a program reader tells: notices of words without effect, and all refused lines."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """The probing cycles in config/subprograms, as lines by hand call them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A live program is read to the probe, run, and read on (``ProgramStream.go_on``):
 #5061 to #5066, and #5070 is 1. Elsewhere the probe counts as if it had answered at the end.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

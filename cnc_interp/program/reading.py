@@ -1,7 +1,5 @@
 """Part program, or lines by hand (MDI), to blocks: detects the dialect, and makes its reader."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

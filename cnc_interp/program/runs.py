@@ -1,7 +1,5 @@
 """Many plain lines to motion targets at once, with the same result as ``motion.py``."""
 
-from __future__ import annotations
-
 from math import inf, nan, pi
 
 import numpy as np

@@ -4,8 +4,6 @@ A line with anything but an optional N, one of G0 to G3, and numbers after lette
 ``words.py`` reads it. Each number is the nearest double: up to 15 digits over a power of ten.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The setup of the machine in its file, with a log; and what operators ask to be changed in it."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections.abc import Mapping, Sequence

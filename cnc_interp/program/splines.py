@@ -4,8 +4,6 @@ After ``BSPLINE SD=3`` each block is a control point (X Y Z, XH YH ZH, PL); the 
 position of the tool [B2013, section 4.1] (``docs/how_it_works/native_splines.md``).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import isfinite, nan, sqrt
 

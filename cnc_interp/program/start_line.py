@@ -1,7 +1,5 @@
 """The line at which a run starts, found while the whole program is read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The deviation of a piece falls with the square of its length, so a trial tells how many it takes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The columns of a row of targets: one number each, or a slice; all in SI units."""
 
-from __future__ import annotations
-
 from math import nan
 
 #: Tool tip, or axis positions minus those of the workpiece zero [m]; tool axis [-], NaN where the

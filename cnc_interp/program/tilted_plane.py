@@ -4,8 +4,6 @@ G68.2 to G68.4 and CYCLE800 define the frame; G53.1, G53.3, G53.6 and CYCLE800 t
 X Y Z are positions of the tip in the plane until G69 (``docs/how_it_works/tilted_planes.md``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import pi
 

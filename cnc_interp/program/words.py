@@ -1,7 +1,5 @@
 """One line of G-code as words: comments, words with and without spaces, key words."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Poses and curves to the text of a part program: G-code, native Siemens B-splines, CL data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import isfinite, isnan, nan

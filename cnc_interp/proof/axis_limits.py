@@ -1,7 +1,5 @@
 """The limits of the axes where they are, and the torques of their drives, for the proof alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 

@@ -1,7 +1,5 @@
 """Proofs added to that of a program: motion beside it, and the error at the tool."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The proof of `path.npz`: its columns follow from setpoints, program or q(s); own code."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -3,8 +3,6 @@
 What is not understood cannot be compared, so it is refused.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ computes the forward kinematics, and simulates the drives where the error at the
 At a corner the smaller of both blocks' tolerances counts.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page about fitted limits: values, measured and planned times, measured and planned feed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path

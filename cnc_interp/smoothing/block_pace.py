@@ -10,8 +10,6 @@ Its mean speed L / (4 x) limits its feed, and L over the time that the control n
 Sharper turns are corners, which the planner slows down for itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

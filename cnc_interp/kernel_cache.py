@@ -39,7 +39,7 @@ def sources(file: Path) -> frozenset[Path]:
 def _imported(source: Path) -> list[Path]:
     names = IMPORT.findall(source.read_text(encoding='utf-8'))
     dotted = {name for name, _ in names}
-    dotted |= {f'{name}.{inner.strip()}' for name, all_ in names for inner in all_.split(',')}
+    dotted |= {f'{name}.{inner}' for name, all_ in names for inner in re.split(r'[, ]+', all_)}
     places = [PACKAGE.joinpath(*name.split('.')) for name in dotted]
     files = [file for place in places for file in (Path(f'{place}.py'), place / '__init__.py')]
     return [file for file in files if file.is_file()]

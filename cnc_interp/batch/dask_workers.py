@@ -12,14 +12,7 @@ import dask
 from distributed import Client, Future, Scheduler, Worker, as_completed, get_worker
 from distributed.scheduler import KilledWorker
 
-from cnc_interp.batch.processes import (
-    PRELOADED,
-    TILES_PRELOADED,
-    EndedCall,
-    Loss,
-    Processes,
-    total_memory,
-)
+from cnc_interp.batch import processes
 from cnc_interp.batch.task import engine
 from cnc_interp.core import InterpError
 
@@ -45,7 +38,7 @@ class DaskWorkers:
 
     def run(
         self, function: Callable[[A], R], arguments: Iterator[Callable[[], A]]
-    ) -> Iterator[EndedCall[R]]:
+    ) -> Iterator[processes.EndedCall[R]]:
         numbers: dict[Future, int] = {}
         coming = enumerate(arguments)
         ended = as_completed(loop=self._client.loop)
@@ -72,19 +65,19 @@ class DaskWorkers:
         return AHEAD * max(1, sum(int(n) for n in self._client.nthreads().values()))
 
 
-def _end_of(future: Future, number: int) -> EndedCall[Any]:
+def _end_of(future: Future, number: int) -> processes.EndedCall[Any]:
     if future.status == 'error':
         problem = future.exception()
         if isinstance(problem, KilledWorker):
-            return EndedCall(number, Loss.KILLED, MOST_LOST_WORKERS)
+            return processes.EndedCall(number, processes.Loss.KILLED, MOST_LOST_WORKERS)
         raise problem
-    there: EndedCall[Any] = future.result()
-    return EndedCall(number, there.result, there.kills, there.why)
+    there: processes.EndedCall[Any] = future.result()
+    return processes.EndedCall(number, there.result, there.kills, there.why)
 
 
 def call_there(
     function: Callable[[A], R], task: A, version: str, memory: float | None, longest: float
-) -> EndedCall[R]:
+) -> processes.EndedCall[R]:
     """Call a function in a new process on a worker; it is told how many processes it may have."""
     if engine() != version:
         raise InterpError(
@@ -94,8 +87,9 @@ def call_there(
     threads = get_worker().state.nthreads
     if isinstance(function, partial) and 'processes' in function.keywords:
         function = partial(function, processes=threads)
-    loaded = (*PRELOADED, *TILES_PRELOADED)
-    there = Processes(1, memory or total_memory() / threads, longest, preloaded=loaded)
+    loaded = (*processes.PRELOADED, *processes.TILES_PRELOADED)
+    memory = memory or processes.total_memory() / threads
+    there = processes.Processes(1, memory, longest, preloaded=loaded)
     return next(there.run(function, [lambda: task]))
 
 

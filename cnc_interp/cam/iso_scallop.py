@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from cnc_interp.cam import scallop
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import finely, gouge_depth, raised
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
@@ -29,15 +30,6 @@ from cnc_interp.cam.passes import (
     plane_distance,
 )
 from cnc_interp.cam.posture import Postures
-from cnc_interp.cam.scallop import (
-    Fit,
-    Freedom,
-    estimated_half_width,
-    fit_postures,
-    nearest_places,
-    resting,
-    scallop_points,
-)
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.vectors import norm
@@ -77,7 +69,7 @@ class PassRecursion:
         u, v = self.surface.grid(SAMPLES, SAMPLES)
         ours = self.surface.contains(u, v)
         smallest = self.surface.at(u[ours], v[ours]).principal_curvatures()[0]
-        half = estimated_half_width(
+        half = scallop.estimated_half_width(
             self.cutter, self.options.tilt, self.options.yaw, smallest, self.options.scallop_height
         )
         return 2.0 * float(half.max()) + self.options.overrun
@@ -128,7 +120,8 @@ class PassRecursion:
 
     def reach(self, curve: GuidingCurve, angles: Angles, side: float = 1.0) -> FloatArray:
         postures = angles.postures(curve, self.cutter, angles.s)
-        scallops = scallop_points(self.surface, postures, self.options.scallop_height, side)
+        height = self.options.scallop_height
+        scallops = scallop.scallop_points(self.surface, postures, height, side)
         return plane_distance(postures, scallops, self.normal)
 
     def count(self, curve: GuidingCurve) -> int:
@@ -230,9 +223,9 @@ class PassRecursion:
             reach = self.reach(curve, angles, -1.0)
             kept = kept_places(curve, angles.s, reach, self.options.overrun)
             return float(np.nanmin(reach[kept] if kept.any() else reach))
-        s = nearest_places(curve, before.right)
+        s = scallop.nearest_places(curve, before.right)
         postures = angles.postures(curve, self.cutter, s)
-        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        left = scallop.scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         both = before.reach + plane_distance(postures, left, self.normal)
         return float(np.nanmin(both[before.kept] if before.kept.any() else both))
 
@@ -247,20 +240,22 @@ class PassRecursion:
         return distance
 
     def left_reach(self, curve: GuidingCurve, before: Pass, tilt: float) -> FloatArray:
-        frames = curve.frames(nearest_places(curve, before.right))
-        postures = resting(self.cutter, frames, tilt, self.options.yaw)
-        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        frames = curve.frames(scallop.nearest_places(curve, before.right))
+        postures = scallop.resting(self.cutter, frames, tilt, self.options.yaw)
+        left = scallop.scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         return plane_distance(postures, left, self.normal)
 
     def continued(self, before: Pass, distance: float, number: int) -> Pass:
         o = self.options
         curve = self.planes.curve(before.plane + distance)
         fixed = o.yaw if o.freedom == 'tilt' else o.tilt
-        fit = fit_postures(curve, self.cutter, before.right, o.scallop_height, o.freedom, fixed)
+        fit = scallop.fit_postures(
+            curve, self.cutter, before.right, o.scallop_height, o.freedom, fixed
+        )
         low, high = o.tilt_limits
         slack = 1e-6
         fits = fit.found & (fit.tilt >= low - slack) & (fit.tilt <= high + slack)
-        places = nearest_places(curve, before.right)
+        places = scallop.nearest_places(curve, before.right)
         kept = kept_places(curve, places, np.abs(distance - before.reach), o.overrun)
         if np.any(kept & ~fits) or not fits.any():
             raise NoPassError(*self.diagnosis(before, curve, fit, fits | ~kept, distance, number))
@@ -277,7 +272,7 @@ class PassRecursion:
         return self.finished(curve, angles, fit.iterations[run], fresh=False, number=number)
 
     def check_strip(self, before: Pass, postures: Postures, kept: BoolArray, number: int) -> None:
-        left = scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
+        left = scallop.scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
         gap = norm(left.position - before.right.position)
         wrong = kept & ~(gap < HIDDEN)
         wrong[:ENDS] = wrong[-ENDS:] = False
@@ -294,7 +289,7 @@ class PassRecursion:
     ) -> Pass:
         s = np.linspace(0.0, curve.length, self.count(curve))
         postures = angles.postures(curve, self.cutter, s)
-        right = scallop_points(self.surface, postures, self.options.scallop_height)
+        right = scallop.scallop_points(self.surface, postures, self.options.scallop_height)
         kept = kept_places(
             curve, s, plane_distance(postures, right, self.normal), self.options.overrun
         )
@@ -310,7 +305,7 @@ class PassRecursion:
             run = places_around(right.found, kept)
             s, kept = s[run], kept[run]
             postures = angles.postures(curve, self.cutter, s)
-            right = scallop_points(self.surface, postures, self.options.scallop_height)
+            right = scallop.scallop_points(self.surface, postures, self.options.scallop_height)
         made = Pass(curve, angles, s, postures, right, iterations, fresh, kept)
         self.check_heel(made, number)
         return made
@@ -330,8 +325,8 @@ class PassRecursion:
             )
 
     def diagnosis(
-        self, before: Pass, curve: GuidingCurve, fit: Fit, fits: BoolArray, distance: float,
-        number: int,
+        self, before: Pass, curve: GuidingCurve, fit: scallop.Fit, fits: BoolArray,
+        distance: float, number: int,
     ) -> tuple[str, str]:  # fmt: skip
         o = self.options
         low, high = o.tilt_limits
@@ -364,7 +359,7 @@ class IsoScallopOptions:
     tilt: float = 3.0 * DEG
     tilt_limits: tuple[float, float] = (0.5 * DEG, 60.0 * DEG)  #: Smallest and largest tilt [rad].
     yaw: float = 0.0  #: Yaw of all passes; the first guess if the yaw is the free angle [rad].
-    freedom: Freedom = 'tilt'  #: The angle that determines the width.
+    freedom: scallop.Freedom = 'tilt'  #: The angle that determines the width.
     #: The first pass has the constant half width d/2, or the constant tilt, as in the paper.
     start: Literal['width', 'tilt'] = 'width'
     points: int | None = None  #: Number of scallop points along a pass.

@@ -8,17 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from cnc_interp.cam import shapes
 from cnc_interp.cam.neighbours import Neighbours
-from cnc_interp.cam.shapes import (
-    BSplineSurface,
-    Cylinder,
-    Plane,
-    RationalSurface,
-    Torus,
-    Trimmed,
-    joined,
-    within,
-)
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.vectors import norm
@@ -96,7 +87,8 @@ class StepFace:
             )
         if self.loops <= 1 and self._distance_inside(surface) < ON_BORDER:
             return surface
-        return Trimmed(surface, [self._own_parameters(surface, edge) for edge in self.edges()])
+        own = [self._own_parameters(surface, edge) for edge in self.edges()]
+        return shapes.Trimmed(surface, own)
 
     def _curves(self) -> Iterator[Callable[[int], FloatArray]]:
         from OCP.BRepAdaptor import BRepAdaptor_Curve2d
@@ -128,7 +120,7 @@ class StepFace:
         return np.array([_vector(self.geometry.Value(u, v)) for u, v in uv.tolist()]) * MM
 
     def samples(self, spacing: float, most: int) -> FloatArray:
-        edges = joined(self.edges())
+        edges = shapes.joined(self.edges())
         corners = np.concatenate(edges)
         low, high = corners.min(axis=0), corners.max(axis=0)
         u, v = np.meshgrid(*np.linspace(low, high, 9).T, indexing='ij')
@@ -138,7 +130,7 @@ class StepFace:
         count = [max(2, int(np.ceil(size / spacing)) + 1) for size in sizes]
         u, v = (x.ravel() for x in np.meshgrid(*map(np.linspace, low, high, count)))
         pieces = np.concatenate([np.hstack([e[:-1], e[1:]]) for e in edges])
-        inside = within(pieces, u, v)
+        inside = shapes.within(pieces, u, v)
         lines = []
         for edge in edges:
             way = np.concatenate([[0.0], np.cumsum(norm(np.diff(self.points(edge), axis=0)))])
@@ -173,15 +165,15 @@ class StepFace:
         shape: Surface
         axes = np.stack([y, z, x])
         if self.kind == 'Geom_Plane':
-            shape, axes, top = Plane((ANY, ANY)), np.stack([x, y, z]), 0.0
+            shape, axes, top = shapes.Plane((ANY, ANY)), np.stack([x, y, z]), 0.0
             u = u[0] * MM, u[1] * MM
         elif self.kind == 'Geom_ToroidalSurface':
             ring, radius = self.geometry.MajorRadius() * MM, self.geometry.MinorRadius() * MM
-            shape, top = Torus(ring, radius, ANY, ANY), ring + radius
+            shape, top = shapes.Torus(ring, radius, ANY, ANY), ring + radius
         else:
             top = self.geometry.Radius() * MM
             ball = self.kind == 'Geom_SphericalSurface'
-            shape = Torus(0.0, top, ANY, ANY) if ball else Cylinder(top, ANY, ANY)
+            shape = shapes.Torus(0.0, top, ANY, ANY) if ball else shapes.Cylinder(top, ANY, ANY)
         if self.kind in ('Geom_Plane', 'Geom_CylindricalSurface'):
             v = v[0] * MM, v[1] * MM
         # Our round shapes turn about y, and their highest point u = v = 0 is the origin.
@@ -266,8 +258,8 @@ def _patch(geometry: Any, flip: bool) -> Surface:
     points, weights = net[..., :3] / net[..., 3:], net[..., 3]
     both, degrees = (knots[0], knots[1]), (degree[0], degree[1])
     if np.ptp(weights) == 0.0:
-        return BSplineSurface(both, points, degrees, flip)
-    return RationalSurface(both, points, weights, degrees, flip)
+        return shapes.BSplineSurface(both, points, degrees, flip)
+    return shapes.RationalSurface(both, points, weights, degrees, flip)
 
 
 def extent(surface: Surface) -> str:

@@ -7,12 +7,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import (
-    FAILED,
-    FINE,
-    command,
-    positive,
-)
+from cnc_interp.commands import parser
 from cnc_interp.core import HOUR, MINUTE
 from cnc_interp.settings.command_line import add_settings, settings_from
 from cnc_interp.settings.options import DEFAULT_MACHINE
@@ -21,7 +16,7 @@ GIGABYTE = 1e9
 
 
 def add_batch_commands(commands: Any) -> None:
-    batch = command(
+    batch = parser.command(
         commands, 'batch', batch_command,
         'plan and prove many programs on one or more machines; writes one table and one page',
         'cnc-interp batch programs/ --machine xyzac xyzbc --out out/batch',
@@ -34,15 +29,15 @@ def add_batch_commands(commands: Any) -> None:
     batch.workers_option('programs that are planned at the same time')
     batch.option('--scheduler', 'let the workers of `cluster` plan instead', metavar='ADDRESS')
     batch.flag('--keep-plans', 'keep the plan files of all, in DIR/plans')
-    batch.option('--rate', 'what an hour of the machine costs', positive, 'COST')
+    batch.option('--rate', 'what an hour of the machine costs', parser.positive, 'COST')
     text = 'most memory of a worker (that of the computer, shared among them)'
-    batch.option('--memory', text, positive, 'GB')
+    batch.option('--memory', text, parser.positive, 'GB')
     text = 'longest planning time of a program (60 min)'
-    batch.option('--longest', text, positive, 'MIN', default=60.0)
+    batch.option('--longest', text, parser.positive, 'MIN', default=60.0)
     add_settings(batch)
     batch.flag('--json', 'print the counts as JSON')
 
-    cluster = command(
+    cluster = parser.command(
         commands, 'cluster', cluster_command,
         'plan batches on several computers: a scheduler and workers, or further workers',
         'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
@@ -97,7 +92,7 @@ def batch_command(options: argparse.Namespace) -> int:
               + (f', cost {total * options.rate / HOUR:.2f}' if options.rate else ''))  # fmt: skip
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
-    return FINE if counts[Verdict.PROVEN] == len(results) else FAILED
+    return parser.FINE if counts[Verdict.PROVEN] == len(results) else parser.FAILED
 
 
 def cluster_command(options: argparse.Namespace) -> int:
@@ -115,4 +110,4 @@ def cluster_command(options: argparse.Namespace) -> int:
         cluster.join(options.join, options.workers, say)
     else:
         cluster.serve(options.host, options.port, options.dashboard, options.workers, say)
-    return FINE
+    return parser.FINE

@@ -13,11 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cnc_interp.commands.parser import (
-    FAILED,
-    FINE,
-    command,
-)
+from cnc_interp.commands import parser
 from cnc_interp.core import HOUR, MM, InterpError
 from cnc_interp.settings.command_line import settings_from
 
@@ -28,7 +24,7 @@ WIDEST = 100  #: Largest width of a drawing in text [characters].
 
 
 def add_plan_command(commands: Any) -> None:
-    plan = command(
+    plan = parser.command(
         commands, 'plan', plan_command,
         'plan a program without ROS and write the plan files',
         'cnc-interp plan examples/pyramid.apt --out out/pyramid',
@@ -83,7 +79,7 @@ def plan_command(options: argparse.Namespace) -> int:
             else 'proven         every setpoint keeps the limits, every curve the tolerances; '
             f'all of it: cnc-interp check {options.out}'
         )  # fmt: skip
-    return FAILED if over else FINE
+    return parser.FAILED if over else parser.FINE
 
 
 def _compile(machine: Machine) -> None:

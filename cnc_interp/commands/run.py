@@ -5,15 +5,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.commands.parser import (
-    FAILED,
-    FINE,
-    command,
-)
+from cnc_interp.commands import parser
 
 
 def add_run_command(commands: Any) -> None:
-    run = command(
+    run = parser.command(
         commands, 'run', run_command,
         'stream a program through the ROS 2 nodes to the machine',
         'cnc-interp run examples/pyramid.apt --out out/pyramid',
@@ -36,7 +32,7 @@ def add_run_command(commands: Any) -> None:
 
 
 def add_panel_command(commands: Any) -> None:
-    panel = command(
+    panel = parser.command(
         commands, 'panel', panel_command,
         'serve the operator page: see the machine and operate it from a browser',
         'cnc-interp panel examples/pyramid.ngc',
@@ -68,11 +64,11 @@ def run_command(options: argparse.Namespace) -> int:
     else:
         print('\n\n'.join(result.text() for result in results))
     sound = all(result.ok and not result.excesses for result in results)
-    return FINE if sound else FAILED
+    return parser.FINE if sound else parser.FAILED
 
 
 def panel_command(options: argparse.Namespace) -> int:
     from cnc_interp.page.command import run_panel
 
     run_panel(options)
-    return FINE
+    return parser.FINE

@@ -11,6 +11,7 @@ from math import comb
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import septic_coefficients
 from cnc_interp.kinematics.pole_bounds import (
     TURN,
@@ -21,20 +22,6 @@ from cnc_interp.kinematics.pole_bounds import (
     pole_sine,
     rates_of,
     way_to,
-)
-from cnc_interp.kinematics.segment_axes import (
-    BRANCH_AFTER,
-    FOLLOWING,
-    GUIDE,
-    GUIDE_BEGUN,
-    GUIDE_FROM,
-    GUIDE_LENGTH,
-    GUIDE_TO,
-    NO_GUIDE,
-    RESTING,
-    beside_of,
-    sample,
-    shapes_of,
 )
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import POSES
@@ -93,8 +80,8 @@ class PathAtPole:
         cls, transform: Transform, height: float, segments: PathSegments, motion: IntArray
     ) -> PathAtPole:
         n = len(segments)
-        shapes, beside, rates = shapes_of(segments), beside_of(segments), rates_of(segments)
-        lengths, sine = np.zeros(n), np.ones(n)
+        shapes, beside = axes.shapes_of(segments), axes.beside_of(segments)
+        rates, lengths, sine = rates_of(segments), np.zeros(n), np.ones(n)
         near = np.tile([2.0, -1.0], (n, 1))
         rows = np.flatnonzero(segments.interpolation == POSES)
         if len(rows):
@@ -106,8 +93,8 @@ class PathAtPole:
                 transform.packed, *some, posed.parametrization, rates[rows, TURN], limits
             )
         return cls(
-            transform, height, segments, motion.copy(), np.tile(NO_GUIDE, (n, 1)), np.zeros(n),
-            np.full(n, np.nan), shapes, beside, lengths, near, sine, rates,
+            transform, height, segments, motion.copy(), np.tile(axes.NO_GUIDE, (n, 1)),
+            np.zeros(n), np.full(n, np.nan), shapes, beside, lengths, near, sine, rates,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -124,7 +111,7 @@ class PathAtPole:
         return replace(self, segments=segments, **columns)
 
     def with_poses(self, i: int) -> bool:
-        return int(self.motion[i]) in (RESTING, FOLLOWING)
+        return int(self.motion[i]) in (axes.RESTING, axes.FOLLOWING)
 
     def ends_of(self, first: int, last: int, begun: float) -> FloatArray:
         return np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
@@ -153,9 +140,10 @@ class PathAtPole:
         rotary = np.array([0.0, 0.0, branch, self.height])
         rotary[outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
-        q = sample(
-            self.transform.packed, segments.kind[i], FOLLOWING, self.shapes[i], self.beside[i],
-            segments.parametrization[i], segments.length[i], rotary, NO_GUIDE, 0.0, u, inside,
+        q = axes.sample(
+            self.transform.packed, segments.kind[i], axes.FOLLOWING, self.shapes[i],
+            self.beside[i], segments.parametrization[i], segments.length[i], rotary,
+            axes.NO_GUIDE, 0.0, u, inside,
         )[0]  # fmt: skip
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
@@ -178,24 +166,24 @@ class PathAtPole:
     ) -> Guides:
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
-        guides = np.tile(NO_GUIDE, (end - begin, 1))
+        guides = np.tile(axes.NO_GUIDE, (end - begin, 1))
         length = right.s - left.s
         coefficients = np.empty(8)
         septic_coefficients(left.jet, right.jet, length, coefficients)
-        guides[:, GUIDE_FROM], guides[:, GUIDE_TO] = -1.0, 1.5
+        guides[:, axes.GUIDE_FROM], guides[:, axes.GUIDE_TO] = -1.0, 1.5
         if begin == left.segment:
-            guides[0, GUIDE_FROM] = left.u
-        guides[-1, GUIDE_TO] = right.u if end == right.segment + 1 else 1.0
-        guides[:, BRANCH_AFTER] = right.branch
-        guides[:, GUIDE_BEGUN] = ends[begin - first : end - first] - left.s
-        guides[:, GUIDE_LENGTH] = length
-        guides[:, GUIDE] = coefficients
+            guides[0, axes.GUIDE_FROM] = left.u
+        guides[-1, axes.GUIDE_TO] = right.u if end == right.segment + 1 else 1.0
+        guides[:, axes.BRANCH_AFTER] = right.branch
+        guides[:, axes.GUIDE_BEGUN] = ends[begin - first : end - first] - left.s
+        guides[:, axes.GUIDE_LENGTH] = length
+        guides[:, axes.GUIDE] = coefficients
         rows = slice(begin, end)
         return Guides(rows, guides, *self._bounds(rows, guides))
 
     def _bounds(self, rows: slice, guides: FloatArray) -> tuple[FloatArray, float]:
         segments = self.segments[rows]
-        slope, length = guides[0, GUIDE], guides[0, GUIDE_LENGTH]
+        slope, length = guides[0, axes.GUIDE], guides[0, axes.GUIDE_LENGTH]
         turning = np.zeros(2)
         for order in (1, 2):
             slope = slope[1:] * np.arange(1, len(slope)) / length

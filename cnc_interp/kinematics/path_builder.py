@@ -9,27 +9,11 @@ import numpy as np
 
 from cnc_interp.core import BlockError, BoolArray, FloatArray, IntArray
 from cnc_interp.core.vectors import norm
+from cnc_interp.kinematics import path_checks as checks
+from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.kinematics.path_checks import (
-    OFF_WORDS,
-    check_travel,
-    check_words,
-    off_words,
-    refuse,
-    refuse_tilt,
-)
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
-from cnc_interp.kinematics.segment_axes import (
-    ALL_AXES,
-    FOLLOWING,
-    GUIDE_FROM,
-    LINEAR,
-    NO_GUIDE,
-    RESTING,
-    beside_of,
-    shapes_of,
-)
 from cnc_interp.machine_model.transform import Transform, branch_at, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing.segments import (
@@ -101,7 +85,7 @@ class AxisPathBuilder:
                 int(segments.line_number[0]),
             )
         motion, n = self._motions(segments), len(segments)
-        guides, turn_first = np.tile(NO_GUIDE, (n, 1)), np.full(n, np.nan)
+        guides, turn_first = np.tile(axes.NO_GUIDE, (n, 1)), np.full(n, np.nan)
         if n and not self._begun:
             self.start(segments.axis[0], segments.rotary[0, 0], int(segments.line_number[0]))
         if self.machine.has_rotary and n:
@@ -117,7 +101,7 @@ class AxisPathBuilder:
             # Together: what follows the tool axis, and what has the rotary axes as coordinates.
             own = segments.interpolation[first] != POSES
             changes = (segments.interpolation[first:] != POSES) != own
-            changes |= (motion[first:] == LINEAR) & ~own
+            changes |= (motion[first:] == axes.LINEAR) & ~own
             changes[1:] |= np.isfinite(turn_first[first + 1 :])
             ends = np.flatnonzero(changes)
             last = first + (int(ends[0]) if len(ends) else n - first)
@@ -132,29 +116,32 @@ class AxisPathBuilder:
                 if own:
                     self._branch = branch_at(self.transform, self._rotary)
                 else:
-                    check_words(self.transform, run, parts[-1].right, parts[-1].counts)
+                    checks.check_words(self.transform, run, parts[-1].right, parts[-1].counts)
                 first = last
             self._may_turn_at_once = False
         return self._join(parts) if parts else None
 
     def _motions(self, segments: PathSegments) -> IntArray:
         n, kind = len(segments), segments.kind
-        motion = np.full(n, RESTING)
+        motion = np.full(n, axes.RESTING)
         if not self.machine.has_rotary:
-            refuse_tilt(self.machine, segments)
+            checks.refuse_tilt(self.machine, segments)
             return motion
         tool = segments.top - segments.bottom
         for curve, points in ((CORNER, 5), (SPLINE, 6)):
             spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
             bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
-            motion[(kind == curve) & ((spread >= SAME_TOOL) | (bent >= SAME_TOOL))] = FOLLOWING
+            turns = (spread >= SAME_TOOL) | (bent >= SAME_TOOL)
+            motion[(kind == curve) & turns] = axes.FOLLOWING
         angle = norm(segments.rotation)
         turning = (angle > 0.0) & ((kind == LINE) | (kind == ROTATION))
-        motion[turning] = FOLLOWING
+        motion[turning] = axes.FOLLOWING
         named = np.isfinite(segments.rotary[:, :2]).all(axis=(1, 2))
-        motion[(kind == ROTATION) & named] = LINEAR
+        motion[(kind == ROTATION) & named] = axes.LINEAR
         own = segments.interpolation
-        return np.where(own == POSES, motion, np.where(own == AXES_LINEAR, ALL_AXES, LINEAR))
+        return np.where(
+            own == POSES, motion, np.where(own == AXES_LINEAR, axes.ALL_AXES, axes.LINEAR)
+        )
 
     def _linear(self, one: PathSegments) -> list[Cells]:
         start, end = one.rotary[0, :2]
@@ -163,7 +150,7 @@ class AxisPathBuilder:
             if not self._may_turn_at_once:
                 parts.append(self._turn_first(one, start))
             self._rotary = start.copy()
-        parts.append(self._cells(_turning(one, start, end), np.array([LINEAR])))
+        parts.append(self._cells(_turning(one, start, end), np.array([axes.LINEAR])))
         self._branch = branch_at(self.transform, self._rotary)
         return parts
 
@@ -184,7 +171,7 @@ class AxisPathBuilder:
             length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
             feed=np.full((1, 2), np.inf), stop=np.array([True]),
         )  # fmt: skip
-        return self._cells(_turning(still, self._rotary, target), np.array([LINEAR]))
+        return self._cells(_turning(still, self._rotary, target), np.array([axes.LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
         start = run.rotary[0, 0]
@@ -192,8 +179,8 @@ class AxisPathBuilder:
         if np.abs(gap).max() <= SAME_ANGLE:
             return []
         turns = gap - 2.0 * np.pi * np.round(gap / (2.0 * np.pi))
-        if np.abs(turns).max() > OFF_WORDS and not self._may_turn_at_once:
-            raise off_words(self.machine, int(run.line_number[0]), start, self._rotary)
+        if np.abs(turns).max() > checks.OFF_WORDS and not self._may_turn_at_once:
+            raise checks.off_words(self.machine, int(run.line_number[0]), start, self._rotary)
         parts = []
         if not self._may_turn_at_once:
             tip = run[:1]
@@ -210,28 +197,28 @@ class AxisPathBuilder:
     def _cells(
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
     ) -> Cells:
-        guides = np.tile(NO_GUIDE, (len(segments), 1)) if guides is None else guides
+        guides = np.tile(axes.NO_GUIDE, (len(segments), 1)) if guides is None else guides
         rotary = np.array([*self._rotary, self._branch, self.flank_height])
         status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed, float(np.sin(self.machine.singular_cone)), self._axes,
-            segments.kind, shapes_of(segments), beside_of(segments), segments.parametrization,
-            segments.length, motion, guides, rotary,
+            segments.kind, axes.shapes_of(segments), axes.beside_of(segments),
+            segments.parametrization, segments.length, motion, guides, rotary,
         )  # fmt: skip
         self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
         sound = slice(None if status == FINE else ends[-1] - counts[-1])
         lines = segments.line_number[segment[sound]]
-        check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
+        checks.check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
         if status != FINE:
             line = int(segments.line_number[len(counts) - 1])
-            refuse(self.machine, self.transform.outer, status, line)
-        if motion[0] == LINEAR and segments.kind[0] == ROTATION:
+            checks.refuse(self.machine, self.transform.outer, status, line)
+        if motion[0] == axes.LINEAR and segments.kind[0] == ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])
         elif segments.interpolation[0] != POSES:
             tips, tools = self.transform.forward(np.concatenate([left[:, 0], right[-1:, 0]]))
-        elif (guided := guides[:, GUIDE_FROM] < 1.0).any():
+        elif (guided := guides[:, axes.GUIDE_FROM] < 1.0).any():
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             there = np.append(guided[segment], guided[-1])
             there[1:] |= guided[segment]

@@ -20,35 +20,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray, StreamError
 from cnc_interp.core.native import publish
-from cnc_interp.machine.cycle_kernels import (
-    CHUNK,
-    COLUMNS,
-    COUNT,
-    FIRST,
-    FOLLOW,
-    FORGET,
-    HALT,
-    LEAVE,
-    MUTE,
-    NEXT,
-    NONE,
-    POSITIONS,
-    QUIT,
-    READ,
-    RECORDED,
-    REST,
-    RESTS,
-    ROW,
-    SERIAL,
-    SOURCE,
-    START,
-    SWITCHES,
-    TAIL_COLUMNS,
-    WORDS,
-    Memory,
-    advance,
-    run_periods,
-)
+from cnc_interp.machine import cycle_kernels as kernel
 from cnc_interp.machine.realtime import RECORD, Lateness, ask_for_priority
 from cnc_interp.machine.spindle import Spindle
 from cnc_interp.run.setpoints import Chunk
@@ -86,9 +58,9 @@ class Cycle:
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
         self._together = max(1, round(together / period))  # periods in which calm drives wait
-        self._memory = Memory(
-            control=np.zeros(WORDS, dtype=np.int64),
-            chunks=np.zeros((slots, COLUMNS), dtype=np.int64),
+        self._memory = kernel.Memory(
+            control=np.zeros(kernel.WORDS, dtype=np.int64),
+            chunks=np.zeros((slots, kernel.COLUMNS), dtype=np.int64),
             travel=np.ascontiguousarray(travel, dtype=float),
             jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
             feedback=np.zeros((4, n)), drives=drives, outputs=outputs, inputs=inputs,
@@ -100,7 +72,7 @@ class Cycle:
         self._control = self._memory.control
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
         self._written = 0  # chunks
-        self._control[QUIT] = 1
+        self._control[kernel.QUIT] = 1
         self.run()  # compiles the cycle, or loads it from the cache, before motion
 
     def place(self, position: FloatArray) -> None:
@@ -119,20 +91,21 @@ class Cycle:
             raise StreamError('the buffer is full; keep to the window of the stream')
         arrays: list[FloatArray] = []
         descriptor = descriptors[serial % len(descriptors)]
-        parts = zip((POSITIONS, TAIL_COLUMNS), (chunk.samples, chunk.tail), switches, strict=True)
-        for column, part, acts in parts:
+        columns, parts = (kernel.POSITIONS, kernel.TAIL_COLUMNS), (chunk.samples, chunk.tail)
+        for column, part, acts in zip(columns, parts, switches, strict=True):
             both = [np.ascontiguousarray(rows) for rows in (part.position, part.velocity)]
             arrays += [*both, acts]
             descriptor[column : column + 3] = *(rows.ctypes.data for rows in both), len(part)
-            descriptor[column + SWITCHES : column + SWITCHES + 2] = acts.ctypes.data, len(acts)
-        descriptor[RESTS], descriptor[NEXT] = chunk.rests, NONE
+            descriptor[column + kernel.SWITCHES] = acts.ctypes.data
+            descriptor[column + kernel.SWITCHES + 1] = len(acts)
+        descriptor[kernel.RESTS], descriptor[kernel.NEXT] = chunk.rests, kernel.NONE
         self._kept.append((serial, tuple(arrays)))
         self._written = serial + 1
         return serial
 
     def link(self, after: int, serial: int) -> None:
         descriptors = self._memory.chunks
-        publish(descriptors[after % len(descriptors)], NEXT, serial)
+        publish(descriptors[after % len(descriptors)], kernel.NEXT, serial)
 
     def relink(self, after: int, serial: int) -> bool:
         """Let one chunk come after another, in place of those between; False where it is too late.
@@ -141,49 +114,55 @@ class Cycle:
         tells which link it took. Raises StreamError if the clock stands.
         """
         control = self._control
-        if control[SOURCE] != REST and control[SERIAL] >= after:
+        if control[kernel.SOURCE] != kernel.REST and control[kernel.SERIAL] >= after:
             return False
         self.link(after, serial)
-        last = self._memory.chunks[after % len(self._memory.chunks)][COUNT] - 1
+        last = self._memory.chunks[after % len(self._memory.chunks)][kernel.COUNT] - 1
         deadline = time.monotonic() + STANDS
-        while control[SOURCE] == CHUNK and control[SERIAL] == after and control[ROW] >= last:
+        while (
+            control[kernel.SOURCE] == kernel.CHUNK
+            and control[kernel.SERIAL] == after
+            and control[kernel.ROW] >= last
+        ):
             if time.monotonic() > deadline:
                 self.halt()
                 raise StreamError('the clock of the machine stands; activate machine_node again')
             time.sleep(1e-9 * self._period)
-        return bool(control[SOURCE] == REST or not after < control[SERIAL] < serial)
+        return bool(
+            control[kernel.SOURCE] == kernel.REST or not after < control[kernel.SERIAL] < serial
+        )
 
     def start(self, serial: int) -> None:
-        self._control[LEAVE], self._control[FIRST] = 0, serial
-        publish(self._control, START, self._control[START] + 1)
+        self._control[kernel.LEAVE], self._control[kernel.FIRST] = 0, serial
+        publish(self._control, kernel.START, self._control[kernel.START] + 1)
 
     def leave(self) -> None:
-        publish(self._control, LEAVE, 1)
+        publish(self._control, kernel.LEAVE, 1)
 
     def mute(self, mutes: bool) -> None:
         """Leave the outputs as they are, whatever is played, or let setpoints switch them."""
-        publish(self._control, MUTE, int(mutes))
+        publish(self._control, kernel.MUTE, int(mutes))
 
     def halt(self) -> None:
-        publish(self._control, HALT, self._control[HALT] + 1)
+        publish(self._control, kernel.HALT, self._control[kernel.HALT] + 1)
 
     def step(self) -> None:
-        advance(self._memory, self._step)
+        kernel.advance(self._memory, self._step)
 
     def run(self) -> None:
         """Run by the clock in the calling thread until ``quit`` is called."""
-        run_periods(self._memory, self._step, self._period, self._together)
+        kernel.run_periods(self._memory, self._step, self._period, self._together)
 
     def quit(self, quits: bool = True) -> None:
-        publish(self._control, QUIT, int(quits))
+        publish(self._control, kernel.QUIT, int(quits))
 
     def read(self) -> Records:
         memory, control = self._memory, self._control
-        first, last = int(control[READ]), int(control[RECORDED])
+        first, last = int(control[kernel.READ]), int(control[kernel.RECORDED])
         slots = np.arange(first, last) % len(memory.records)
         records, measured = memory.records[slots], memory.measured[slots]
-        publish(control, READ, last)
-        played = records[records[:, 0] != REST, 1]
+        publish(control, kernel.READ, last)
+        played = records[records[:, 0] != kernel.REST, 1]
         while len(played) and self._kept and self._kept[0][0] < played[-1]:
             self._kept.popleft()
         source, serial, row, events = records.T
@@ -194,18 +173,21 @@ class Cycle:
     @property
     def follows(self) -> bool:
         """Tell whether it moves in step with the spindle."""
-        return bool(self._control[SOURCE] == FOLLOW)
+        return bool(self._control[kernel.SOURCE] == kernel.FOLLOW)
 
     def has_news(self, count: int) -> bool:
         """Tell whether it has done more than to go on along its chunks by less than ``count``."""
         control = self._control
-        return bool(control[SOURCE] != CHUNK or control[RECORDED] - control[READ] >= count)
+        return bool(
+            control[kernel.SOURCE] != kernel.CHUNK
+            or control[kernel.RECORDED] - control[kernel.READ] >= count
+        )
 
     def lateness(self) -> Lateness:
         return Lateness(self._memory.late.copy())
 
     def forget_lateness(self) -> None:
-        self._control[FORGET] += 1
+        self._control[kernel.FORGET] += 1
 
 
 class MachineClock:

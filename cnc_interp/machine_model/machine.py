@@ -17,6 +17,7 @@ from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineE
 from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
 from cnc_interp.core.ros_share import config_directory
 from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
+from cnc_interp.machine_model import machine_entries as entries
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
@@ -24,24 +25,7 @@ from cnc_interp.machine_model.axis_drives import (
     axis_drives,
     drive_loads,
 )
-from cnc_interp.machine_model.machine_entries import (
-    GEOMETRY,
-    LOCKED_LIMITS,
-    BlockPace,
-    ReferenceSwitches,
-    Standstill,
-    axis_limits,
-    block_pace,
-    control,
-    entry,
-    extra_axes,
-    homing,
-    is_locked,
-    limits_by_position,
-    linear_geometry,
-    rotary_geometry,
-    standstill,
-)
+from cnc_interp.machine_model.machine_entries import control, homing, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
 #: Likely largest velocities of linear and of rotary axes [mm/min, deg/min], and likely times to
@@ -140,11 +124,11 @@ class Machine:
     #: For axes whose drives are not ideal: how they follow their setpoints.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
-    homing: ReferenceSwitches = field(default_factory=ReferenceSwitches)
+    homing: entries.ReferenceSwitches = field(default_factory=entries.ReferenceSwitches)
     #: How its control goes through short blocks, if that is slower than the axes allow.
-    pace: BlockPace | None = None
+    pace: entries.BlockPace | None = None
     #: How long the path rests for tool changes and the spindle.
-    standstill: Standstill = field(default_factory=Standstill)
+    standstill: entries.Standstill = field(default_factory=entries.Standstill)
     #: What its control means by a program: choices of the reader, by name.
     control: dict[str, Any] = field(default_factory=dict)
     #: Its outputs and inputs, and the functions of a program that switch them.
@@ -265,10 +249,12 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     if not isinstance(rotary, dict):
         raise MachineError('must hold primary and secondary', 'rotary')
     names = ['X', 'Y', 'Z'] + [
-        str(entry(rotary, key, 'rotary', 'name')) for key in ('primary', 'secondary') if rotary
+        str(entries.entry(rotary, key, 'rotary', 'name'))
+        for key in ('primary', 'secondary')
+        if rotary
     ]
     linear = [name in 'XYZ' for name in names]
-    extra = extra_axes(content)
+    extra = entries.extra_axes(content)
     names, linear = names + list(extra), linear + [True] * len(extra)
     limits = content.get('limits')
     if not isinstance(limits, dict):
@@ -277,9 +263,9 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         if name not in names:
             raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
     rows = [
-        LOCKED_LIMITS
-        if not linear[i] and is_locked(rotary, names[i])
-        else axis_limits(limits, name, linear[i])
+        entries.LOCKED_LIMITS
+        if not linear[i] and entries.is_locked(rotary, names[i])
+        else entries.axis_limits(limits, name, linear[i])
         for i, name in enumerate(names)
     ]
     table = np.array([row[0] for row in rows])
@@ -296,16 +282,16 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         max_acceleration=table[:, 1],
         max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
-        places=limits_by_position(content, names, linear, rows),
+        places=entries.limits_by_position(content, names, linear, rows),
         loads=loads,
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=switches,
-        pace=block_pace(content, float(table[:3, 2].min())),
+        pace=entries.block_pace(content, float(table[:3, 2].min())),
         standstill=standstill(content),
         control=control(content),
         signals=signals(content, switches.index),
-        **(rotary_geometry(rotary) if rotary else linear_geometry(content)),
+        **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
     )
 
 
@@ -348,7 +334,7 @@ def with_geometry(name: str, file: Path, geometry: Machine) -> None:
     """Write the file of a machine with the offsets of its rotary axes and heads from another."""
     content = deepcopy(read_yaml(find_machine_file(name)))
     offsets = np.concatenate([geometry.offsets, geometry.tool_offset])
-    for key, offset in zip(GEOMETRY, offsets, strict=True):
+    for key, offset in zip(entries.GEOMETRY, offsets, strict=True):
         if key in content['rotary'] or offset.any():
             content['rotary'][key] = [round(1e3 * float(x), DIGITS) for x in offset]
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -6,17 +6,10 @@ from pathlib import Path
 
 from cnc_interp.core import FloatArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import control_profiles as profiles
 from cnc_interp.program.active_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.control_profiles import (
-    HEIDENHAIN,
-    PLAIN,
-    PROFILES,
-    as_on,
-    dialect_of,
-    form_of,
-)
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
@@ -54,10 +47,10 @@ class ProgramStream:
         self._source, self.source = source, source.name
         #: Text of the setup at the start; empty where nothing is set.
         self.setup = '' if setup == JobSetup() else setup.text()
-        self.dialect = form_of(source)
+        self.dialect = profiles.form_of(source)
         self._notices, self._signals = Notices(), geometry.machine.signals
         self._reader: ClReader | GcodeReader
-        settings = as_on(geometry, settings)
+        settings = profiles.as_on(geometry, settings)
         self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
         if self.dialect == 'cl':
             self._reader = ClReader(geometry, settings, source, self._notices)
@@ -66,9 +59,9 @@ class ProgramStream:
                 self._notices.once('offsets', 1, f'CL data: work offsets do not count; {why}')
         else:
             kind: type[GcodeReader] = HeidenhainReader
-            profile, why = HEIDENHAIN, 'by BEGIN PGM'
+            profile, why = profiles.HEIDENHAIN, 'by BEGIN PGM'
             if self.dialect == 'gcode':
-                kind, (profile, why) = GcodeReader, dialect_of(source, settings.dialect)
+                kind, (profile, why) = GcodeReader, profiles.dialect_of(source, settings.dialect)
             self.read_as = (f'read as {profile.title}: {why}',)
             self._reader = kind(geometry, settings, setup, source, self._notices, profile)
 
@@ -187,7 +180,7 @@ class MdiReader:
     """Lines by hand share one modal state; one that is refused changes nothing."""
 
     def __init__(self, geometry: Transform, settings: Settings):
-        self._geometry, self._settings = geometry, as_on(geometry, settings)
+        self._geometry, self._settings = geometry, profiles.as_on(geometry, settings)
         self._last = self._reader('', Notices(), JobSetup())
 
     def line(self, text: str, stands: FloatArray, setup: JobSetup) -> MdiLine:
@@ -208,7 +201,7 @@ class MdiReader:
 
     def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
         source = Source.of_text(text, MDI)
-        dialect = PROFILES.get(self._settings.dialect, PLAIN)
+        dialect = profiles.PROFILES.get(self._settings.dialect, profiles.PLAIN)
         reader = GcodeReader(self._geometry, self._settings, setup, source, notices, dialect)
         reader.whole = False
         return reader

@@ -7,16 +7,8 @@ from math import nan
 from typing import Any
 
 from cnc_interp.core import ProgramError
+from cnc_interp.program import expressions
 from cnc_interp.program.codes import HARMLESS_KEYS, refused_key
-from cnc_interp.program.expressions import (
-    NOTHING,
-    ExpressionError,
-    ProgramVariables,
-    element_name,
-    evaluate,
-    parameter_index,
-    parse,
-)
 
 # The look-ahead after each number and name rejects every shorter match. So a line of a million
 # digits fails in linear time. Possessive quantifiers would do the same, but fail in Python 3.11.2.
@@ -105,7 +97,7 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
     raise fault('the comment is not closed; add )', line[at:].split()[0])
 
 
-def split_words(line: str, variables: ProgramVariables, fault: Fault) -> BlockWords:
+def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault) -> BlockWords:
     """Split one line of G-code into words. The line is in upper case and without comments."""
     if '(' in line:
         line = _IDLE_CALL.sub(r'\1 ', line)
@@ -148,46 +140,50 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
     words.texts[letter] = text
 
 
-def _by_grammar(line: str, variables: ProgramVariables, fault: Fault) -> BlockWords:
+def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault) -> BlockWords:
     words = BlockWords()
     if name := _TOOL_NAME.search(line):
         _add(words, 'T', 0.0, name[0], fault)
         line = line.replace(name[0], ' ')
     word = line.split()[0] if line.split() else line
     try:
-        for item in parse(line):
+        for item in expressions.parse(line):
             kind, word = item[0], str(item[1])
             if kind == 'word':
                 node = item[2]
                 if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
                     words.ways[word], node = str(node[1]), node[2]
-                value = evaluate(node, variables)
+                value = expressions.evaluate(node, variables)
                 _add(words, word, value, f'{word}{value:g}', fault)
             elif kind == 'set_name':
-                words.sets.append((word, evaluate(item[2], variables)))
+                words.sets.append((word, expressions.evaluate(item[2], variables)))
             elif kind == 'set_element':
-                word = element_name(word, item[2:-1], variables)
-                words.sets.append((word, evaluate(item[-1], variables)))
+                word = expressions.element_name(word, item[2:-1], variables)
+                words.sets.append((word, expressions.evaluate(item[-1], variables)))
             elif kind == 'set_parameter':
                 word = '#'
-                value = nan if item[2] == NOTHING else evaluate(item[2], variables)
+                value = (
+                    nan
+                    if item[2] == expressions.NOTHING
+                    else expressions.evaluate(item[2], variables)
+                )
                 if item[1][0] == 'own_name':
                     words.sets.append((str(item[1][1]), value))
                 else:
-                    words.sets.append((parameter_index(item[1], variables), value))
+                    words.sets.append((expressions.parameter_index(item[1], variables), value))
             else:
                 if why := refused_key(word):
                     raise fault(why, word)
                 words.keys.append((word, tuple(_given(node, variables) for node in item[2:])))
-    except ExpressionError as problem:
+    except expressions.ExpressionError as problem:
         raise fault(str(problem), word) from None
     return words
 
 
-def _given(node: Any, variables: ProgramVariables) -> float | None:
+def _given(node: Any, variables: expressions.ProgramVariables) -> float | None:
     if len(node) == 1 or isinstance(node[1], str):
         return None
-    return evaluate(node[1], variables)
+    return expressions.evaluate(node[1], variables)
 
 
 def _no_word(line: str, at: int, fault: Fault) -> ProgramError:

@@ -7,27 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, MS, SettingsError
-from cnc_interp.settings.option_kinds import (
-    ANGLE,
-    FEED,
-    LENGTH,
-    PLAIN,
-    TIME,
-    Choice,
-    Stage,
-    Value,
-    choices,
-    file,
-    name,
-    number,
-    one_of,
-    switch,
-    whole_number,
-)
+from cnc_interp.settings import option_kinds as kinds
 
-READING, SMOOTHING, MOTION = Stage.READING, Stage.SMOOTHING, Stage.MOTION
-PLANNING = Stage.PLANNING
-START, APPROACH = Stage.START, Stage.APPROACH
+READING, SMOOTHING, MOTION = kinds.Stage.READING, kinds.Stage.SMOOTHING, kinds.Stage.MOTION
+PLANNING = kinds.Stage.PLANNING
+START, APPROACH = kinds.Stage.START, kinds.Stage.APPROACH
 DEFAULT_MACHINE = 'xyzac'  #: The machine where none is named.
 LENGTHS = (1e-6 * MM, 1e4 * MM)  #: Range of the block length and the flank height [m].
 TOLERANCES = (1e-6 * MM, 5.0 * MM)  #: Of every tolerance [m]; larger is a wrong unit.
@@ -38,126 +22,133 @@ FEEDS = (1e-3 * MM_PER_MIN, 1e6 * MM_PER_MIN)  #: 0.001 mm/min to 1000 m/min [m/
 class Settings:
     """The choices of the user for one run [SI]; raises SettingsError, which names the choice."""
 
-    contour_tolerance: float = number(
-        0.02 * MM, LENGTH, TOLERANCES, READING, 'largest deviation of the tool tip'
+    contour_tolerance: float = kinds.number(
+        0.02 * MM, kinds.LENGTH, TOLERANCES, READING, 'largest deviation of the tool tip'
     )
-    orientation_tolerance: float = number(
-        0.02 * MM, LENGTH, TOLERANCES, READING, 'largest deviation at flank height'
+    orientation_tolerance: float = kinds.number(
+        0.02 * MM, kinds.LENGTH, TOLERANCES, READING, 'largest deviation at flank height'
     )
-    flank_height: float = number(
-        30.0 * MM, LENGTH, LENGTHS, READING, 'height at which orientation is measured'
+    flank_height: float = kinds.number(
+        30.0 * MM, kinds.LENGTH, LENGTHS, READING, 'height at which orientation is measured'
     )
-    force_tolerances: bool = switch(False, READING, 'ignore the tolerances of the program')
-    feedrate: float | None = number(
-        None, FEED, FEEDS, READING,
+    force_tolerances: bool = kinds.switch(False, READING, 'ignore the tolerances of the program')
+    feedrate: float | None = kinds.number(
+        None, kinds.FEED, FEEDS, READING,
         'feedrate where the program has no F', option='feed',
     )  # fmt: skip
-    setup: Path | None = file(  # noqa: RUF009 (a field)
+    setup: Path | None = kinds.file(  # noqa: RUF009 (a field)
         READING, 'YAML file with work offsets, tools and reference points'
     )
-    interpolation: str = one_of(
+    interpolation: str = kinds.one_of(
         ('auto', 'vector', 'axes'), READING,
         'between blocks: vector (great circle), axes (linear in them), auto (as programmed)',
     )  # fmt: skip
-    rotary_sense: str = one_of(
+    rotary_sense: str = kinds.one_of(
         ('programmed', 'shortest'), READING,
         'rotary words as programmed, or the shortest way there',
     )  # fmt: skip
-    dialect: str = one_of(
+    dialect: str = kinds.one_of(
         ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'), READING,
         'whose control reads the program; auto: that of the machine, else the one its words tell',
     )  # fmt: skip
-    arc_centres: str = one_of(
+    arc_centres: str = kinds.one_of(
         ('auto', 'start', 'absolute', 'reversed'), READING,
         'I J K of arcs: way from the start to the centre, place of the centre, or way from the '
         'centre to the start; auto: that of the machine, else from the start',
     )  # fmt: skip
-    units: str = one_of(
+    units: str = kinds.one_of(
         ('auto', 'mm', 'inch'), READING,
         'unit of a program without G20 or G21; auto: that of the machine, else mm',
     )  # fmt: skip
-    numbers: str = one_of(
+    numbers: str = kinds.one_of(
         ('auto', 'units', 'increments'), READING,
         'what lengths and angles without a decimal point count: units, or increments (X10 is '
         '0.010 mm or 0.0010 inch); auto: that of the machine, else units',
     )  # fmt: skip
-    skip_blocks: bool = switch(False, READING, 'leave out lines that begin with a slash')
-    most_jumps: int = whole_number(
+    skip_blocks: bool = kinds.switch(False, READING, 'leave out lines that begin with a slash')
+    most_jumps: int = kinds.whole_number(
         1_000_000, (1, 10**12), READING,
         'loops and calls after which a program counts as endless',
     )  # fmt: skip
-    corner_ratio: float | None = number(
-        None, PLAIN, (1.2, 4.0), SMOOTHING,
+    corner_ratio: float | None = kinds.number(
+        None, kinds.PLAIN, (1.2, 4.0), SMOOTHING,
         'shape of the corners, 1.2 to 4, or auto: chosen for each',
         option='ratio', nothing='auto', metavar='L2/L1',
     )  # fmt: skip
-    corner: str = one_of(
+    corner: str = kinds.one_of(
         ('default', 'paper'), SMOOTHING,
         'how corners are made; paper: those of Beudaert et al. (2013), word for word',
         for_comparison=True,
     )  # fmt: skip
-    parametrization: str = one_of(
+    parametrization: str = kinds.one_of(
         ('auto', 'exact', 'linear', 'paper'), SMOOTHING,
         'how the orientation of a corner joins its lines; auto: exact, or paper on such corners',
         for_comparison=True,
     )  # fmt: skip
-    top: str = one_of(
+    top: str = kinds.one_of(
         ('in_step', 'tolerance'), SMOOTHING,
         'how the top curve of a corner is placed', for_comparison=True,
     )  # fmt: skip
-    septic: bool = switch(
+    septic: bool = kinds.switch(
         False, SMOOTHING, 'continue the third derivative of the tool axis too',
         for_comparison=True,
     )  # fmt: skip
-    compress: bool = switch(True, SMOOTHING, 'make curves of dense blocks, or round every corner')
-    longest_block: float = number(
-        5.0 * MM, LENGTH, LENGTHS, SMOOTHING, 'longer blocks stay straight lines'
+    compress: bool = kinds.switch(
+        True, SMOOTHING, 'make curves of dense blocks, or round every corner'
     )
-    corner_angle: float = number(
-        35.0 * DEG, ANGLE, (0.01 * DEG, pi), SMOOTHING,
+    longest_block: float = kinds.number(
+        5.0 * MM, kinds.LENGTH, LENGTHS, SMOOTHING, 'longer blocks stay straight lines'
+    )
+    corner_angle: float = kinds.number(
+        35.0 * DEG, kinds.ANGLE, (0.01 * DEG, pi), SMOOTHING,
         'a sharper turn of dense blocks is a corner',
     )  # fmt: skip
-    tolerance_share: float = number(
-        0.98, PLAIN, (0.01, 1.0), SMOOTHING,
+    tolerance_share: float = kinds.number(
+        0.98, kinds.PLAIN, (0.01, 1.0), SMOOTHING,
         'part of the tolerances that curves through dense blocks may use', metavar='SHARE',
     )  # fmt: skip
-    interpolation_period: float = number(
-        1.0 * MS, TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period', option='period'
+    interpolation_period: float = kinds.number(
+        1.0 * MS,
+        kinds.TIME,
+        (0.01 * MS, 100.0 * MS),
+        MOTION,
+        'interpolation period',
+        option='period',
     )
-    compensation: str | None = name(
+    compensation: str | None = kinds.name(
         MOTION, 'machine whose drives are the model that is compensated, as identify writes it',
         option='compensate', metavar='M',
     )  # fmt: skip
-    learnt: Path | None = file(  # noqa: RUF009 (a field)
+    learnt: Path | None = kinds.file(  # noqa: RUF009 (a field)
         MOTION, 'what earlier runs taught, added to the compensation; `learn` writes it'
     )
-    tool_error: float | None = number(
-        None, LENGTH, TOLERANCES, PLANNING,
+    tool_error: float | None = kinds.number(
+        None, kinds.LENGTH, TOLERANCES, PLANNING,
         'largest error that the drives leave at the tool, also at flank height', nothing='none',
     )  # fmt: skip
-    from_line: int = whole_number(
+    from_line: int = kinds.whole_number(
         0, (0, 10**12), START, 'line of the program at which the run starts, 0: at its top'
     )
-    line_pass: int = whole_number(
+    line_pass: int = kinds.whole_number(
         0, (0, 10**12), START,
         'which execution of that line, where loops or calls repeat it, 0: the only one',
         option='pass',
     )  # fmt: skip
-    retract: float = number(
-        25.0 * MM, LENGTH, (0.0, 1e3 * MM), APPROACH,
+    retract: float = kinds.number(
+        25.0 * MM, kinds.LENGTH, (0.0, 1e3 * MM), APPROACH,
         'way along the tool on which the tool is drawn back and plunges',
     )  # fmt: skip
-    plunge_feed: float = number(
-        500.0 * MM_PER_MIN, FEED, FEEDS, APPROACH,
+    plunge_feed: float = kinds.number(
+        500.0 * MM_PER_MIN, kinds.FEED, FEEDS, APPROACH,
         'feedrate of the plunge to a place inside the program',
     )  # fmt: skip
-    law: str = one_of(
-        ('optimal', 'vpop'), Stage.OFFLINE,
+    law: str = kinds.one_of(
+        ('optimal', 'vpop'), kinds.Stage.OFFLINE,
         'how the motion law is found; vpop goes forward period by period', for_comparison=True,
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        for choice in choices(self):
+        for choice in kinds.choices(self):
             choice.check(getattr(self, choice.name))
 
     @property
@@ -168,16 +159,16 @@ class Settings:
 
 
 def texts_of(settings: Settings) -> dict[str, str]:
-    return {c.name: c.text(getattr(settings, c.name)) for c in choices(settings)}
+    return {c.name: c.text(getattr(settings, c.name)) for c in kinds.choices(settings)}
 
 
 def changed(settings: Settings) -> list[str]:
-    return [c.name for c in choices(settings) if getattr(settings, c.name) != c.default]
+    return [c.name for c in kinds.choices(settings) if getattr(settings, c.name) != c.default]
 
 
-def values_of(settings: Settings) -> dict[str, Value]:
+def values_of(settings: Settings) -> dict[str, kinds.Value]:
     """Return every choice as a value that JSON can hold; a path becomes text."""
-    found = {choice.name: getattr(settings, choice.name) for choice in choices(settings)}
+    found = {choice.name: getattr(settings, choice.name) for choice in kinds.choices(settings)}
     return {k: str(v.resolve()) if hasattr(v, 'resolve') else v for k, v in found.items()}
 
 
@@ -188,7 +179,7 @@ def with_texts(
 
     ``need_units`` refuses such a number, because a person wrote it. Raises SettingsError.
     """
-    known = {choice.name: choice for choice in choices(settings)}
+    known = {choice.name: choice for choice in kinds.choices(settings)}
     given: dict[str, Any] = {}
     for key, text in texts:
         if key not in known:
@@ -199,9 +190,9 @@ def with_texts(
     return replace(settings, **given)
 
 
-def offered() -> tuple[Choice, ...]:
+def offered() -> tuple[kinds.Choice, ...]:
     """Return the choices on the page: of reading and smoothing, not the period."""
-    found = choices(Settings, Stage.READING, Stage.SMOOTHING)
+    found = kinds.choices(Settings, kinds.Stage.READING, kinds.Stage.SMOOTHING)
     return tuple(choice for choice in found if not choice.for_comparison)
 
 

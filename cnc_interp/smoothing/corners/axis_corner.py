@@ -28,12 +28,7 @@ from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.vectors import norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
-from cnc_interp.smoothing.corners.corner_curve import (
-    LARGEST_TURN,
-    LEAST_RATIO,
-    USED_UP,
-    best_ratios,
-)
+from cnc_interp.smoothing.corners import corner_curve
 
 #: Places of X Y Z (or the tip), of the rotary axes and of the extra axes among the coordinates.
 POINT, TURN, EXTRA = slice(0, 3), slice(3, 5), slice(5, None)
@@ -186,7 +181,7 @@ class AxisCorners:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         while True:
             deviation, use = self.deviation(inner, outer)
-            wide = use > USED_UP
+            wide = use > corner_curve.USED_UP
             if not wide.any():
                 return inner, outer, deviation
             # Less of L1 reduces the deviation at least by its square root where L2 stays.
@@ -201,12 +196,12 @@ class AxisCorners:
         if ratio is None:
             before, after = -self.legs[:, 0] / jerk, self.legs[:, 1] / jerk
             slopes = (np.abs(slope).max(axis=1) for slope in (before, after, after - before))
-            ratios = best_ratios(*slopes)
+            ratios = corner_curve.best_ratios(*slopes)
         else:
             ratios = np.full((len(self.row), 2), ratio)
         turn = np.abs(self.legs[..., TURN]).max(axis=-1)
-        outer = np.minimum(lengths, LARGEST_TURN / np.maximum(turn, 1e-300))
-        inner = outer.min(axis=1) / LEAST_RATIO
+        outer = np.minimum(lengths, corner_curve.LARGEST_TURN / np.maximum(turn, 1e-300))
+        inner = outer.min(axis=1) / corner_curve.LEAST_RATIO
         outer = np.minimum(outer, ratios * inner[:, None])
         return self.fit(inner, outer, ratios)[:2]
 

@@ -11,18 +11,15 @@ from pathlib import Path
 from types import FrameType
 
 import cnc_interp
-from cnc_interp.commands.bags import add_bag_commands
-from cnc_interp.commands.batch import add_batch_commands
+from cnc_interp.commands.batch import add_batch_commands, add_sweep_command
 from cnc_interp.commands.cam import add_cam_commands
-from cnc_interp.commands.check import add_check_commands
+from cnc_interp.commands.check import add_bag_commands, add_check_commands
 from cnc_interp.commands.convert import add_convert_command, add_machine_commands
 from cnc_interp.commands.identify import add_identify_commands
 from cnc_interp.commands.operate import add_operate_commands
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command
-from cnc_interp.commands.plan import add_plan_command
+from cnc_interp.commands.plan import add_panel_command, add_plan_command, add_run_command
 from cnc_interp.commands.problems import add_problems_command
-from cnc_interp.commands.run import add_panel_command, add_run_command
-from cnc_interp.commands.sweep import add_sweep_command
 from cnc_interp.core import InterpError
 
 

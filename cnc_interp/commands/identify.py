@@ -100,7 +100,7 @@ def identify_command(options: Namespace) -> int:
 def fit_limits_command(options: Namespace) -> int:
     from cnc_interp.core.small_files import read_yaml
     from cnc_interp.machine_model.machine import Machine, find_machine_file
-    from cnc_interp.report.fitted_times import fitted_text, time_rows, value_text, write_fitted
+    from cnc_interp.report.identified import fitted_text, time_rows, value_text, write_fitted
     from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
 
     if len(options.pairs) % 2:

@@ -24,8 +24,7 @@ from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
 from cnc_interp.nodes.node_main import Pace, run_node
 from cnc_interp.nodes.peers import Peers, second_publisher
 from cnc_interp.nodes.program_check import Prepared, prepare, prepare_on
-from cnc_interp.nodes.program_queue import ProgramQueue, answer
-from cnc_interp.nodes.program_run import BlockFeed, ProgramRun
+from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, answer
 from cnc_interp.nodes.qos import CONTACTS, LOADED
 from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet

@@ -16,8 +16,7 @@ import numpy as np
 
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import cross, dot, norm, scaled, unit
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, cross, dot, norm, scaled, unit
 
 #: Largest residual of all equations, as lengths, at a scallop point and on the way to it [m].
 CLOSE, ROUGH = 1e-11, 1e-7

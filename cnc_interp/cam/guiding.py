@@ -14,8 +14,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import label
 
 from cnc_interp.cam.surface import Surface, SurfaceError, SurfacePoint
-from cnc_interp.core import MM, UM, FloatArray
-from cnc_interp.core.vectors import cross, dot, norm, scaled, unit
+from cnc_interp.core import MM, UM, FloatArray, cross, dot, norm, scaled, unit
 
 CELLS = 200  #: Cells per direction in which a curve is sought.
 STEP = 0.4 * MM  #: Largest distance of the points of a curve [m].

@@ -31,8 +31,7 @@ from cnc_interp.cam.passes import (
 )
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError, norm
 
 CLOSER = 0.985  #: Distance of a pass that starts afresh, as a share of its half width.
 #: Default distance of the points along a pass [m]; there are at least 25.

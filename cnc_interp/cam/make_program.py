@@ -32,9 +32,8 @@ from cnc_interp.cam.surface import SAMPLES, Placed, Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
 from cnc_interp.cam.tool_path import UPRIGHT, LinkOptions, link, write_tool_path
-from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, FloatArray, InterpError
+from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, FloatArray, InterpError, cross, norm, unit
 from cnc_interp.core.progress_bar import ProgressBar
-from cnc_interp.core.vectors import cross, norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program, read_program

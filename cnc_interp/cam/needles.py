@@ -10,8 +10,7 @@ import numpy as np
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import DEPTH, ROUNDING, SHORT, TOP
 from cnc_interp.cam.surface import Surface
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
-from cnc_interp.core.vectors import dot, norm
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, dot, norm
 from cnc_interp.program.subdivide import great_circle, ragged
 
 PATCH = 64  #: Needles in each direction of a patch.

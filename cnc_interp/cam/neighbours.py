@@ -11,8 +11,7 @@ from numba import njit
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.passes import runs
-from cnc_interp.core import MM, UM, FloatArray, IntArray
-from cnc_interp.core.vectors import unit
+from cnc_interp.core import MM, UM, FloatArray, IntArray, unit
 
 STEP = 0.2 * MM  #: Distance of the poses that are tested [m].
 GOUGE = 1.0 * UM  #: Largest depth at which the mill may enter a neighbour [m].

@@ -10,8 +10,7 @@ from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError, place
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import dot, scaled
+from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, dot, scaled
 
 
 class UnfitError(SurfaceError):

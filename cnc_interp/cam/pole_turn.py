@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.spline_pass import SPACING, SplinePass
-from cnc_interp.core import DEG, FloatArray
-from cnc_interp.core.vectors import cross, dot, norm
+from cnc_interp.core import DEG, FloatArray, cross, dot, norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 

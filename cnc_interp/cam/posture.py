@@ -16,8 +16,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import CurveFrames
-from cnc_interp.core import FloatArray
-from cnc_interp.core.vectors import cross, scaled
+from cnc_interp.core import FloatArray, cross, scaled
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import Strips
 from cnc_interp.cam.tile_work import COLOURS, RANGE
-from cnc_interp.core import DEG, MM, UM, FloatArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import DEG, MM, UM, FloatArray, norm
 from cnc_interp.report import html
 
 CELLS = 700  #: Largest number of cells of a map in each direction.

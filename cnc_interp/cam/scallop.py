@@ -26,8 +26,19 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import CurveFrames, GuidingCurve
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import cross, dot, norm, scaled, unit
+from cnc_interp.core import (
+    DEG,
+    MM,
+    UM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    cross,
+    dot,
+    norm,
+    scaled,
+    unit,
+)
 
 Angle = float | FloatArray
 

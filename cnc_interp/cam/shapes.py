@@ -12,8 +12,7 @@ from scipy.interpolate import NdBSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
 from cnc_interp.cam.surface import Surface, SurfaceError
-from cnc_interp.core import MM, BoolArray, FloatArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import MM, BoolArray, FloatArray, norm
 from cnc_interp.program.subdivide import ragged
 
 

@@ -11,8 +11,7 @@ from cnc_interp.cam.passes import runs
 from cnc_interp.cam.spline_pass import ARM, chord_error
 from cnc_interp.cam.surface import Surface
 from cnc_interp.convert.conversion import with_chords
-from cnc_interp.core import MM, UM, FloatArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import MM, UM, FloatArray, norm
 from cnc_interp.drives.tool_error import SETTLING
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine

@@ -15,8 +15,7 @@ from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.passes import kept_ranges
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface, SurfaceError
-from cnc_interp.core import MM, UM, FloatArray
-from cnc_interp.core.vectors import dot, norm, scaled, unit
+from cnc_interp.core import MM, UM, FloatArray, dot, norm, scaled, unit
 
 ARM = 10.0 * MM  #: Height above the tip at which the tool axis counts for the chord tolerance [m].
 FINEST = 20  #: Most halvings of the intervals along a pass.

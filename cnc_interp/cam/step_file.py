@@ -11,8 +11,7 @@ import numpy as np
 from cnc_interp.cam import shapes
 from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
-from cnc_interp.core import MM, FloatArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import MM, FloatArray, norm
 
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.
 SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cnc_interp.core import MM, BoolArray, FloatArray, InterpError
-from cnc_interp.core.vectors import cross, dot, norm, scaled
+from cnc_interp.core import MM, BoolArray, FloatArray, InterpError, cross, dot, norm, scaled
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,8 @@ from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of
 from cnc_interp.cam.surface import SAMPLES, Surface
-from cnc_interp.core import MM, UM, FloatArray, InterpError
+from cnc_interp.core import MM, UM, FloatArray, InterpError, norm
 from cnc_interp.core.progress_bar import ProgressBar
-from cnc_interp.core.vectors import norm
 from cnc_interp.report.html import STYLE
 
 #: Returns who cuts tiles: address of a scheduler, or number of processes here.

@@ -14,8 +14,7 @@ from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.spline_pass import ARM, SplinePass, sampled
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.convert.conversion import convert
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
-from cnc_interp.core.vectors import norm, unit
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, norm, unit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program

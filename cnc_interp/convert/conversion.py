@@ -6,8 +6,7 @@ import numpy as np
 
 from cnc_interp.convert.native_joins import Joins, portions
 from cnc_interp.convert.native_splines import Portion, SplineMoves
-from cnc_interp.core import MM, UM, BlockError, FloatArray, IntArray, ProgramError
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import MM, UM, BlockError, FloatArray, IntArray, ProgramError, norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, on_pole, start_positions
 from cnc_interp.program import Program

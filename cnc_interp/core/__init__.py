@@ -1,4 +1,4 @@
-"""What all rooms use: types of arrays, units and errors.
+"""What all rooms use: types of arrays, products of vectors, units and errors.
 
 Units are those of the shop floor in SI: ``0.02 * MM`` is a length in metres. All values in the
 code are SI.
@@ -6,6 +6,7 @@ code are SI.
 
 from enum import IntEnum
 from math import pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,33 @@ MS = 1e-3
 MM_PER_MIN = MM / MINUTE
 M_PER_MIN = 1.0 / MINUTE
 REV_PER_MIN = REV / MINUTE
+
+
+# Products of arrays of vectors, (..., 3): faster than ``np.cross`` and ``norm`` on short ones.
+
+
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return scalar products; the order of the sum is fixed, and so are the bits."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], axis=-1)
+
+
+def norm(a: FloatArray) -> FloatArray:
+    return np.sqrt(dot(a, a))
+
+
+def unit(a: FloatArray) -> FloatArray:
+    with np.errstate(invalid='ignore', divide='ignore'):
+        return np.asarray(a / norm(a)[..., None])
+
+
+def scaled(factor: Any, a: FloatArray) -> FloatArray:
+    return np.asarray(np.asarray(factor)[..., None] * a)
 
 
 class InterpError(Exception):

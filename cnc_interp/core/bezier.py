@@ -10,9 +10,8 @@ from math import comb
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import FloatArray
+from cnc_interp.core import FloatArray, norm
 from cnc_interp.core.jet import Jet
-from cnc_interp.core.vectors import norm
 
 
 def bezier_values(values: FloatArray, t: FloatArray | float) -> FloatArray:

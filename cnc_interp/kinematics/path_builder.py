@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core import BlockError, BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import BlockError, BoolArray, FloatArray, IntArray, norm
 from cnc_interp.kinematics import path_checks as checks
 from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import AxisPath

@@ -29,10 +29,9 @@ from math import atan2, ceil, pi, sqrt, tan
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import FloatArray, IntArray, norm
 from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
 from cnc_interp.core.bspline import corner_pieces
-from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.segment_axes import (
     FOLLOWING,
     GUIDE_FROM,

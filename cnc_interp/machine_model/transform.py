@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import BlockError, FloatArray, jet
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import BlockError, FloatArray, jet, norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_kernels import (
     HEAD_ZERO,

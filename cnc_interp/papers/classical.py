@@ -16,8 +16,7 @@ from cnc_interp.cam.passes import constant_tilt
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, conditions, newton_step, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, place
-from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray
-from cnc_interp.core.vectors import cross, dot, norm, scaled, unit
+from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, cross, dot, norm, scaled, unit
 
 SPACING = 0.8 * MM  #: Distance of the points of a pass [m].
 CLOSE = 1e-10  #: Largest residual of the conditions [m].

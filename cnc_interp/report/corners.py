@@ -5,10 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from cnc_interp.core import MM, MM_PER_MIN, UM, FloatArray, IntArray, InterpError, jet
+from cnc_interp.core import MM, MM_PER_MIN, UM, FloatArray, IntArray, InterpError, jet, norm
 from cnc_interp.core.bezier import bezier_values
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.core.vectors import norm
 from cnc_interp.kinematics.segment_axes import speed_of
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core import BlockError, FloatArray, IntArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import BlockError, FloatArray, IntArray, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.smoothing.corners import corner_curve

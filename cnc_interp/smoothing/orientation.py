@@ -5,8 +5,7 @@ from math import atan2, cos, sin, sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import FloatArray
-from cnc_interp.core.vectors import cross, dot, norm
+from cnc_interp.core import FloatArray, cross, dot, norm
 
 # Beside the pole, see ``pole.py``.
 #: Part of the tolerance that can move a path onto the pole [-].

@@ -21,8 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core import UM, BoolArray, FloatArray
-from cnc_interp.core.vectors import cross, norm
+from cnc_interp.core import UM, BoolArray, FloatArray, cross, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.smoothing.segments import SPLINE, PathSegments

@@ -26,8 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cnc_interp.core import DEG, MM, UM, BoolArray, IntArray
-from cnc_interp.core.vectors import dot, norm
+from cnc_interp.core import DEG, MM, UM, BoolArray, IntArray, dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs

@@ -6,8 +6,7 @@ from scipy.interpolate import BPoly, BSpline
 from scipy.special import comb
 from tiers import examples
 
-from cnc_interp.core import DEG, MM, UM
-from cnc_interp.core.vectors import cross, dot, norm
+from cnc_interp.core import DEG, MM, UM, cross, dot, norm
 from cnc_interp.smoothing.corners.connection import poses
 from cnc_interp.smoothing.corners.corner_curve import (
     PAPER_RATIO,

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiers import few_of
 from whole_plans import path_of
 
-from cnc_interp.core import DEG, MM, InterpError
-from cnc_interp.core.vectors import cross
+from cnc_interp.core import DEG, MM, InterpError, cross
 from cnc_interp.feedrate.feed_planner import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates

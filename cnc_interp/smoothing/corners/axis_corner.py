@@ -24,8 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import norm
+from cnc_interp.core import BoolArray, FloatArray, IntArray, norm
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.corners import corner_curve

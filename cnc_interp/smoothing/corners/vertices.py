@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.core import MM, BlockError, BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import dot, norm
+from cnc_interp.core import MM, BlockError, BoolArray, FloatArray, IntArray, dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.axis_corner import AxisCorners, AxisLegs

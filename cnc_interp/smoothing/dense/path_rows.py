@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray, norm
 from cnc_interp.core.columns import Table, column
-from cnc_interp.core.vectors import norm
 from cnc_interp.program.blocks import Blocks
 
 STANDSTILL = 1e-9  #: What moves less than this does not move [m]; angles count at flank height.

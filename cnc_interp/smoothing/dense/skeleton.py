@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core.vectors import dot, norm
+from cnc_interp.core import BoolArray, FloatArray, IntArray, dot, norm
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense import thinning

@@ -38,12 +38,10 @@ def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
 def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str, Any]:
     row = outcome.row
     own = {
-        'program': job.program,
-        'machine': job.model.name,
-        'verdict': str(row.verdict),
+        'program': job.program, 'machine': job.model.name, 'verdict': str(row.verdict),
         'notices': '; '.join(row.notices),
         'cost': rate * row.run_time / HOUR if rate and row.cycle_time else None,
-    }
+    }  # fmt: skip
     return {name: own[name] if name in own else getattr(row, FIELDS.get(name, name))
             for name in COLUMNS}  # fmt: skip
 
@@ -145,11 +143,9 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
             x=[row['time_bound_s'] for row in some],
             y=[row['cycle_time_s'] / row['time_bound_s'] for row in some],
             text=[f'{escape(row["program"])} on {escape(row["machine"])}' for row in some],
-            mode='markers',
-            marker={'color': colour, 'size': 7, 'opacity': 0.7},
-            name=name,
+            mode='markers', marker={'color': colour, 'size': 7, 'opacity': 0.7}, name=name,
             hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
-        )
+        )  # fmt: skip
     figure.update_xaxes(title='least time of any motion without jerk limits [s]', type='log')
     figure.update_yaxes(title='cycle time / least time [-]')
     return html.section(

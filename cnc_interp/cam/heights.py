@@ -98,15 +98,11 @@ class Figures:
         square = Fraction(self.squares, self.cut << SQUARE_BITS)
         spread = square - Fraction(self.total, self.cut << HEIGHT_BITS) ** 2
         return {
-            'highest': high,
-            'lowest': low,
-            'mean': mean,
+            'highest': high, 'lowest': low, 'mean': mean,
             'Sa': float(Fraction(deviations, self.cut << HEIGHT_BITS)),
-            'Sq': sqrt(max(float(spread), 0.0)),
-            'Sz': high - low,
-            'gouged': self.gouged / self.cut,
-            'uncut': 1.0 - self.cut / self.needles,
-        }
+            'Sq': sqrt(max(float(spread), 0.0)), 'Sz': high - low,
+            'gouged': self.gouged / self.cut, 'uncut': 1.0 - self.cut / self.needles,
+        }  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for a file; long numbers are texts."""

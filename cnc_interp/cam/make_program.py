@@ -308,15 +308,11 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
     return IsoScallopOptions(
         scallop_height=_left_by_passes(options),
         stepover=None if options.stepover is None else options.stepover * MM,
-        tilt=options.tilt * DEG,
-        tilt_limits=(low * DEG, high * DEG),
-        yaw=options.yaw * DEG,
-        freedom=options.freedom,
-        start=options.start,
-        points=options.points,
+        tilt=options.tilt * DEG, tilt_limits=(low * DEG, high * DEG), yaw=options.yaw * DEG,
+        freedom=options.freedom, start=options.start, points=options.points,
         stray=None if options.no_restart else IsoScallopOptions.stray,
         overrun=options.overrun * MM,
-    )
+    )  # fmt: skip
 
 
 def _progress(options: argparse.Namespace) -> ProgressBar:

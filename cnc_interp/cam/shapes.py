@@ -107,12 +107,10 @@ class Cylinder(Surface):
         k = self.up
         return (
             np.stack([s, v, k * c - k * self.radius], axis=-1),
-            np.stack([c, zero, -k * s], axis=-1),
-            np.stack([zero, zero + 1.0, zero], axis=-1),
-            np.stack([-s, zero, -k * c], axis=-1),
+            np.stack([c, zero, -k * s], axis=-1), np.stack([zero, zero + 1.0, zero], axis=-1),
+            np.stack([-s, zero, -k * c], axis=-1), np.zeros((*u.shape, 3)),
             np.zeros((*u.shape, 3)),
-            np.zeros((*u.shape, 3)),
-        )
+        )  # fmt: skip
 
 
 class Torus(Surface):
@@ -137,13 +135,9 @@ class Torus(Surface):
         d_across = np.stack([zero, a * np.cos(v), zero], axis=-1)
         dd_across = np.stack([zero, -y, zero], axis=-1)
         return (
-            turned(far, s, c) + across,
-            turned(far, c, -s),
-            turned(d_far, s, c) + d_across,
-            turned(far, -s, -c),
-            turned(d_far, c, -s),
-            turned(dd_far, s, c) + dd_across,
-        )
+            turned(far, s, c) + across, turned(far, c, -s), turned(d_far, s, c) + d_across,
+            turned(far, -s, -c), turned(d_far, c, -s), turned(dd_far, s, c) + dd_across,
+        )  # fmt: skip
 
 
 class BSplineSurface(Surface):
@@ -209,11 +203,9 @@ class RationalSurface(Surface):
         s = a / w
         s_u, s_v = (a_u - w_u * s) / w, (a_v - w_v * s) / w
         return (
-            *(s, s_u, s_v),
-            (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
-            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w,
-            (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
-        )
+            *(s, s_u, s_v), (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
+            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w, (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
+        )  # fmt: skip
 
 
 BOUNDARY = 0.05 * MM  #: Distance of the points that stand for the boundary [m].

@@ -29,13 +29,11 @@ def face_facts(summary: dict[str, Any]) -> list[dict[str, Any]]:
 def _facts_of(face: MachinedFace) -> dict[str, Any]:
     paths = face.paths
     found = {
-        'passes': len(paths.passes),
-        'postures': sum(len(p.s) for p in paths.passes),
-        'computing_time': face.seconds,
-        'length': sum(p.curve.length for p in paths.passes),
+        'passes': len(paths.passes), 'postures': sum(len(p.s) for p in paths.passes),
+        'computing_time': face.seconds, 'length': sum(p.curve.length for p in paths.passes),
         'milled_parts': sum(map(len, face.parts)),
         'milled_length': sum(x.ends[1] - x.ends[0] for parts in face.parts for x in parts),
-    }
+    }  # fmt: skip
     if not isinstance(paths, IsoScallopPaths):
         return found
     tilt = np.concatenate([p.angles.tilt for p in paths.passes])

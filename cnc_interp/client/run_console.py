@@ -129,16 +129,13 @@ class RunConsole:
 
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
-            program=program,
-            machine=machine.name,
-            start_to_motion=self._first_motion - started,
+            program=program, machine=machine.name, start_to_motion=self._first_motion - started,
             axis_units={axis.name: axis.unit for axis in machine.axes},
             **{name: getattr(outcome, name) for name in AS_TOLD},
             **{name: by_axis(getattr(outcome, name)) for name in BY_AXIS},
             position=by_axis(state.positions if state is not None else ()),
-            notices=tuple(outcome.notices),
-            faults=tuple(self._children.faults.values()),
-        )
+            notices=tuple(outcome.notices), faults=tuple(self._children.faults.values()),
+        )  # fmt: skip
 
     def _wait_for_nodes(self) -> None:
         """Wait until program_node takes programs and a recorder hears all nodes."""

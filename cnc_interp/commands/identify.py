@@ -81,13 +81,11 @@ def identify_command(options: Namespace) -> int:
     for line in identified_lines(machine, found):
         print(line)
     text = with_drives(
-        find_machine_file(name).read_text(encoding='utf-8'),
-        machine,
+        find_machine_file(name).read_text(encoding='utf-8'), machine,
         {**machine.drives, **{axis: each.drive for axis, each in found.items()}},
         {**machine.loads, **{axis: each.load for axis, each in found.items() if each.load}},
-        {axis: each.half_width for axis, each in found.items()},
-        options.bag.name,
-    )
+        {axis: each.half_width for axis, each in found.items()}, options.bag.name,
+    )  # fmt: skip
     options.out.write_text(text, encoding='utf-8')
     Machine.load(options.out)
     page = options.html or options.out.with_suffix('.html')

@@ -89,12 +89,10 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
     counts = np.ones(len(blocks), dtype=np.int64)
     counts[linear] = piece_counts(
-        poses,
-        np.abs(last - first)[linear].sum(axis=1),
+        poses, np.abs(last - first)[linear].sum(axis=1),
         CHORD_SHARE * blocks.contour_tolerance[linear],
-        CHORD_SHARE * blocks.orientation_tolerance[linear],
-        height,
-    )
+        CHORD_SHARE * blocks.orientation_tolerance[linear], height,
+    )  # fmt: skip
     row, piece = ragged(counts)
     u, final = (piece + 1.0) / counts[row], piece + 1 == counts[row]
     columns = {name: values[row] for name, values in blocks.columns().items()}

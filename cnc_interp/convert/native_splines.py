@@ -105,12 +105,10 @@ def cubic_curve(
         if deviation <= tolerance:
             size = float(norm(np.diff(values[:, :3], axis=0)).sum())
             return CubicCurve(
-                bottom=spline.c[:, :3].copy(),
-                top=spline.c[:, 3:].copy(),
-                knot_interval=size * (spline.t[3:-1] - spline.t[2:-2]),
-                late=1 + (count + 1) // 2,
+                bottom=spline.c[:, :3].copy(), top=spline.c[:, 3:].copy(),
+                knot_interval=size * (spline.t[3:-1] - spline.t[2:-2]), late=1 + (count + 1) // 2,
                 deviation=deviation,
-            )
+            )  # fmt: skip
         count *= 2
     raise BlockError(
         f'no cubic spline with {MOST_INTERVALS} knot intervals follows this curve within '

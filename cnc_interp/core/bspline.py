@@ -141,11 +141,9 @@ def corner_spline_points(points: FloatArray, u: FloatArray | float) -> FloatArra
 def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
     """Return the four basis functions that are not zero at x in [0, 0.5] [B2013, Eq. A.2]."""
     return (
-        (1.0 - 2.0 * x) ** 3,
-        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
-        2.0 * x * x * (3.0 - 4.0 * x),
+        (1.0 - 2.0 * x) ** 3, 2.0 * x * (3.0 + x * (7.0 * x - 9.0)), 2.0 * x * x * (3.0 - 4.0 * x),
         2.0 * x**3,
-    )
+    )  # fmt: skip
 
 
 def sum_of(terms: Iterable[FloatArray]) -> FloatArray:

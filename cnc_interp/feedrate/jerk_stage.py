@@ -53,8 +53,7 @@ WARM_START_PART = 0.7
 MOST_ITERATIONS = 80
 MARGIN = 120  #: Number of cells before and after a corrected cell that are solved again with it.
 FEW = 0.5  #: Largest part of all cells that is solved again instead of all.
-#: Rows of a tool whose error has no limit.
-NO_ROWS = np.empty((0, 4, 0))
+NO_ROWS = np.empty((0, 4, 0))  #: Rows of a tool whose error has no limit.
 SMOOTHING_CELLS = 1  #: Number of cells on either side over which the first guess is smoothed.
 
 

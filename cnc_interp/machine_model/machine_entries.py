@@ -132,12 +132,9 @@ def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
     offsets = np.zeros((3, 3))
     offsets[0] = vector(content, 'workpiece_zero_mm', optional=True)
     return {
-        'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]),
-        'rotary_on_head': (False, False),
-        'offsets': offsets,
-        'tool_offset': np.zeros((2, 3)),
-        'singular_cone': 0.0,
-    }
+        'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]), 'rotary_on_head': (False, False),
+        'offsets': offsets, 'tool_offset': np.zeros((2, 3)), 'singular_cone': 0.0,
+    }  # fmt: skip
 
 
 def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
@@ -165,12 +162,9 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     ]
     arms = [vector(rotary, key, locked or not any(on_head)) for key in GEOMETRY[3:]]
     return {
-        'rotary_direction': np.array(directions),
-        'rotary_on_head': (on_head[0], on_head[1]),
-        'offsets': np.array(offsets),
-        'tool_offset': np.array(arms),
-        'singular_cone': cone,
-    }
+        'rotary_direction': np.array(directions), 'rotary_on_head': (on_head[0], on_head[1]),
+        'offsets': np.array(offsets), 'tool_offset': np.array(arms), 'singular_cone': cone,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)

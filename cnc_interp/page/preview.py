@@ -98,16 +98,10 @@ class Preview:
             rapid, line = blocks['rapid'][block[rows]], blocks['line'][block[rows]]
         summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
         return Preview(
-            s=s[rows],
-            time=time,
-            block_end=block_end,
-            rapid=rapid,
-            line=line,
-            cycle_time=summary['cycle_time'],
-            notices=notices,
-            bound=bound_text(summary),
+            s=s[rows], time=time, block_end=block_end, rapid=rapid, line=line,
+            cycle_time=summary['cycle_time'], notices=notices, bound=bound_text(summary),
             **columns,
-        )
+        )  # fmt: skip
 
 
 def thinned(count: int) -> IntArray:

@@ -138,16 +138,12 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
     attributes = {'POSITION': 0, 'NORMAL': 1, 'COLOR_0': 2}
     primitive = {'attributes': attributes, 'indices': 3, 'material': 0}
     document = {
-        'asset': {'version': '2.0', 'generator': 'cnc_interp'},
-        'scene': 0,
-        'scenes': [{'nodes': [0]}],
-        'nodes': [{'mesh': 0}],
+        'asset': {'version': '2.0', 'generator': 'cnc_interp'}, 'scene': 0,
+        'scenes': [{'nodes': [0]}], 'nodes': [{'mesh': 0}],
         'meshes': [{'primitives': [primitive]}],
         'materials': [{'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9}}],
-        'buffers': [{'byteLength': int(starts[-1])}],
-        'bufferViews': views,
-        'accessors': accessors,
-    }
+        'buffers': [{'byteLength': int(starts[-1])}], 'bufferViews': views, 'accessors': accessors,
+    }  # fmt: skip
     text = json.dumps(document).encode()
     text += b' ' * (-len(text) % 4)
     binary = b''.join(parts)

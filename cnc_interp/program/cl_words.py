@@ -80,8 +80,7 @@ _VALUES = {
     'RETURN': 'retract', 'MMPM': 'feed', 'IPM': 'feed', 'STEP': 'peck', 'INCR': 'peck',
     '1STPECK': 'peck', 'SUBPECK': 'next', 'DWELL': 'dwell',
 }  # fmt: skip
-#: How near the tool comes to the last peck in a rapid [m].
-_NEAR = 0.5 * MM
+_NEAR = 0.5 * MM  #: How near the tool comes to the last peck in a rapid [m].
 
 
 def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError]) -> Hole:

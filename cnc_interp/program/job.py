@@ -165,10 +165,8 @@ def _positions_shown(
 
 def _tool_shown(tool: Tool) -> dict[str, Any]:
     sizes = {
-        'length': tool.length,
-        'radius': tool.radius or None,
-        'corner_radius': tool.corner_radius,
-    }
+        'length': tool.length, 'radius': tool.radius or None, 'corner_radius': tool.corner_radius,
+    }  # fmt: skip
     shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
     return {**shown, 'remark': tool.remark} if tool.remark else shown
 
@@ -199,12 +197,10 @@ class _Reading:
         return JobSetup(
             {k: self._position(offsets[k], k, ALL_OFFSETS) for k in offsets},
             {self._number_of(k, 'tools'): self._tool(tools[k], k) for k in tools},
-            {k: self._position(references[k], k, REFERENCE_POINTS) for k in references},
-            active,
-            self._position(whole.get('g92') or {}, 'g92', ('g92',)),
-            g92_on,
+            {k: self._position(references[k], k, REFERENCE_POINTS) for k in references}, active,
+            self._position(whole.get('g92') or {}, 'g92', ('g92',)), g92_on,
             self._number_of(whole.get('tool', 0), 'tool'),
-        )
+        )  # fmt: skip
 
     def _mapping(self, content: Any, what: str) -> dict[Any, Any]:
         if not isinstance(content, dict):

@@ -368,12 +368,10 @@ class ModalState:
         """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
         setup = self.setup
         found = {
-            5210: float(setup.g92_on),
-            5220: 1.0 + ALL_OFFSETS.index(setup.offset),
-            5400: float(tool),
-            5403: self.frames.length / self.unit,
+            5210: float(setup.g92_on), 5220: 1.0 + ALL_OFFSETS.index(setup.offset),
+            5400: float(tool), 5403: self.frames.length / self.unit,
             5410: 2.0 * setup.tools.get(tool, Tool()).radius / self.unit,
-        }
+        }  # fmt: skip
         letters = ('X', 'Y', 'Z', *self.rotary_letters)
         machine = dict(zip(letters, [*self.zero.tolist(), 0.0, 0.0], strict=False))
         none = dict.fromkeys(letters, 0.0)

@@ -44,11 +44,9 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     if path:
         path = {**path, 'block': renumbered(path['block'], path['q'])}
     return replace(
-        plan,
-        blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
-        setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)},
-        path=path,
-    )
+        plan, blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
+        setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)}, path=path,
+    )  # fmt: skip
 
 
 def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:

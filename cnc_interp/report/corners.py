@@ -132,28 +132,17 @@ def _view(
     near = slice(max(first - 1, 0), last + 2)
     slowest, programmed = _speeds(plan, start, end)
     return CornerView(
-        line=int(one.line_number[0]),
-        deviation=one.deviation[0] / UM,
+        line=int(one.line_number[0]), deviation=one.deviation[0] / UM,
         tolerance=_tolerances(plan, segments, np.array([row]))[0] / UM,
-        slowest=slowest / MM_PER_MIN,
-        programmed=programmed / MM_PER_MIN,
-        bottom=tip / MM,
-        top=(top + bend) / MM,
-        bottom_polygon=bottom[0] / MM,
-        top_polygon=polygon[0] / MM,
-        vertex=one.bottom[0, 2] / MM,
-        axis=axis,
-        u=u,
-        top_u=top_u,
-        connection=norm(bend) / UM,
-        way=(way + start - middle) / MM,
-        turn=turn * MM**3,
+        slowest=slowest / MM_PER_MIN, programmed=programmed / MM_PER_MIN, bottom=tip / MM,
+        top=(top + bend) / MM, bottom_polygon=bottom[0] / MM, top_polygon=polygon[0] / MM,
+        vertex=one.bottom[0, 2] / MM, axis=axis, u=u, top_u=top_u, connection=norm(bend) / UM,
+        way=(way + start - middle) / MM, turn=turn * MM**3,
         ends=((start - middle) / MM, (end - middle) / MM),
-        feed_way=(plan.path['s'][near] - middle) / MM,
-        feed=plan.path['feed'][near] / MM_PER_MIN,
+        feed_way=(plan.path['s'][near] - middle) / MM, feed=plan.path['feed'][near] / MM_PER_MIN,
         feed_limit=plan.path['feed_limit'][near] / MM_PER_MIN,
         programmed_feed=plan.path['programmed_feed'][near] / MM_PER_MIN,
-    )
+    )  # fmt: skip
 
 
 def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:

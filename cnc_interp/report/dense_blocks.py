@@ -75,17 +75,12 @@ def curves_of(plan: PlanFiles, segments: PathSegments) -> CurvesView | None:
     plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     chosen = np.unique(np.linspace(0, len(spans) - 1, min(len(spans), MOST)).astype(int))
     return CurvesView(
-        blocks=int((last - first + 1).sum()),
-        spans=len(spans),
-        runs=int(begins.sum()),
-        share=float(length[spans].sum() / length.sum()),
-        way=np.cumsum(length)[spans][chosen] / MM,
-        bound=bound[chosen],
-        used=(segments.deviation[spans] / tolerance).max(axis=0),
-        curve=(points - middle) @ plane.T / MM,
-        polyline=(tips - middle) @ plane.T / MM,
+        blocks=int((last - first + 1).sum()), spans=len(spans), runs=int(begins.sum()),
+        share=float(length[spans].sum() / length.sum()), way=np.cumsum(length)[spans][chosen] / MM,
+        bound=bound[chosen], used=(segments.deviation[spans] / tolerance).max(axis=0),
+        curve=(points - middle) @ plane.T / MM, polyline=(tips - middle) @ plane.T / MM,
         line=int(segments.line_number[spans[worst]]),
-    )
+    )  # fmt: skip
 
 
 def bounds_figure(view: CurvesView) -> Any:

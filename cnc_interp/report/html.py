@@ -102,16 +102,12 @@ AT_PLACE = (
 
 def base_layout(height: int) -> dict[str, Any]:
     return {
-        'height': height,
-        'template': 'none',
-        'font': {'family': FONT, 'size': 12, 'color': INK},
-        'paper_bgcolor': 'white',
-        'plot_bgcolor': 'white',
+        'height': height, 'template': 'none', 'font': {'family': FONT, 'size': 12, 'color': INK},
+        'paper_bgcolor': 'white', 'plot_bgcolor': 'white',
         'margin': {'l': 70, 'r': 16, 't': 34, 'b': 46},
-        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'},
-        'hovermode': 'x',
+        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'}, 'hovermode': 'x',
         'hoverlabel': {'font': {'family': FONT, 'size': 12}},
-    }
+    }  # fmt: skip
 
 
 def laid_out(figure: Any, height: int, **own: Any) -> Any:

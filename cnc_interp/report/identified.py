@@ -34,10 +34,8 @@ def values_of(
         key, unit = axis_drives.key_and_unit(entry, linear)
         width = found.half_width.get(entry.field)
         yield (
-            key,
-            getattr(found.drive, entry.field) / unit,
-            None if width is None else width / unit,
-        )
+            key, getattr(found.drive, entry.field) / unit, None if width is None else width / unit,
+        )  # fmt: skip
 
 
 def identified_lines(machine: Machine, found: Mapping[int, IdentifiedAxis]) -> list[str]:

@@ -129,16 +129,11 @@ class PlanWriter:
         tip, axis = self._transform.forward(path.q)
         cells = path.cell_feed
         columns = {
-            's': path.s,
-            'tip': tip,
-            'axis': axis,
-            'q': path.q,
+            's': path.s, 'tip': tip, 'axis': axis, 'q': path.q,
             'programmed_feed': np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]]),
-            'feed_limit': feed_limit(path, self._machine),
-            'feed': feed,
-            'block': np.r_[path.cell_block, path.cell_block[-1:]],
-            'stop': path.stop,
-        }
+            'feed_limit': feed_limit(path, self._machine), 'feed': feed,
+            'block': np.r_[path.cell_block, path.cell_block[-1:]], 'stop': path.stop,
+        }  # fmt: skip
         self._archives['path'].append({name: column[rows] for name, column in columns.items()})
 
     def setpoints(self, samples: Setpoints) -> None:
@@ -252,12 +247,9 @@ class _Column:
 def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
     extra = {'extra_axes': blocks.extra} if blocks.extra.shape[1] else {}
     return extra | {
-        'tip': blocks.tip,
-        'axis': blocks.axis,
-        'feed': effective_feed(blocks, tip_before),
-        'line': blocks.line_number,
-        **{name: getattr(blocks, name) for name in _AS_IN_BLOCKS},
-    }
+        'tip': blocks.tip, 'axis': blocks.axis, 'feed': effective_feed(blocks, tip_before),
+        'line': blocks.line_number, **{name: getattr(blocks, name) for name in _AS_IN_BLOCKS},
+    }  # fmt: skip
 
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:

@@ -28,8 +28,7 @@ from cnc_interp.smoothing.segments import SPLINE, PathSegments
 
 #: Part of the orientation tolerance that may be used [-], and the most at flank height [m].
 SHARE, MOST = 0.05, 0.5 * UM
-#: Part of the orientation tolerance that may be used at both ends of a block [-].
-WANDER = 0.8
+WANDER = 0.8  #: Part of the orientation tolerance that may be used at both ends of a block [-].
 
 
 class Upright:

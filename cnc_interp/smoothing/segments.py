@@ -65,8 +65,7 @@ class PathSegments(Table):
     rotary: FloatArray = column(POINTS, 2, default=np.nan)
     #: Length of a line; flank height times angle of a rotation; NaN for curves [m].
     length: FloatArray = column(default=np.nan)
-    #: Whether the tool rests at the end of the segment.
-    stop: BoolArray = column(default=False)
+    stop: BoolArray = column(default=False)  #: Whether the tool rests at the end of the segment.
     #: Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the
     #: path. A rotation uses the first two, like a line.
     extra: FloatArray = column(POINTS, 'k', default=0.0)

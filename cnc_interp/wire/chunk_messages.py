@@ -28,19 +28,12 @@ def chunk_message(
     """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
     return SetpointChunk(
-        **vars(run_id),
-        joins=joins,
-        first_sample=first,
-        period=period,
-        axis_count=samples.position.shape[1],
-        line_numbers=lines,
-        tail_line_numbers=tail_lines,
-        wait=int(chunk.wait),
-        end_of_program=chunk.wait is Wait.END,
+        **vars(run_id), joins=joins, first_sample=first, period=period,
+        axis_count=samples.position.shape[1], line_numbers=lines, tail_line_numbers=tail_lines,
+        wait=int(chunk.wait), end_of_program=chunk.wait is Wait.END,
         functions=function_messages(chunk.functions, chunk.first_function, signals),
-        **setpoint_fields(samples),
-        **setpoint_fields(chunk.tail, 'tail_'),
-    )
+        **setpoint_fields(samples), **setpoint_fields(chunk.tail, 'tail_'),
+    )  # fmt: skip
 
 
 def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:

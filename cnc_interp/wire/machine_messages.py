@@ -70,11 +70,9 @@ def _executed_of_plan(
     first = executed[0]
     samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
     common = {
-        **vars(first.run_id),
-        'first_sample': first.number,
-        'period': period,
+        **vars(first.run_id), 'first_sample': first.number, 'period': period,
         'axis_count': samples.position.shape[1],
-    }
+    }  # fmt: skip
     actual = np.concatenate([stretch.actual for stretch in executed])
     setpoints = msg.SetpointChunk(
         **common,
@@ -102,35 +100,22 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
     speed, angle = playback.turning
     message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
-        **{name: getattr(playback, name) for name in OF_PLAYBACK},
-        **vars(playback.run_id),
-        state=NUMBERS[run.state],
-        interpolation_period=period,
-        samples=playback.played,
-        sequence=last.block if last else 0,
-        line_number=last.line if last else 0,
-        path_position=last.s if last else 0.0,
-        resume_positions=playback.away.tolist(),
+        **{name: getattr(playback, name) for name in OF_PLAYBACK}, **vars(playback.run_id),
+        state=NUMBERS[run.state], interpolation_period=period, samples=playback.played,
+        sequence=last.block if last else 0, line_number=last.line if last else 0,
+        path_position=last.s if last else 0.0, resume_positions=playback.away.tolist(),
         positions=feedback.position[-1].tolist(),
-        commanded_positions=feedback.setpoint[-1].tolist(),
-        tip=feedback.tip[-1],
-        axis=feedback.axis[-1],
-        following_error=feedback.following_error[-1].tolist(),
+        commanded_positions=feedback.setpoint[-1].tolist(), tip=feedback.tip[-1],
+        axis=feedback.axis[-1], following_error=feedback.following_error[-1].tolist(),
         largest_following_error=playback.largest_following_error.tolist(),
-        contour_error=float(feedback.contour_error[-1]),
-        velocity_use=axes.largest_use[0].tolist(),
-        acceleration_use=axes.largest_use[1].tolist(),
-        jerk_use=axes.largest_use[2].tolist(),
-        feedrate=float(feedback.feedrate[-1]),
-        recent_velocity_use=recent[0].tolist(),
-        recent_acceleration_use=recent[1].tolist(),
-        recent_jerk_use=recent[2].tolist(),
+        contour_error=float(feedback.contour_error[-1]), velocity_use=axes.largest_use[0].tolist(),
+        acceleration_use=axes.largest_use[1].tolist(), jerk_use=axes.largest_use[2].tolist(),
+        feedrate=float(feedback.feedrate[-1]), recent_velocity_use=recent[0].tolist(),
+        recent_acceleration_use=recent[1].tolist(), recent_jerk_use=recent[2].tolist(),
         buffered_time=playback.buffer.count * period,
-        least_buffered_time=least * period if np.isfinite(least) else np.nan,
-        spindle_speed=speed,
-        spindle_angle=angle,
-        message=run.text,
-    )
+        least_buffered_time=least * period if np.isfinite(least) else np.nan, spindle_speed=speed,
+        spindle_angle=angle, message=run.text,
+    )  # fmt: skip
     message.header.frame_id = 'workpiece'
     return message
 

@@ -91,16 +91,12 @@ def _segment_message(
 ) -> PathSegment:
     kind = int(segments.kind[i])
     message = PathSegment(
-        program_id=run_id.program_id,
-        attempt=run_id.attempt,
-        sequence=sequence,
-        bottom=_spline(segments.bottom[i], kind),
-        flank_height=height,
-        rotary=segments.rotary[i].ravel(),
-        extra_axes=packed(segments.extra[i]),
+        program_id=run_id.program_id, attempt=run_id.attempt, sequence=sequence,
+        bottom=_spline(segments.bottom[i], kind), flank_height=height,
+        rotary=segments.rotary[i].ravel(), extra_axes=packed(segments.extra[i]),
         end_of_program=end,
         **{field: getattr(segments, name)[i].tolist() for name, field in ALIKE.items()},
-    )
+    )  # fmt: skip
     for name, pair in PAIRS.items():
         for field, value in zip(pair, getattr(segments, name)[i].tolist(), strict=True):
             setattr(message, field, value)
@@ -168,14 +164,11 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         for name, pair in PAIRS.items()
     }  # fmt: skip
     return PathSegments(
-        bottom=bottom,
-        top=top,
-        connection=connection,
-        parametrization=parametrization,
+        bottom=bottom, top=top, connection=connection, parametrization=parametrization,
         rotary=np.array([m.rotary for m in messages]).reshape(n, POINTS, 2),
         extra=np.array([m.extra_axes for m in messages], dtype=float).reshape(n, POINTS, -1),
         **columns,
-    )
+    )  # fmt: skip
 
 
 def function_messages(functions: Functions, first: int, signals: Signals) -> list[Function]:

@@ -122,15 +122,12 @@ def machine_report(message: msg.MachineState) -> MachineReport:
     stamp = message.header.stamp
     same = ('plan_over', 'start_wanted', 'completed', 'path_position', 'message', 'functions')
     return MachineReport(
-        run_id=run_id_of(message),
-        state=state_of(message),
-        stands=np.array(message.commanded_positions),
-        time=stamp.sec + 1e-9 * stamp.nanosec,
-        must_home=tuple(message.must_home),
-        away=len(message.resume_positions) > 0,
+        run_id=run_id_of(message), state=state_of(message),
+        stands=np.array(message.commanded_positions), time=stamp.sec + 1e-9 * stamp.nanosec,
+        must_home=tuple(message.must_home), away=len(message.resume_positions) > 0,
         probed=message.reason == msg.MachineState.REASON_PROBE,
         **{name: getattr(message, name) for name in same},
-    )
+    )  # fmt: skip
 
 
 def pairs_of(settings: Settings) -> list[KeyValue]:

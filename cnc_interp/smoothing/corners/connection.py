@@ -40,11 +40,9 @@ class Curves:
     @staticmethod
     def empty(count: int, points: int, spans: int) -> Curves:
         return Curves(
-            np.zeros((count, 5, 3)),
-            np.zeros((count, 5, 3)),
-            np.zeros((count, points, 3)),
+            np.zeros((count, 5, 3)), np.zeros((count, 5, 3)), np.zeros((count, points, 3)),
             np.zeros((count, spans, 8)),
-        )
+        )  # fmt: skip
 
     def put(self, rows: IntArray, other: Curves) -> None:
         self.bottom[rows], self.top[rows] = other.bottom, other.top

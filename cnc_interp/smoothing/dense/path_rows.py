@@ -22,11 +22,9 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
     turn = np.abs(after.rotary - begin)
     turn = np.where(np.isnan(after.rotary), 0.0, np.where(np.isnan(turn), np.inf, turn))
     ways = (
-        norm(after.tip - before.tip),
-        height * norm(after.axis - before.axis),
-        height * turn.max(axis=1),
-        np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
-    )
+        norm(after.tip - before.tip), height * norm(after.axis - before.axis),
+        height * turn.max(axis=1), np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
+    )  # fmt: skip
     return np.asarray(np.max(ways, axis=0))
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.nbuffer import Heights, cut_needles
 from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.simulation import (
     Motion,

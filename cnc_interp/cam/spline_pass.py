@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
-from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.passes import kept_ranges
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface, SurfaceError

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.cam import shapes
-from cnc_interp.cam.neighbours import Neighbours
+from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.surface import Domain, Placed, Surface, SurfaceError
 from cnc_interp.core import MM, FloatArray, norm
 

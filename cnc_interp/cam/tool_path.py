@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
-from cnc_interp.cam.neighbours import Neighbours
+from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.spline_pass import ARM, SplinePass, sampled
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.convert.conversion import convert

@@ -23,7 +23,7 @@ from cnc_interp.program.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
 from cnc_interp.proof.plan_files import BY_PROBE
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings

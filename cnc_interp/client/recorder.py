@@ -24,7 +24,7 @@ from cnc_interp.client.question import Question
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
 from cnc_interp.processes.stop_signals import stop_signals
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
 
 #: Topics from which plan files are written.

@@ -26,8 +26,8 @@ from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.processes.this_host import stay_on_this_host
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import smoother_of
-from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Setpoints, Wait
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.chunk_messages import setpoints_from

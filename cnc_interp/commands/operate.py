@@ -188,7 +188,7 @@ def mdi_command(options: argparse.Namespace) -> int:
 
 def probe_command(options: argparse.Namespace) -> int:
     """Run a probing cycle from where the machine stands; without one, tell them all."""
-    from cnc_interp.program.probe_cycles import cycles
+    from cnc_interp.program.probing import cycles
 
     cycle = cycles().get(options.cycle)
     if not options.cycle:

@@ -27,9 +27,9 @@ from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.limit_use import limit_use
+from cnc_interp.feedrate.motion_law import Stretch, settle_widths, spread_law
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
-from cnc_interp.feedrate.stretch import Stretch, settle_widths, spread_law
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath
 

@@ -1,13 +1,17 @@
-"""MotionLaw: the path position s as a closed-form function of time, piece by piece."""
+"""MotionLaw: the position s as a closed-form function of time; Stretch, the law of one part."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numba
 import numpy as np
 from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
-from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
+from cnc_interp.feedrate.jerk_rows import follow_widths, node_states
+from cnc_interp.kinematics.axis_path import AxisPath, cut, septic_coefficients, septic_jet
 
 
 class MotionLaw(Table):
@@ -105,3 +109,115 @@ def _axis_motion(
             out[2, m, k] = q_ss * (v * v) + q_s * a  # Eq. 7
             out[3, m, k] = q_sss * v**3 + 3.0 * q_ss * v * a + q_s * j  # Eq. 8
     return out, cell, place
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A planned part of the path that ends at rest: N path cells in n planner cells."""
+
+    path: AxisPath  #: The path on the grid of the planner.
+    #: (N + 1,): s_dot and s_ddot at the grid points [m/s, m/s2].
+    v: FloatArray
+    a: FloatArray
+    #: (N,): Constant s_dddot in each path cell [m/s3], and the time spent in it [s].
+    jerk: FloatArray
+    duration: FloatArray
+    nodes: IntArray  #: (n + 1,): Grid points at which the planner cells begin and end.
+    scale: FloatArray  #: (n, 4, n_axes): Parts of each limit that a planner cell may use [-].
+    use: float  #: Largest use of a limit at the checked instants, divided by the accepted use [-].
+    converged: bool = True  #: Whether the solver came to the optimum; if not, far perhaps.
+    #: (2, n): Parts of the limit on the error at the tool that the rows of tip and axis got [-].
+    tool: FloatArray | None = None
+    tool_use: float = 0.0  #: Largest error by the simulated drives, over its limit [-].
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Coefficients of the planner cells, (n,) [m2/s2]: v^2 + a H, H the effective width."""
+        v, a = self.v[self.nodes], self.a[self.nodes]
+        width = np.add.reduceat(self.duration, self.nodes[:-1]) * (v[:-1] + v[1:]) / 2
+        return np.maximum(v[:-1] ** 2 + a[:-1] * width, np.finfo(np.float64).tiny)
+
+    def after(self, cell: int) -> Stretch:
+        first = int(self.nodes[cell])
+        return Stretch(
+            path=cut(self.path, first, len(self.duration)), v=self.v[first:], a=self.a[first:],
+            jerk=self.jerk[first:], duration=self.duration[first:],
+            nodes=self.nodes[cell:] - first, scale=self.scale[cell:], use=self.use,
+            converged=self.converged, tool=None if self.tool is None else self.tool[:, cell:],
+            tool_use=self.tool_use,
+        )  # fmt: skip
+
+    def law(self, start_time: float, last: int) -> MotionLaw:
+        time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
+        state = self.path.s[:last], self.v[:last], self.a[:last], self.jerk[:last]
+        return MotionLaw(time[:-1], self.duration[:last], *state, np.arange(last))
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def settle_widths(
+    h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
+    a: FloatArray, duration: FloatArray,
+) -> float:  # fmt: skip
+    """Iterate the widths to rounding: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
+
+    Returns what is left, infinite if a cell takes no time, or no finite one.
+    """
+    b = np.empty(len(v))
+    left = 1.0
+    for _ in range(60):
+        node_states(m, width, ends, b, a, v)
+        left = follow_widths(h, a, v, width)
+        if left < 2e-15:
+            break
+    node_states(m, width, ends, b, a, v)
+    for i in range(len(h)):
+        duration[i] = 2 * width[i] / (v[i] + v[i + 1])
+        if not 0.0 < duration[i] < np.inf:
+            left = np.inf
+    return left
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
+    """Solve v t + a t^2/2 + j t^3/6 = x for t between two times (Newton with bisection)."""
+    t = 0.5 * (low + high)
+    for _ in range(80):
+        off = t * (v + t * (a / 2 + t * j / 6)) - x
+        if off > 0.0:
+            high = t
+        else:
+            low = t
+        speed = v + t * (a + t * j / 2)
+        new = t - off / speed if speed > 0.0 else 0.5 * (low + high)
+        if not low <= new <= high:
+            new = 0.5 * (low + high)
+        if abs(new - t) <= 1e-16 * high:
+            return new
+        t = new
+    return t
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def spread_law(
+    s: FloatArray, nodes: IntArray, v_node: FloatArray, a_node: FloatArray,
+    duration_node: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray,
+    duration: FloatArray,
+) -> None:  # fmt: skip
+    """Spread the law of the planner cells between ``nodes`` over the path cells inside them."""
+    for i in range(len(nodes) - 1):
+        first, last = nodes[i], nodes[i + 1]
+        total = duration_node[i]
+        j = (a_node[i + 1] - a_node[i]) / total
+        v[first], a[first] = v_node[i], a_node[i]
+        before = 0.0
+        for c in range(first, last):
+            jerk[c] = j
+            if c + 1 == last:
+                duration[c] = total - before
+                continue
+            t = time_at(s[c + 1] - s[first], v_node[i], a_node[i], j, before, total)
+            v[c + 1] = v_node[i] + t * (a_node[i] + t * j / 2)
+            a[c + 1] = a_node[i] + t * j
+            duration[c] = t - before
+            before = t
+    v[nodes[-1]], a[nodes[-1]] = v_node[-1], a_node[-1]

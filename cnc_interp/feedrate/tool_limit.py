@@ -26,8 +26,7 @@ from cnc_interp.core import MM, BoolArray, FloatArray, SettingsError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.error_series import ErrorSeries, error_series
 from cnc_interp.drives.tool_error import ToolMotion
-from cnc_interp.feedrate.motion_law import MotionLaw, axis_motion
-from cnc_interp.feedrate.stretch import Stretch
+from cnc_interp.feedrate.motion_law import MotionLaw, Stretch, axis_motion
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform

@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.machine.switching import ActsOfChunk
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 

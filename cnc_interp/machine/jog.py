@@ -9,8 +9,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
 from cnc_interp.machine.playback import Playback
-from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.run_state import Reason, RunId, State
 
 LATE = 0.2  #: The motion stops where no beat has come for this time [s].
 GIVEN_UP = 3.0  #: A key that no beat names for longer was given up [s].

@@ -31,8 +31,7 @@ from cnc_interp.machine.spindle import Spindle
 from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import SINCE
-from cnc_interp.run.run_id import NO_RUN, RunId
-from cnc_interp.run.run_state import Event, Reason, RunState, State
+from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.

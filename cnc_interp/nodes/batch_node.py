@@ -18,8 +18,8 @@ from cnc_interp.batch.batch_run import Progress, Store, run_batch
 from cnc_interp.batch.processes import Processes, total_memory
 from cnc_interp.batch.task import Jobs, Verdict, programs_of
 from cnc_interp.core import InterpError
-from cnc_interp.core.named_files import require_allowed, require_inside
 from cnc_interp.core.progress_bar import TimeLeft
+from cnc_interp.core.small_files import require_allowed, require_inside
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import end_goal, every, run_node
 from cnc_interp.settings.options import with_texts

@@ -23,7 +23,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.course import LIVE
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
 from cnc_interp.run.path_chain import segments_of, way_time
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 from cnc_interp.smoothing.segments import PathSegments

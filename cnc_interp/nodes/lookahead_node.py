@@ -17,7 +17,7 @@ from cnc_interp.nodes.node_main import Pace, run_node
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.path_chain import smoother_of
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
 from cnc_interp.wire.message_checks import check_block

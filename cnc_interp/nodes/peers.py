@@ -10,8 +10,8 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
-from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import MachineReport
+from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import BlockError, FloatArray, IntArray, InterpError, ProgramError
-from cnc_interp.core.named_files import open_named, require_allowed
+from cnc_interp.core.small_files import open_named, require_allowed
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
 from cnc_interp.program.active_modes import ModesOfBlocks

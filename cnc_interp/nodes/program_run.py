@@ -21,9 +21,8 @@ from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run import run_phase
-from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import SENDING, Code, MachineReport, Outcome, Phase, PhaseChange
-from cnc_interp.run.run_state import State
+from cnc_interp.run.run_state import NO_RUN, RunId, State
 from cnc_interp.wire.path_messages import block_messages, function_messages
 from cnc_interp.wire.run_messages import loaded_program, pairs_of
 from cnc_interp.wire.window_protocol import WindowedSender

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 

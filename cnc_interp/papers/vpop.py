@@ -11,9 +11,9 @@ import numpy as np
 from cnc_interp.core import FloatArray
 from cnc_interp.feedrate.jerk_stage import ACCEPTED
 from cnc_interp.feedrate.limit_use import limit_use
+from cnc_interp.feedrate.motion_law import Stretch
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
-from cnc_interp.feedrate.stretch import Stretch
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients
 from cnc_interp.papers.vpop_steps import (
     AT_END,

@@ -16,7 +16,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
-from cnc_interp.feedrate.stretch import time_at
+from cnc_interp.feedrate.motion_law import time_at
 from cnc_interp.kinematics.axis_path import septic_jet
 
 #: Ends of the cells from 0 on, septics and largest feed of each, limits, and the longest step.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core import FloatArray, IntArray, ProgramError
-from cnc_interp.core.named_files import open_named
+from cnc_interp.core.small_files import open_named
 from cnc_interp.program import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18

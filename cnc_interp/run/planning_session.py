@@ -13,9 +13,9 @@ from typing import Any, Protocol
 from cnc_interp.core import FloatArray, InterpError, Refusal
 from cnc_interp.program.functions import Functions
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
-from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import LEFT, MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
+from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from cnc_interp.core import FloatArray, Refusal
-from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_state import SELF_STARTING, State
+from cnc_interp.run.run_state import SELF_STARTING, RunId, State
 
 
 class Phase(Enum):

@@ -7,7 +7,7 @@ import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.wire.path_messages import function_messages, functions_from, packed
 from cnc_interp.wire.run_messages import run_id_of

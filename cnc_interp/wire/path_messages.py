@@ -13,7 +13,7 @@ from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.functions import Functions
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
 
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])

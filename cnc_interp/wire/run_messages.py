@@ -14,9 +14,8 @@ from diagnostic_msgs.msg import KeyValue
 from cnc_interp.core import SettingsError
 from cnc_interp.program.active_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
-from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_phase import MachineReport
-from cnc_interp.run.run_state import State
+from cnc_interp.run.run_state import RunId, State
 from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import Settings, texts_of, with_texts
 

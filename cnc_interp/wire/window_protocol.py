@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from cnc_interp.core import Refusal, StreamError
-from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
 
 Item = TypeVar('Item')
 REMEMBERED = 64  #: Programs whose late messages are recognised as such.

@@ -21,7 +21,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import block_messages
 

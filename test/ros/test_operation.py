@@ -20,7 +20,7 @@ from std_msgs.msg import Float64
 from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.processes.node_processes import NODES
-from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.wire.path_messages import block_messages
 from cnc_interp.wire.run_messages import run_id_of
 

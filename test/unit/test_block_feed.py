@@ -15,7 +15,7 @@ from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.program import JobSetup, read_text
 from cnc_interp.program.active_modes import ModesOfBlocks
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import blocks_from
 from cnc_interp.wire.window_protocol import WindowedSender

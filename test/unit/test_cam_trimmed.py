@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
 from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.neighbours import Neighbours
 from cnc_interp.cam.shapes import Bumps, Plane, Trimmed
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass

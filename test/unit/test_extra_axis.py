@@ -16,7 +16,7 @@ from cnc_interp.program import read_text
 from cnc_interp.program.blocks import BlockSpool
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, SPLINE
 

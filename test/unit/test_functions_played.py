@@ -20,9 +20,8 @@ from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.source import Source
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
-from cnc_interp.run.run_id import RunId
 from cnc_interp.run.run_planner import RunPlanner
-from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import (

@@ -20,7 +20,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run import path_chain
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER

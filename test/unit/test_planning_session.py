@@ -21,10 +21,9 @@ from cnc_interp.run.planning_session import (
     PlanningSession,
     Received,
 )
-from cnc_interp.run.run_id import NO_RUN, RunId
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision
-from cnc_interp.run.run_state import State
+from cnc_interp.run.run_state import NO_RUN, RunId, State
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.run.stop_tails import FunctionQueue
 from cnc_interp.wire.window_protocol import WindowedSender

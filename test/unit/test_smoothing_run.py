@@ -12,7 +12,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.lookahead_node import SmoothingRun
-from cnc_interp.run.run_id import RunId
+from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.wire.path_messages import block_messages, segments_from

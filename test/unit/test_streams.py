@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cnc_interp.core import Refusal, StreamError
-from cnc_interp.run.run_id import NO_RUN, RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.wire.window_protocol import Silence, WindowedReceiver, WindowedSender
 
 RESEND = 0.5

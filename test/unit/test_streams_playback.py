@@ -21,8 +21,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.course import SLICE, sliced
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
-from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
 from cnc_interp.run.start_place import approach
 from cnc_interp.wire.machine_messages import executed_setpoints

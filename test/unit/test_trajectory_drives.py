@@ -18,8 +18,7 @@ from cnc_interp.machine.trajectory_drives import (
     TrajectoryDrives,
 )
 from cnc_interp.nodes.controller_link import joint_report, joint_trajectory
-from cnc_interp.run.run_id import RunId
-from cnc_interp.run.run_state import Reason, State
+from cnc_interp.run.run_state import Reason, RunId, State
 
 PERIOD = round(T * SECOND)
 #: Delays of the controller [s].

@@ -103,17 +103,13 @@ def recorded_lesson(bag: Bag) -> Lesson:
     lead = Compensation(known, run.period, setpoint[0]).lead
     tip = learning.measured_error(machine, run.period, lead, setpoint, feedback)[:, 0]
     error = np.array([[tip.max(), tip.mean()]])
+    rate = None if before is None else before.rate
+    rates = learning.learnt_rates(known, run.period, lead, setpoint, feedback, rate)
     motion = learning.LearntMotion(
-        setpoint,
-        learning.learnt_rates(
-            known, run.period, lead, setpoint, feedback, None if before is None else before.rate
-        ),
-        run.period,
+        setpoint, rates, run.period,
         error if before is None else np.concatenate([before.error, error]),
-        ' '.join(machine.axis_names),
-        learning.hash_of(name),
-        learning.hash_of(model),
-    )
+        ' '.join(machine.axis_names), learning.hash_of(name), learning.hash_of(model),
+    )  # fmt: skip
     return Lesson(motion, float(error[0, 0]), float(error[0, 1]))
 
 

@@ -153,10 +153,8 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
         notes.append('G64 P holds the contour tolerance only; the orientation tolerance differs')
     moves = (
         WrittenMove(
-            tip=blocks.tip[i],
-            rotary=None if rotary is None else rotary[i],
-            feedrate=float(blocks.feedrate[i]),
-            duration=float(blocks.duration[i]),
+            tip=blocks.tip[i], rotary=None if rotary is None else rotary[i],
+            feedrate=float(blocks.feedrate[i]), duration=float(blocks.duration[i]),
             rapid=bool(blocks.rapid[i]) or i == 0,
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
             program_stop=int(blocks.program_stop[i]),
@@ -164,7 +162,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
             tolerance=float(blocks.contour_tolerance[i]),
         )
         for i in range(len(blocks))
-    )
+    )  # fmt: skip
     names = transform.machine.axis_names
     return Converted(gcode(moves, tuple(names[3:5]), notes), notes)
 

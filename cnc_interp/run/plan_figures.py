@@ -176,38 +176,26 @@ class PlanFigures:
         if machine.loads:
             names, use = machine.axis_names, self._torque_use
             uses['torque'] = {names[axis]: float(use[axis]) for axis in sorted(machine.loads)}
+        used = self._tolerances.largest
         return {
-            'program': source,
-            'machine': machine.file or machine.name,
-            'cycle_time': self.cycle_time,
-            'time_bound': self._least or None,
+            'program': source, 'machine': machine.file or machine.name,
+            'cycle_time': self.cycle_time, 'time_bound': self._least or None,
             'windows': {**self._windows, 'over_bound': self._over_bound},
-            'interpolation_period': self._period,
-            'flank_height': self._height,
-            'settings': values_of(self._settings),
-            'setup': setup,
+            'interpolation_period': self._period, 'flank_height': self._height,
+            'settings': values_of(self._settings), 'setup': setup,
             'largest_override': largest_override,
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
-            'functions': self.functions.counts(machine.signals),
-            'standstill': float(stands.sum()),
-            'samples': self.samples,
-            'blocks': self._blocks - 1,
-            'segments': self._segments,
-            'path_length': self._path_length,
-            'planning_time': sum(seconds.values()),
-            'planning_time_by_room': dict(seconds),
-            'largest_use': uses,
+            'functions': self.functions.counts(machine.signals), 'standstill': float(stands.sum()),
+            'samples': self.samples, 'blocks': self._blocks - 1, 'segments': self._segments,
+            'path_length': self._path_length, 'planning_time': sum(seconds.values()),
+            'planning_time_by_room': dict(seconds), 'largest_use': uses,
             'largest_contour_error': float(self._deviation[0]),
             'largest_orientation_error': float(self._deviation[1]),
-            'tolerance_used': {
-                'contour': float(self._tolerances.largest[0]),
-                'orientation': float(self._tolerances.largest[1]),
-            },
-            'tool_error': error,
-            'curves': {'blocks': self._curved, 'spans': self._spans},
+            'tolerance_used': {'contour': float(used[0]), 'orientation': float(used[1])},
+            'tool_error': error, 'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
-        }
+        }  # fmt: skip
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:

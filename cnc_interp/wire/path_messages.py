@@ -50,15 +50,12 @@ def block_messages(
     columns['extra_axes'] = [packed(row) for row in blocks.extra]
     return [
         G1Block(
-            program_id=run_id.program_id,
-            attempt=run_id.attempt,
-            sequence=first_sequence + i,
-            flank_height=flank_height,
-            end_of_program=end and i == len(blocks) - 1,
+            program_id=run_id.program_id, attempt=run_id.attempt, sequence=first_sequence + i,
+            flank_height=flank_height, end_of_program=end and i == len(blocks) - 1,
             **{field: values[i] for field, values in columns.items()},
         )
         for i in range(len(blocks))
-    ]
+    ]  # fmt: skip
 
 
 def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:

@@ -65,26 +65,18 @@ def setup_table(
     by: str, what: str,
 ) -> msg.SetupTable:  # fmt: skip
     """``zero``: that of the machine file; ``program_id``: the run that began with the setup."""
+    tools = [
+        msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
+        for number, tool in sorted(setup.tools.items())
+    ]
     return msg.SetupTable(
-        file=file,
-        work_offsets=_offsets(setup.work_offsets),
-        axes=list(zero),
-        zero=list(zero.values()),
-        active=setup.offset,
-        g92=_offset('G92', setup.g92),
-        g92_on=setup.g92_on,
-        tools=[
-            msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
-            for number, tool in sorted(setup.tools.items())
-        ],
-        tool=setup.tool,
-        reference_points=_offsets(setup.reference_points),
-        program_id=program_id,
-        in_use=sorted(in_use),
-        changed_by=by,
-        change=what,
+        file=file, work_offsets=_offsets(setup.work_offsets), axes=list(zero),
+        zero=list(zero.values()), active=setup.offset, g92=_offset('G92', setup.g92),
+        g92_on=setup.g92_on, tools=tools, tool=setup.tool,
+        reference_points=_offsets(setup.reference_points), program_id=program_id,
+        in_use=sorted(in_use), changed_by=by, change=what,
         text=setup.text() if setup != JobSetup() else '',
-    )
+    )  # fmt: skip
 
 
 def _offsets(positions: Mapping[str, Position]) -> list[msg.Offset]:

@@ -16,11 +16,9 @@ from cnc_interp.core import MM, FloatArray, norm
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.
 SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'
 ANALYTIC = {
-    'Geom_Plane': 'plane',
-    'Geom_CylindricalSurface': 'cylinder',
-    'Geom_SphericalSurface': 'sphere',
-    'Geom_ToroidalSurface': 'torus',
-}
+    'Geom_Plane': 'plane', 'Geom_CylindricalSurface': 'cylinder',
+    'Geom_SphericalSurface': 'sphere', 'Geom_ToroidalSurface': 'torus',
+}  # fmt: skip
 CONVERTED = {
     BEZIER: 'Bezier patch',
     'Geom_ConicalSurface': 'cone',

@@ -26,10 +26,8 @@ from cnc_interp.nodes.streams import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
-    'loaded_program': (msg.LoadedProgram, qos.LOADED),
-    'setup_table': (msg.SetupTable, qos.LOADED),
-    'blocks': (msg.G1Block, qos.STREAM),
-    'block_batches': (msg.G1BlockBatch, qos.STREAM),
+    'loaded_program': (msg.LoadedProgram, qos.LOADED), 'setup_table': (msg.SetupTable, qos.LOADED),
+    'blocks': (msg.G1Block, qos.STREAM), 'block_batches': (msg.G1BlockBatch, qos.STREAM),
     'segments': (msg.PathSegmentBatch, qos.STREAM),
     'setpoints': (msg.SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (msg.SetpointChunk, qos.STREAM),
@@ -38,10 +36,9 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'stream_status': (msg.StreamStatus, qos.STATUS),
     'machine_state': (msg.MachineState, qos.STATE),
     'machine_signals': (msg.MachineSignals, qos.LOADED),
-    'probe_contact': (msg.ProbeContact, qos.CONTACTS),
-    'joint_states': (JointState, qos.JOINTS),
+    'probe_contact': (msg.ProbeContact, qos.CONTACTS), 'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
-}
+}  # fmt: skip
 #: Topics whose messages end with a checksum.
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 PARAMETER = 'parameter.'  #: Before the parameters of the nodes, in the custom data of a bag.

@@ -51,11 +51,9 @@ class Parameter:
 
 #: What is fitted, in SI; friction over the inertia.
 LOOPS = (
-    Parameter('position_gain', 50.0, 3.0, 900.0),
-    Parameter('feed_forward', 0.95, 0.0, 1.2),
-    Parameter('time_constant', 4e-3, 2e-4, 0.09),
-    Parameter('delay', 1e-3, 0.0, 0.03),
-)
+    Parameter('position_gain', 50.0, 3.0, 900.0), Parameter('feed_forward', 0.95, 0.0, 1.2),
+    Parameter('time_constant', 4e-3, 2e-4, 0.09), Parameter('delay', 1e-3, 0.0, 0.03),
+)  # fmt: skip
 MECHANICS = (
     Parameter('backlash', 5e-6, 0.0, 2e-3),
     Parameter('mode_frequency', 40.0, 8.0, 300.0),

@@ -36,15 +36,13 @@ from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.
 RESTS = {
-    Wait.NOTHING: (Event.FILL, Reason.NONE),
-    Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
+    Wait.NOTHING: (Event.FILL, Reason.NONE), Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
     Wait.PROGRAM_STOP: (Event.WAIT, Reason.PROGRAM_STOP),
     Wait.OPTIONAL_STOP: (Event.WAIT, Reason.OPTIONAL_STOP),
     Wait.SINGLE_BLOCK: (Event.WAIT, Reason.SINGLE_BLOCK),
-    Wait.APPROACH: (Event.WAIT, Reason.APPROACH),
-    Wait.FUNCTION: (Event.FILL, Reason.NONE),
+    Wait.APPROACH: (Event.WAIT, Reason.APPROACH), Wait.FUNCTION: (Event.FILL, Reason.NONE),
     Wait.END: (Event.FINISH, Reason.NONE),
-}
+}  # fmt: skip
 EMERGENCY = 'emergency_stop'  #: What switches off, as in ``signals.STOPS``.
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
 LOST = 2.0  #: After so long without setpoints the planner counts as lost [s].

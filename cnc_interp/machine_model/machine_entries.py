@@ -18,17 +18,13 @@ GEOMETRY = (
     'secondary_to_primary_pivot_mm',
 )  # fmt: skip
 LINEAR_KEYS = {
-    'velocity_m_per_min': M_PER_MIN,
-    'acceleration_m_per_s2': 1.0,
-    'jerk_m_per_s3': 1.0,
+    'velocity_m_per_min': M_PER_MIN, 'acceleration_m_per_s2': 1.0, 'jerk_m_per_s3': 1.0,
     'travel_mm': MM,
-}
+}  # fmt: skip
 ROTARY_KEYS = {
-    'velocity_rev_per_min': REV_PER_MIN,
-    'acceleration_rev_per_s2': REV,
-    'jerk_rev_per_s3': REV,
+    'velocity_rev_per_min': REV_PER_MIN, 'acceleration_rev_per_s2': REV, 'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
-}
+}  # fmt: skip
 #: Choices of the reader that a machine file may make.
 CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
 #: How its control goes through short blocks, with the plausible range of each value.

@@ -22,12 +22,10 @@ RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints
 
 #: Each topic on which a node follows others, and who publishes there.
 OWNERS = {
-    'block_batches': {'program_node'},
-    'segments': {'lookahead_node'},
-    'setpoints': {'feedrate_node'},
-    'stream_status': {*RECEIVERS.values()},
+    'block_batches': {'program_node'}, 'segments': {'lookahead_node'},
+    'setpoints': {'feedrate_node'}, 'stream_status': {*RECEIVERS.values()},
     'machine_state': {'machine_node'},
-}
+}  # fmt: skip
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (

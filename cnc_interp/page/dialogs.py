@@ -21,14 +21,10 @@ from cnc_interp.settings.options import Settings, filled_in, offered, settings_f
 #: What the browser calls a key; what is printed on it; the key of the page; what it does, where
 #: the key of the page does not say it itself.
 KEYBOARD = (
-    ('F1', 'F1', 'EMERGENCY STOP', ''),
-    ('Escape', 'Esc', 'feed hold', ''),
-    ('R', 'Shift + R', 'cycle start', ''),
-    ('-', '-', 'slower', 'feed override 5 % less'),
-    ('+', '+', 'faster', 'feed override 5 % more'),
-    ('0', '0', '100%', 'feed override 100 %'),
-    ('7', '7', 'rapid 25%', 'rapid override 25 %'),
-    ('8', '8', 'rapid 50%', 'rapid override 50 %'),
+    ('F1', 'F1', 'EMERGENCY STOP', ''), ('Escape', 'Esc', 'feed hold', ''),
+    ('R', 'Shift + R', 'cycle start', ''), ('-', '-', 'slower', 'feed override 5 % less'),
+    ('+', '+', 'faster', 'feed override 5 % more'), ('0', '0', '100%', 'feed override 100 %'),
+    ('7', '7', 'rapid 25%', 'rapid override 25 %'), ('8', '8', 'rapid 50%', 'rapid override 50 %'),
     ('9', '9', 'rapid 100%', 'rapid override 100 %'),
     ('s', 'S', 'single block', 'single block on or off'),
     ('o', 'O', 'optional stop', 'optional stop (M1) on or off'),
@@ -36,7 +32,7 @@ KEYBOARD = (
     ('j', 'J', 'jog', 'show or hide the keys that move an axis'),
     ('p', 'P', 'pose', 'show or hide the fields of a tool pose'),
     ('?', '?', 'keyboard', 'show or hide this list'),
-)
+)  # fmt: skip
 MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
 
 

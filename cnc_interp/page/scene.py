@@ -156,11 +156,9 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
 GROUND = '#26323c'
 #: Directions from which one looks [-], by name; the first is the usual one.
 VIEWS = {
-    'iso': (0.55, -0.70, 0.46),
-    'top': (0.0, -0.001, 1.0),
-    'front': (0.0, -1.0, 0.0),
+    'iso': (0.55, -0.70, 0.46), 'top': (0.0, -0.001, 1.0), 'front': (0.0, -1.0, 0.0),
     'right': (1.0, 0.0, 0.0),
-}
+}  # fmt: skip
 #: Axes of the workpiece: their colours, and their length and radius relative to what is looked at.
 TRIAD = {'X': '#ff6b6b', 'Y': '#5fd38d', 'Z': '#5aa9e6'}
 TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006

@@ -30,13 +30,10 @@ from cnc_interp.processes.stop_signals import stops_later
 PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
-    'contact': {},
-    'listing': {},
-    'shortcuts': {'MARKS': MARKS},
+    'contact': {}, 'listing': {}, 'shortcuts': {'MARKS': MARKS},
     'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN, 'LOST': LOST},
-    'scene': {},
-    'preferences': {},
-}
+    'scene': {}, 'preferences': {},
+}  # fmt: skip
 
 
 def scripts() -> str:

@@ -31,11 +31,9 @@ INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM syst
 OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
-    'STOP': (AT_M0, codes.STOP_M['M0']),
-    'OPSTOP': (AT_M1, codes.STOP_M['M1']),
-    'DELAY': (1.0, codes.DWELL),
-    'DWELL': (1.0, codes.DWELL),
-}
+    'STOP': (AT_M0, codes.STOP_M['M0']), 'OPSTOP': (AT_M1, codes.STOP_M['M1']),
+    'DELAY': (1.0, codes.DWELL), 'DWELL': (1.0, codes.DWELL),
+}  # fmt: skip
 LINEAR = 'output the tool path as GOTO points'
 _FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
 _DRIVEN = f'motion along part surfaces is not supported; {LINEAR}'

@@ -11,18 +11,15 @@ SETTINGS: dict[str, tuple[str, object]] = {
     **{f'G{number}': ('motion', number) for number in range(4)},
     **{code: ('plane', code) for code in ('G17', 'G18', 'G19')},
     **dict.fromkeys(('G20', 'G70', 'G700'), ('unit', INCH)),
-    **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)),
-    'G90': ('incremental', False),
-    'G91': ('incremental', True),
-    'G90.1': ('centre_absolute', True),
+    **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)), 'G90': ('incremental', False),
+    'G91': ('incremental', True), 'G90.1': ('centre_absolute', True),
     'G91.1': ('centre_absolute', False),
     **{code: ('feed_mode', code) for code in ('G93', 'G94', 'G95')},
-    'G98': ('retract_to_start', True),
-    'G99': ('retract_to_start', False),
+    'G98': ('retract_to_start', True), 'G99': ('retract_to_start', False),
     **dict.fromkeys(('G61', 'G60', 'G61.1'), ('stop_always', True)),
     **dict.fromkeys(('G64', 'G641', 'G642', 'G643', 'G644', 'G645'), ('stop_always', False)),
     'G9': ('stop_once', True),
-}
+}  # fmt: skip
 
 # Words that switch tool-tip programming (TCP), of several controls.
 TCP_ON = {'M428', 'M128', 'G43.4', 'G43.5', 'G234', 'TRAORI', '#TRAFO ON'}
@@ -121,11 +118,9 @@ ACTING_M = END_M | STOP_M.keys() | RETURN_M | {'M61', 'M98'}
 FIRST_M = {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
 #: Outputs of the machine that M codes switch, each with the code that holds afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
-    **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},
-    'M7': {'mist': 'M7'},
-    'M8': {'coolant': 'M8'},
-    'M9': {'mist': '', 'coolant': 'M9'},
-}
+    **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')}, 'M7': {'mist': 'M7'},
+    'M8': {'coolant': 'M8'}, 'M9': {'mist': '', 'coolant': 'M9'},
+}  # fmt: skip
 STATE_M = {'M70', 'M71', 'M72', 'M73'}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),

@@ -226,25 +226,18 @@ def element_name(name: str, indices: tuple[Node, ...], variables: ProgramVariabl
 
 
 OPERATORS: dict[str, Callable[[float, float], float]] = {
-    '+': lambda x, y: x + y,
-    '-': lambda x, y: x - y,
-    '*': lambda x, y: x * y,
-    '/': lambda x, y: x / y,
-    **dict.fromkeys(('**', '^'), math.pow),
-    'LEN': math.hypot,
-    'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0,
-    'MOD': lambda x, y: x % y,
-    'DIV': lambda x, y: float(math.trunc(x / y)),
-    'AND': lambda x, y: bool(x) and bool(y),
-    'OR': lambda x, y: bool(x) or bool(y),
-    'XOR': lambda x, y: bool(x) != bool(y),
+    '+': lambda x, y: x + y, '-': lambda x, y: x - y, '*': lambda x, y: x * y,
+    '/': lambda x, y: x / y, **dict.fromkeys(('**', '^'), math.pow), 'LEN': math.hypot,
+    'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0, 'MOD': lambda x, y: x % y,
+    'DIV': lambda x, y: float(math.trunc(x / y)), 'AND': lambda x, y: bool(x) and bool(y),
+    'OR': lambda x, y: bool(x) or bool(y), 'XOR': lambda x, y: bool(x) != bool(y),
     **dict.fromkeys(('EQ', '=='), lambda x, y: abs(x - y) < 1e-6),
     **dict.fromkeys(('NE', '<>'), lambda x, y: abs(x - y) >= 1e-6),
     **dict.fromkeys(('GT', '>'), lambda x, y: x > y),
     **dict.fromkeys(('GE', '>='), lambda x, y: x >= y),
     **dict.fromkeys(('LT', '<'), lambda x, y: x < y),
     **dict.fromkeys(('LE', '<='), lambda x, y: x <= y),
-}
+}  # fmt: skip
 
 
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {

@@ -108,13 +108,9 @@ class Settings:
         'part of the tolerances that curves through dense blocks may use', metavar='SHARE',
     )  # fmt: skip
     interpolation_period: float = kinds.number(
-        1.0 * MS,
-        kinds.TIME,
-        (0.01 * MS, 100.0 * MS),
-        MOTION,
-        'interpolation period',
+        1.0 * MS, kinds.TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period',
         option='period',
-    )
+    )  # fmt: skip
     compensation: str | None = kinds.name(
         MOTION, 'machine whose drives are the model that is compensated, as identify writes it',
         option='compensate', metavar='M',

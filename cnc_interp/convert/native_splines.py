@@ -18,17 +18,10 @@ from cnc_interp.core.bspline import corner_end_derivatives, cubic_bezier_points
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import WrittenMove
+from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.native.joining import Jets, line_jets, span_jets
 from cnc_interp.smoothing.orientation import turned_by
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    ROTATION,
-    SPLINE,
-    PathSegments,
-    corner_jets,
-    spline_jets,
-)
+from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -88,13 +81,13 @@ def cubic_curve(
     segments: PathSegments, i: int, height: float, tolerance: float, constant_height: bool
 ) -> CubicCurve:
     """Approximate a corner or spline by two cubic B-splines with one parameter, or BlockError."""
-    if segments.kind[i] == CORNER and not len(segments.parametrization[i]):
+    if segments.kind[i] == kinds.CORNER and not len(segments.parametrization[i]):
         if not segments.connection[i].any():
             # By its own 5 + 5 control points [B2013, 4.1].
             bottom, top = segments.bottom[i, :5], segments.top[i, :5]
             half = 0.5 * float(norm(np.diff(bottom, axis=0)).sum())
             return CubicCurve(bottom, top, half * np.array([0.0, 1.0, 1.0, 0.0, 0.0]), 2, 0.0)
-    count = 2 if segments.kind[i] == CORNER else 1
+    count = 2 if segments.kind[i] == kinds.CORNER else 1
     rate = _points(segments, i, np.array([0.0, 1.0]), height, constant_height)[1]
     while count <= MOST_INTERVALS:
         sites = np.linspace(0.0, 1.0, count + 1)
@@ -135,10 +128,10 @@ def _points(
     values, rates = np.empty((len(u), 6)), np.empty((len(u), 6))
     curves = segments.bottom[i], segments.top[i], segments.connection[i]
     for k, x in enumerate(u.tolist()):
-        if segments.kind[i] == CORNER:
-            tip, axis = corner_jets(*curves, segments.parametrization[i], x, x)
+        if segments.kind[i] == kinds.CORNER:
+            tip, axis = kinds.corner_jets(*curves, segments.parametrization[i], x, x)
         else:
-            tip, axis = spline_jets(*curves, x)
+            tip, axis = kinds.spline_jets(*curves, x)
         for c in range(3):
             values[k, c], rates[k, c] = tip[c][0], tip[c][1]
             values[k, 3 + c] = tip[c][0] + height * axis[c][0]
@@ -185,11 +178,11 @@ class SplineMoves:
         yield self._pose(blocks.tip[0], blocks.axis[0], np.inf, False, self._second_before(0))
         arrives: Jets | None = None
         while start < len(segments):
-            if segments.kind[start] in (CORNER, SPLINE):
+            if segments.kind[start] in (kinds.CORNER, kinds.SPLINE):
                 end = start + 1
                 while (
                     end < len(segments)
-                    and segments.kind[end] in (CORNER, SPLINE)
+                    and segments.kind[end] in (kinds.CORNER, kinds.SPLINE)
                     and not segments.stop[end - 1]
                 ):
                     end += 1
@@ -231,7 +224,7 @@ class SplineMoves:
     def _constant_height(self, first: int, last: int) -> bool:
         """Return whether second points are at flank height: corners, and curves with gaps."""
         segments = self.segments
-        if (segments.kind[first:last] == CORNER).any():
+        if (segments.kind[first:last] == kinds.CORNER).any():
             return True
         gap = norm(segments.top[first : last - 1, 5] - segments.top[first + 1 : last, 0])
         return bool(gap.max(initial=0.0) > SAME_POINT)
@@ -239,21 +232,23 @@ class SplineMoves:
     def _second_before(self, i: int) -> FloatArray | None:
         """Return the second point at the start of the curve from segment i, if it has one."""
         segments = self.segments
-        if i >= len(segments) or segments.kind[i] != SPLINE:
+        if i >= len(segments) or segments.kind[i] != kinds.SPLINE:
             return None
         last = i + 1
         while (
-            last < len(segments) and segments.kind[last] == SPLINE and not segments.stop[last - 1]
+            last < len(segments)
+            and segments.kind[last] == kinds.SPLINE
+            and not segments.stop[last - 1]
         ):
             last += 1
-        corner = last < len(segments) and segments.kind[last] == CORNER
+        corner = last < len(segments) and segments.kind[last] == kinds.CORNER
         if (corner and not segments.stop[last - 1]) or self._constant_height(i, last):
             return None
         return np.asarray(segments.top[i, 0])
 
     def _line(self, i: int) -> WrittenMove:
         segments = self.segments
-        resting = segments.kind[i] == ROTATION
+        resting = segments.kind[i] == kinds.ROTATION
         words = segments.rotary[i, 1]
         if resting and np.isfinite(words).all():
             axis = self.transform.tool_axis(words[None])[0]
@@ -275,7 +270,7 @@ class SplineMoves:
 
     def _line_jets(self, i: int, at_end: bool) -> Jets | None:
         segments = self.segments
-        if segments.kind[i] != LINE:
+        if segments.kind[i] != kinds.LINE:
             return None
         length = float(segments.length[i])
         way = segments.bottom[i, 1] - segments.bottom[i, 0]
@@ -296,7 +291,7 @@ class SplineMoves:
             'a control with u_top = u_bottom that does not connect curves sees jumps of the '
             f'orientation rate up to {rate:.2g} deg/mm, of its derivative up to {bend:.2g} deg/mm2'
         ]
-        corners = self.segments.kind == CORNER
+        corners = self.segments.kind == kinds.CORNER
         if corners.any() and self.segments.rotation.any():
             plain = self._plain_jump() / DEG * MM
             notes.append(
@@ -308,9 +303,9 @@ class SplineMoves:
     def _plain_jump(self) -> float:
         """Return the largest jump of o_s where lines meet plain corners [rad/m]."""
         segments, largest = self.segments, 0.0
-        for i in np.flatnonzero(segments.kind == CORNER):
+        for i in np.flatnonzero(segments.kind == kinds.CORNER):
             for near, step in ((i - 1, 1), (i + 1, -1)):
-                if not 0 <= near < len(segments) or segments.kind[near] != LINE:
+                if not 0 <= near < len(segments) or segments.kind[near] != kinds.LINE:
                     continue
                 line = self._line_jets(int(near), at_end=step > 0)
                 assert line is not None

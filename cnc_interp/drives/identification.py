@@ -20,14 +20,8 @@ import numpy as np
 
 from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, InterpError, MachineError
 from cnc_interp.drives.drive_model import axis_words, follow_all, place, room_of_delay
-from cnc_interp.machine_model.axis_drives import (
-    ENTRIES,
-    LINEAR_KEYS,
-    ROTARY_KEYS,
-    AxisDrive,
-    DriveLoad,
-    key_and_unit,
-)
+from cnc_interp.machine_model import axis_drives
+from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Axis, Machine
 
 STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
@@ -278,7 +272,7 @@ def with_drives(
     if loads:
         parts += ['# What the drives move and overcome.', 'loads:']
         for j, load in sorted(loads.items()):
-            keys = LINEAR_KEYS if machine.is_linear[j] else ROTARY_KEYS
+            keys = axis_drives.LINEAR_KEYS if machine.is_linear[j] else axis_drives.ROTARY_KEYS
             values = zip(keys, vars(load).values(), strict=True)
             row = [f'{key}: {value:.6g}' for key, value in values]
             parts.append(f'  {machine.axis_names[j]}: {{{", ".join(row)}}}')
@@ -289,8 +283,8 @@ def with_drives(
     parts += [f'# How they follow their setpoints, identified from {origin}.', 'drives:']
     for j, drive in sorted(drives.items()):
         linear, row, widths = bool(machine.is_linear[j]), [], []
-        for entry in ENTRIES:
-            key, unit = key_and_unit(entry, linear)
+        for entry in axis_drives.ENTRIES:
+            key, unit = axis_drives.key_and_unit(entry, linear)
             value = getattr(drive, entry.field)
             if value or entry.field == 'feed_forward':
                 row.append(f'{key}: {value / unit:.6g}')

@@ -20,13 +20,7 @@ from cnc_interp.core.limits_by_position import (
     has_loads,
     limit_at,
 )
-from cnc_interp.feedrate.speed_guess import (
-    guess_speed,
-    guess_time,
-    speed_bounds,
-    speed_inside,
-    speeds_inside,
-)
+from cnc_interp.feedrate import speed_guess
 from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_jet
 
 SAMPLES = 96  #: Number of intervals in which a cell is sampled before it is subdivided.
@@ -74,7 +68,7 @@ def cell_nodes(
     for p in range(SAMPLES + 1):
         u = p / SAMPLES
         x[p] = h * u**3 / (u**3 + (1 - u) ** 3)
-        speed[p], cruise[p] = speed_inside(x[p], h, v0, v1, bound)
+        speed[p], cruise[p] = speed_guess.speed_inside(x[p], h, v0, v1, bound)
     for p in range(SAMPLES):
         factor = 3.0 if speed[p] == 0.0 or speed[p + 1] == 0.0 else 2.0
         time[p + 1] = time[p] + factor * (x[p + 1] - x[p]) / (speed[p] + speed[p + 1])
@@ -248,10 +242,10 @@ def _divided(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Return bounds, speed at and in cells, wanted cell times, and where cells are divided."""
     h = s[1:] - s[:-1]
-    bounds = speed_bounds(h, left, right, feed, table)
-    v = guess_speed(h, bounds, *start)
-    inside, capped = speeds_inside(h, v, bounds)
-    tau = min(max(share * guess_time(h, v, inside), cell_time[0]), cell_time[1])
+    bounds = speed_guess.speed_bounds(h, left, right, feed, table)
+    v = speed_guess.guess_speed(h, bounds, *start)
+    inside, capped = speed_guess.speeds_inside(h, v, bounds)
+    tau = min(max(share * speed_guess.guess_time(h, v, inside), cell_time[0]), cell_time[1])
     wanted = cell_times(s, feed, bounds, v, inside, capped, tau)
     new = _grid_nodes(s, left, right, table, bounds, v, inside, ease * wanted, most_bend, whole)
     return bounds, v, inside, wanted, new

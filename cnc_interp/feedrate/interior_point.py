@@ -11,23 +11,8 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.native import DistinctArrays
-from cnc_interp.feedrate.barrier_rows import (
-    CHUNK,
-    add_rows,
-    add_to,
-    by_coefficients,
-    constant_of,
-    places_of,
-    start_rows,
-)
-from cnc_interp.feedrate.jerk_rows import (
-    follow_widths,
-    linearise,
-    node_states,
-    slope_rows,
-    term_rows,
-    terms_and_time,
-)
+from cnc_interp.feedrate import barrier_rows as barrier
+from cnc_interp.feedrate import jerk_rows
 
 #: Part of the longest step with positive slacks and duals that is taken [-].
 KEPT_STEP = 0.98
@@ -96,29 +81,33 @@ def predict(
     whole predictor step. Returns the longest step length, at most 1, and the sum of dw dy over the
     cell weights.
     """
-    n, n_axes, places = len(m_reached), rows.shape[0], places_of(rows)
+    n, n_axes, places = len(m_reached), rows.shape[0], barrier.places_of(rows)
     worst, square = 1.0, 0.0
     centring[:], bending[:] = 0.0, 0.0
     # Rows of x: both forces on the three coefficients of each cell, dw dy, 1 / step length.
-    s, x, zero = np.empty((6, CHUNK)), np.empty((8, CHUNK)), np.zeros(CHUNK)
-    for lo in range(0, n, CHUNK):
-        hi = min(lo + CHUNK, n)
+    s, x, zero = (
+        np.empty((6, barrier.CHUNK)),
+        np.empty((8, barrier.CHUNK)),
+        np.zeros(barrier.CHUNK),
+    )
+    for lo in range(0, n, barrier.CHUNK):
+        hi = min(lo + barrier.CHUNK, n)
         here = slice(lo, hi)
         x[:] = 0.0
         for q in range(places):
             s[:] = 0.0
-            x0, x1, x2 = term_rows(reached, q, lo, hi)
+            x0, x1, x2 = jerk_rows.term_rows(reached, q, lo, hi)
             for k in range(n_axes):
                 c, r = 3 * q, 2 * (places * k + q)
                 _predict_rows(
                     rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here],
-                    constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
+                    barrier.constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
                     slack[r, here], slack[r + 1, here], dual[r, here], dual[r + 1, here],
                     s[0], s[1], s[2], s[3], s[4], s[5], x[6], x[7],
                 )  # fmt: skip
-            z = slope_rows(slopes, q, lo, hi)
-            by_coefficients(s[0], s[1], s[2], *z, x[0], x[1], x[2])
-            by_coefficients(s[3], s[4], s[5], *z, x[3], x[4], x[5])
+            z = jerk_rows.slope_rows(slopes, q, lo, hi)
+            barrier.by_coefficients(s[0], s[1], s[2], *z, x[0], x[1], x[2])
+            barrier.by_coefficients(s[3], s[4], s[5], *z, x[3], x[4], x[5])
         r = 2 * places * n_axes
         _predict_cap(
             inverse_caps[0, here], m_reached[here], slack[r, here], dual[r, here],
@@ -128,8 +117,8 @@ def predict(
             inverse_caps[1, here], reached[4, here], slack[r + 1, here], dual[r + 1, here],
             s[2], s[3], x[6], x[7],
         )  # fmt: skip
-        add_to(x[1], s[0], 1.0)
-        add_to(x[4], s[1], 1.0)
+        barrier.add_to(x[1], s[0], 1.0)
+        barrier.add_to(x[4], s[1], 1.0)
         left, right = slopes[9, here], slopes[10, here]
         _add_product(x[0], s[2], left)
         _add_product(x[3], s[3], left)
@@ -140,7 +129,7 @@ def predict(
             worst = max(worst, x[7, j])
         for c in range(3):
             _add_product(centring[lo + c : hi + c], x[c], weight[here])
-            add_to(bending[lo + c : hi + c], x[3 + c], 1.0)
+            barrier.add_to(bending[lo + c : hi + c], x[3 + c], 1.0)
     return 1.0 / worst, square
 
 
@@ -203,20 +192,23 @@ def advance(
     ``target``: wanted product of slack and dual, per unit of cell weight; ``second_order``: factor
     of dw dy; then coefficients and terms after predictor and corrector. Returns both step lengths.
     """
-    n, n_axes, places = len(m), rows.shape[0], places_of(rows)
+    n, n_axes, places = len(m), rows.shape[0], barrier.places_of(rows)
     primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
-    f, zero = np.empty((2, CHUNK)), np.zeros(CHUNK)
-    for lo in range(0, n, CHUNK):
-        hi = min(lo + CHUNK, n)
+    f, zero = np.empty((2, barrier.CHUNK)), np.zeros(barrier.CHUNK)
+    for lo in range(0, n, barrier.CHUNK):
+        hi = min(lo + barrier.CHUNK, n)
         here = slice(lo, hi)
         f[:] = 0.0
         for q in range(places):
-            p, x = term_rows(predicted, q, lo, hi), term_rows(reached, q, lo, hi)
+            p, x = (
+                jerk_rows.term_rows(predicted, q, lo, hi),
+                jerk_rows.term_rows(reached, q, lo, hi),
+            )
             for k in range(n_axes):
                 c, r = 3 * q, 2 * (places * k + q)
                 _step_rows(
                     target, second_order, rows[k, c, here], rows[k, c + 1, here],
-                    rows[k, c + 2, here], constant_of(rows, k, q, lo, hi, zero), *p, *x,
+                    rows[k, c + 2, here], barrier.constant_of(rows, k, q, lo, hi, zero), *p, *x,
                     weight[here], slack[r, here], slack[r + 1, here], dual[r, here],
                     dual[r + 1, here], change[r, here], change[r + 1, here],
                     next_dual[r, here], next_dual[r + 1, here], f[0], f[1],
@@ -239,8 +231,8 @@ def advance(
     for i in range(n):
         m[i] += primal * (m_reached[i] - m[i])
     for r in range(len(slack)):
-        add_to(slack[r], change[r], primal)
-        add_to(dual[r], next_dual[r], adjoint)
+        barrier.add_to(slack[r], change[r], primal)
+        barrier.add_to(dual[r], next_dual[r], adjoint)
     return primal, adjoint
 
 
@@ -332,15 +324,15 @@ def solve(
     total, count = 0.0, 0
     calm = False
     for iteration in range(most_iterations):
-        node_states(m, width, ends, b, a, v)
-        total = terms_and_time(width, b, a, v, terms, slopes)
+        jerk_rows.node_states(m, width, ends, b, a, v)
+        total = jerk_rows.terms_and_time(width, b, a, v, terms, slopes)
         if not np.isfinite(total):
             return BROKEN, iteration, total
         if iteration == 0:
-            count = start_rows(
+            count = barrier.start_rows(
                 total, rows, inverse_caps, m, terms, width, v, weight, slack, dual, warm
             )
-        gap, weighted, violation = add_rows(
+        gap, weighted, violation = barrier.add_rows(
             rows, inverse_caps, m, width, v, terms, slopes, weight, slack, dual,
             d0, d1, d2, residual, rhs,
         )  # fmt: skip
@@ -356,7 +348,7 @@ def solve(
             return BROKEN, iteration, total
         dm[inner] = rhs[inner]
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
-        linearise(terms, slopes, dm, predicted)
+        jerk_rows.linearise(terms, slopes, dm, predicted)
         m_predicted = m + dm[inner]
         step, square = predict(
             rows, inverse_caps, m_predicted, predicted, slopes, weight, slack, dual,
@@ -372,11 +364,11 @@ def solve(
         dm[inner] = rhs[inner] - target * centring[inner] + second * bending[inner]
         dm[1], dm[n] = 0.0, 0.0
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
-        linearise(terms, slopes, dm, reached)
+        jerk_rows.linearise(terms, slopes, dm, reached)
         advance(
             target, second, rows, inverse_caps, m_predicted, predicted, m + dm[inner], reached,
             weight, m, slack, dual, change, next_dual,
         )  # fmt: skip
-        node_states(m, width, ends, b, a, v)
-        calm = follow_widths(h, a, v, width) < 1e-3
+        jerk_rows.node_states(m, width, ends, b, a, v)
+        calm = jerk_rows.follow_widths(h, a, v, width) < 1e-3
     return STALLED, most_iterations, total

@@ -6,14 +6,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core import MS, FloatArray, IntArray
-from cnc_interp.core.limits_by_position import (
-    ACCELERATION,
-    JERK,
-    VELOCITY,
-    limit_at,
-    limits_along,
-    load_use,
-)
+from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients, septic_jet
 from cnc_interp.machine_model.machine import Machine
 
@@ -50,7 +43,7 @@ def limits_at(machine: Machine, period: float) -> AxisLimits:
         return machine
     step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
     table = machine.limit_table.copy()
-    table[JERK] -= np.minimum(step, 0.5 * table[JERK])
+    table[by_place.JERK] -= np.minimum(step, 0.5 * table[by_place.JERK])
     return PlanningLimits(machine.max_velocity, table)
 
 
@@ -62,7 +55,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     table = limits.limit_table
     out = np.full(len(path.s), np.inf)
     for jets, at in ((path.cell_left, slice(None, -1)), (path.cell_right, slice(1, None))):
-        here = limits_along(table, jets[0])
+        here = by_place.limits_along(table, jets[0])
         with np.errstate(divide='ignore'):
             sides = [(here[k] / np.abs(jets[k + 1])) ** (1 / (k + 1)) for k in range(3)]
         bound = np.minimum.reduce([side.min(axis=1) for side in sides])
@@ -114,12 +107,14 @@ def limit_use(
                     q_ss, q_sss = left[2, i, k], left[3, i, k]
                 else:
                     q, q_s, q_ss, q_sss = septic_jet(coefficients[k], u, h[i])
-                velocity = abs(q_s * s_dot) / limit_at(table, VELOCITY, k, q)
+                velocity = abs(q_s * s_dot) / by_place.limit_at(table, by_place.VELOCITY, k, q)
                 second = q_ss * s_dot * s_dot + q_s * s_ddot
-                acceleration = abs(second) / limit_at(table, ACCELERATION, k, q)
-                acceleration = max(acceleration, abs(load_use(table, k, q_s * s_dot, second)))
+                acceleration = abs(second) / by_place.limit_at(table, by_place.ACCELERATION, k, q)
+                acceleration = max(
+                    acceleration, abs(by_place.load_use(table, k, q_s * s_dot, second))
+                )
                 third = abs(q_sss * s_dot**3 + 3 * q_ss * s_dot * s_ddot + q_s * j)
-                third /= limit_at(table, JERK, k, q)
+                third /= by_place.limit_at(table, by_place.JERK, k, q)
                 use[0, i, 0, k] = max(use[0, i, 0, k], velocity)
                 use[0, i, 1, k] = max(use[0, i, 1, k], acceleration)
                 use[0, i, 2, k] = max(use[0, i, 2, k], third)

@@ -9,14 +9,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
-from cnc_interp.core.limits_by_position import (
-    ACCELERATION,
-    COULOMB,
-    DRIVE,
-    JERK,
-    VELOCITY,
-    limit_at,
-)
+from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 
 FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].
@@ -24,9 +17,13 @@ FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: float) -> float:
-    lowest = limit_at(table, row, axis, q0)
+    lowest = by_place.limit_at(table, row, axis, q0)
     if table.shape[2] > 1:
-        lowest = min(lowest, limit_at(table, row, axis, q1), limit_at(table, row, axis, q2))
+        lowest = min(
+            lowest,
+            by_place.limit_at(table, row, axis, q1),
+            by_place.limit_at(table, row, axis, q2),
+        )
     return float(lowest)
 
 
@@ -54,13 +51,13 @@ def speed_bounds(
             q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(q_ss))
             q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(q_sss))
             q0, q2 = left[0, i, k], right[0, i, k]
-            largest_a = _lowest(table, ACCELERATION, k, q0, q1, q2)
-            largest_a = min(largest_a, table[DRIVE, k, 0] - table[COULOMB, k, 0])
-            largest_j = _lowest(table, JERK, k, q0, q1, q2)
+            largest_a = _lowest(table, by_place.ACCELERATION, k, q0, q1, q2)
+            largest_a = min(largest_a, table[by_place.DRIVE, k, 0] - table[by_place.COULOMB, k, 0])
+            largest_j = _lowest(table, by_place.JERK, k, q0, q1, q2)
             if q_s > 0.0:
-                fast = min(fast, _lowest(table, VELOCITY, k, q0, q1, q2) / q_s)
-                first = min(first, limit_at(table, VELOCITY, k, q0) / q_s)
-                last = min(last, limit_at(table, VELOCITY, k, q2) / q_s)
+                fast = min(fast, _lowest(table, by_place.VELOCITY, k, q0, q1, q2) / q_s)
+                first = min(first, by_place.limit_at(table, by_place.VELOCITY, k, q0) / q_s)
+                last = min(last, by_place.limit_at(table, by_place.VELOCITY, k, q2) / q_s)
                 acceleration = min(acceleration, largest_a / q_s)
                 jerk = min(jerk, largest_j / q_s)
             if q_ss > 0.0:

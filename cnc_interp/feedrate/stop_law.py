@@ -21,13 +21,8 @@ from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
-from cnc_interp.kinematics.axis_path import (
-    AxisPath,
-    cut,
-    refine,
-    septic_coefficients,
-    septic_jet,
-)
+from cnc_interp.kinematics import axis_path
+from cnc_interp.kinematics.axis_path import AxisPath
 
 STEP = 5e-4  #: Longest time with one jerk [s]; the limits are kept at both ends.
 SHARE = 0.05  #: Longest such time relative to that in which braking would take away all speed [-].
@@ -72,13 +67,13 @@ def _left_by_axes(
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: FloatArray) -> None:
     for i in range(left.shape[2]):
-        septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
+        axis_path.septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _jets_at(septics: FloatArray, u: float, h: float, jet: FloatArray) -> None:
     for i in range(len(septics)):
-        jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3] = septic_jet(septics[i], u, h)
+        jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3] = axis_path.septic_jet(septics[i], u, h)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -251,5 +246,7 @@ def cut_between(path: AxisPath, first: float, last: float, at: FloatArray) -> Ax
     lowest = int(np.searchsorted(path.s, first, side='right')) - 1
     highest = int(np.searchsorted(path.s, last))
     lowest, highest = max(lowest, 0), min(max(highest, lowest + 1), len(path.s) - 1)
-    part = refine(cut(path, lowest, highest), at)
-    return cut(part, int(np.searchsorted(part.s, first)), int(np.searchsorted(part.s, last)))
+    part = axis_path.refine(axis_path.cut(path, lowest, highest), at)
+    return axis_path.cut(
+        part, int(np.searchsorted(part.s, first)), int(np.searchsorted(part.s, last))
+    )

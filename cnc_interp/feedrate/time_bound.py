@@ -20,13 +20,7 @@ import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core.limits_by_position import (
-    ACCELERATION,
-    FAR,
-    VELOCITY,
-    largest_between,
-    limit_at,
-)
+from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
 
@@ -69,9 +63,9 @@ def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> F
             if low > high:
                 low, high = high, low
             if left[1, i, k] * right[1, i, k] <= 0.0:
-                low, high = -FAR, FAR  # the axis may turn round inside the cell
-            for row in (VELOCITY, ACCELERATION):
-                out[row, i, k] = largest_between(table, row, k, low, high)
+                low, high = -by_place.FAR, by_place.FAR  # the axis may turn round inside the cell
+            for row in (by_place.VELOCITY, by_place.ACCELERATION):
+                out[row, i, k] = by_place.largest_between(table, row, k, low, high)
     return out
 
 
@@ -85,12 +79,12 @@ def _point_cap(q: FloatArray, q_s: FloatArray, q_ss: FloatArray, table: FloatArr
     cap = FASTEST * FASTEST
     for i in range(len(q_s)):
         if q_s[i] != 0.0:
-            cap = min(cap, (limit_at(table, VELOCITY, i, q[i]) / q_s[i]) ** 2)
+            cap = min(cap, (by_place.limit_at(table, by_place.VELOCITY, i, q[i]) / q_s[i]) ** 2)
         for k in range(i):
             crossed = abs(q_ss[i] * q_s[k] - q_ss[k] * q_s[i])
             if crossed > 0.0:
-                room = limit_at(table, ACCELERATION, i, q[i]) * abs(q_s[k])
-                room += limit_at(table, ACCELERATION, k, q[k]) * abs(q_s[i])
+                room = by_place.limit_at(table, by_place.ACCELERATION, i, q[i]) * abs(q_s[k])
+                room += by_place.limit_at(table, by_place.ACCELERATION, k, q[k]) * abs(q_s[i])
                 cap = min(cap, room / crossed)
     return cap
 

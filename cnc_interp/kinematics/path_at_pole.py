@@ -11,18 +11,9 @@ from math import comb
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.kinematics import pole_bounds as polar
 from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import septic_coefficients
-from cnc_interp.kinematics.pole_bounds import (
-    TURN,
-    gap_bounds,
-    lengths_of,
-    near_pole,
-    place_at,
-    pole_sine,
-    rates_of,
-    way_to,
-)
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
@@ -81,16 +72,16 @@ class PathAtPole:
     ) -> PathAtPole:
         n = len(segments)
         shapes, beside = axes.shapes_of(segments), axes.beside_of(segments)
-        rates, lengths, sine = rates_of(segments), np.zeros(n), np.ones(n)
+        rates, lengths, sine = polar.rates_of(segments), np.zeros(n), np.ones(n)
         near = np.tile([2.0, -1.0], (n, 1))
         rows = np.flatnonzero(segments.interpolation == POSES)
         if len(rows):
             posed = segments[rows]
             some = (posed.kind, shapes[rows])
-            lengths[rows] = lengths_of(*some, beside[rows], posed.length)
+            lengths[rows] = polar.lengths_of(*some, beside[rows], posed.length)
             limits = AT_POLE * np.maximum(posed.room, 0.0) / height
-            near[rows], sine[rows] = near_pole(
-                transform.packed, *some, posed.parametrization, rates[rows, TURN], limits
+            near[rows], sine[rows] = polar.near_pole(
+                transform.packed, *some, posed.parametrization, rates[rows, polar.TURN], limits
             )
         return cls(
             transform, height, segments, motion.copy(), np.tile(axes.NO_GUIDE, (n, 1)),
@@ -120,11 +111,11 @@ class PathAtPole:
 
     def way(self, i: int, u: float) -> float:
         kind, length = self.segments.kind[i], self.segments.length[i]
-        return float(way_to(kind, self.shapes[i], self.beside[i], length, u))
+        return float(polar.way_to(kind, self.shapes[i], self.beside[i], length, u))
 
     def sine_at(self, i: int, u: float) -> float:
         kind, span = self.segments.kind[i], self.segments.parametrization[i]
-        return float(pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
+        return float(polar.pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
 
     def place(self, s: float, first: int, ends: FloatArray) -> tuple[int, float]:
         i = int(np.clip(np.searchsorted(ends, s, 'right') - 1, 0, len(ends) - 2))
@@ -132,7 +123,7 @@ class PathAtPole:
         if way <= SAME_PLACE or way >= self.lengths[i] - SAME_PLACE:
             return i, 0.0 if way <= SAME_PLACE else 1.0
         kind, length = self.segments.kind[i], self.segments.length[i]
-        return i, float(place_at(kind, self.shapes[i], self.beside[i], length, way))
+        return i, float(polar.place_at(kind, self.shapes[i], self.beside[i], length, way))
 
     def following(self, i: int, u: float, s: float, branch: float, near: float) -> PassageEnd:
         """Solve the rotary axes for the tool axis at one point, on a branch."""
@@ -189,7 +180,7 @@ class PathAtPole:
             slope = slope[1:] * np.arange(1, len(slope)) / length
             turning[order - 1] = np.abs(TO_BEZIER[order - 1] @ slope).max()
         exact = EXACT * np.maximum(segments.room, 1e-9) / self.height
-        bounds = gap_bounds(
+        bounds = polar.gap_bounds(
             self.transform.packed, segments.kind, self.shapes[rows], self.beside[rows],
             segments.parametrization, segments.length, guides, self.rates[rows], turning, exact,
         )  # fmt: skip

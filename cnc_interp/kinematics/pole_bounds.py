@@ -32,14 +32,7 @@ from numba import njit
 from cnc_interp.core import FloatArray, IntArray, norm
 from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
 from cnc_interp.core.bspline import corner_pieces
-from cnc_interp.kinematics.segment_axes import (
-    FOLLOWING,
-    GUIDE_FROM,
-    GUIDE_TO,
-    arc_length,
-    guide_jet,
-    pose_jets,
-)
+from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.machine_model.transform_kernels import guided_gap, outer_and_inner
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
@@ -99,7 +92,7 @@ def _parameter_bounds(spans: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def pole_sine(packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, u: float) -> float:
-    o = pose_jets(kind, shape, f, u, u)[1]
+    o = axes.pose_jets(kind, shape, f, u, u)[1]
     pole, _ = outer_and_inner(packed)
     x = o[1][0] * pole[2] - o[2][0] * pole[1]
     y = o[2][0] * pole[0] - o[0][0] * pole[2]
@@ -160,13 +153,15 @@ def way_to(kind, shape, beside, length, u):  # type: ignore[no-untyped-def]
         a, b = 0.5 * half, min(u, 0.5 + 0.5 * half)
         if b <= a:
             break
-        found = arc_length(kind, FOLLOWING, shape, beside, 0.0, length, a, b)
+        found = axes.arc_length(kind, axes.FOLLOWING, shape, beside, 0.0, length, a, b)
         parts = 2
         while parts <= MOST_PARTS:
             before, found, step = found, 0.0, (b - a) / parts
             for k in range(parts):
                 low, high = a + k * step, a + (k + 1) * step
-                found += arc_length(kind, FOLLOWING, shape, beside, 0.0, length, low, high)
+                found += axes.arc_length(
+                    kind, axes.FOLLOWING, shape, beside, 0.0, length, low, high
+                )
             if abs(found - before) <= SAME_LENGTH * found:
                 break
             parts *= 2
@@ -213,7 +208,7 @@ def gap_bounds(
     latitude = atan2(abs(w[2]), sqrt(w[0] * w[0] + w[1] * w[1]))
     for i in range(len(kinds)):
         kind, shape, spans, length, guide = kinds[i], shapes[i], f[i], lengths[i], guides[i]
-        first, last = max(0.0, guide[GUIDE_FROM]), min(1.0, guide[GUIDE_TO])
+        first, last = max(0.0, guide[axes.GUIDE_FROM]), min(1.0, guide[axes.GUIDE_TO])
         if last <= first:
             continue
         o_u, o_uu, s_u, s_uu = rates[i]
@@ -236,9 +231,11 @@ def gap_bounds(
             if k == 0 or (before < 0.5) != (u <= 0.5):
                 way = way_to(kind, shape, beside[i], length, u)
             else:
-                way += arc_length(kind, FOLLOWING, shape, beside[i], 0.0, length, before, u)
-            o = pose_jets(kind, shape, spans, u, u)[1]
-            gap = guided_gap(packed, o, guide_jet(guide, way)[0])
+                way += axes.arc_length(
+                    kind, axes.FOLLOWING, shape, beside[i], 0.0, length, before, u
+                )
+            o = axes.pose_jets(kind, shape, spans, u, u)[1]
+            gap = guided_gap(packed, o, axes.guide_jet(guide, way)[0])
             worst, before = max(worst, abs(gap)), u
         farthest = latitude + worst + 0.5 * rate * step
         if farthest < 0.5 * pi:

@@ -17,17 +17,8 @@ from cnc_interp.machine_model.transform_kernels import (
     linear_jets,
     rotary_jets,
 )
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    POINTS,
-    SPLINE,
-    PathSegments,
-    corner_jets,
-    great_circle_jets,
-    line_jets,
-    spline_jets,
-)
+from cnc_interp.smoothing import segments as kinds
+from cnc_interp.smoothing.segments import PathSegments
 
 PLAIN_GRID = np.array([0.0, 0.5, 1.0])
 SLOWEST_TIP = 1e-6  #: A tip slower than this share of the top rests: no measure [-].
@@ -43,8 +34,12 @@ NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
 #: Layout of ``rotary``: positions [rad], branch (+1 or -1) and flank height [m].
 FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
-BOTTOM, TOP = slice(0, POINTS), slice(POINTS, 2 * POINTS)
-AXIS, ROTATION, CONNECTION = 2 * POINTS, 2 * POINTS + 1, slice(2 * POINTS + 2, None)
+BOTTOM, TOP = slice(0, kinds.POINTS), slice(kinds.POINTS, 2 * kinds.POINTS)
+AXIS, ROTATION, CONNECTION = (
+    2 * kinds.POINTS,
+    2 * kinds.POINTS + 1,
+    slice(2 * kinds.POINTS + 2, None),
+)
 # Gauss-Legendre points and weights for the arc length of half a corner
 _GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
 
@@ -75,13 +70,13 @@ def sample(
     axis, of no meaning where the rotary axes are coordinates; and the squared sine of the tilt
     from the pole, negative when unreachable, 1 unless it is solved.
     """
-    if kind == CORNER and motion >= LINEAR:
+    if kind == kinds.CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)
         o = p
         speed = speed_beside(p, beside, rotary[HEIGHT], u, inside)
     else:
         p, o = pose_jets(kind, shape, f, u, inside)
-        curved = kind == CORNER or kind == SPLINE
+        curved = kind == kinds.CORNER or kind == kinds.SPLINE
         speed = speed_of(p) if curved else jet.constant(length)
     sine_squared, outer = 1.0, int(packed[OUTER])
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
@@ -122,14 +117,14 @@ def sample(
 def pose_jets(
     kind: int, shape: FloatArray, f: FloatArray, u: float, inside: float
 ) -> tuple[VectorJet, VectorJet]:
-    if kind == CORNER:
-        return corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
-    if kind == SPLINE:
-        return spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
-    if kind == LINE:
-        return line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
+    if kind == kinds.CORNER:
+        return kinds.corner_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], f, u, inside)
+    if kind == kinds.SPLINE:
+        return kinds.spline_jets(shape[BOTTOM], shape[TOP], shape[CONNECTION], u)
+    if kind == kinds.LINE:
+        return kinds.line_jets(shape[BOTTOM], shape[AXIS], shape[ROTATION], u)
     p = (jet.constant(shape[0, 0]), jet.constant(shape[0, 1]), jet.constant(shape[0, 2]))
-    return p, great_circle_jets(shape[AXIS], shape[ROTATION], u)
+    return p, kinds.great_circle_jets(shape[AXIS], shape[ROTATION], u)
 
 
 @njit(cache=True, nogil=True)
@@ -144,9 +139,9 @@ def guide_jet(guide: FloatArray, way: float) -> Jet:
 @njit(cache=True, nogil=True)
 def beside_jet(kind: int, beside: FloatArray, k: int, u: float, inside: float) -> Jet:
     """Return the jet in u of column k of ``beside``: an axis that is a coordinate [m or rad]."""
-    if kind == CORNER:
+    if kind == kinds.CORNER:
         return corner_spline_jet(beside, k, u, inside > 0.5)
-    if kind == SPLINE:
+    if kind == kinds.SPLINE:
         return quintic_jet(beside, k, u)
     rate = beside[1, k] - beside[0, k]
     return (beside[0, k] + u * rate, rate, 0.0, 0.0)
@@ -197,7 +192,7 @@ def arc_length(
     a: float, b: float,
 ) -> float:  # fmt: skip
     """Return the path length between two u of one half of a segment [m], flank height as lever."""
-    if kind != CORNER and kind != SPLINE:
+    if kind != kinds.CORNER and kind != kinds.SPLINE:
         return length * (b - a)
     late = 0.5 * (a + b) > 0.5
     total = 0.0
@@ -205,7 +200,7 @@ def arc_length(
         u = 0.5 * (a + b) + 0.5 * (b - a) * _GAUSS[0, i]
         square = 0.0
         for k in range(3):
-            if kind == CORNER:
+            if kind == kinds.CORNER:
                 rate = corner_spline_jet(shape[BOTTOM], k, u, late)[1]
             else:
                 rate = quintic_jet(shape[BOTTOM], k, u)[1]

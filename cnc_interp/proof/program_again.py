@@ -22,14 +22,9 @@ from cnc_interp.core import (
 )
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.proof import linuxcnc_reader as second
 from cnc_interp.proof.functions import compare_words
-from cnc_interp.proof.linuxcnc_reader import (
-    LAST_DIGIT,
-    LinuxCNCError,
-    cutters_of,
-    read_by_linuxcnc,
-    setup_of,
-)
+from cnc_interp.proof.linuxcnc_reader import LinuxCNCError
 from cnc_interp.proof.plain_reader import ReadMove, read_plainly
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 from cnc_interp.proof.verdict import Proof
@@ -81,7 +76,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     demand(not plan.starts_inside, inside)
     told = not settings.get('setup') or bool(plan.summary.get('setup'))
     demand(told, 'the plan does not tell the values of its setup, so it cannot be compared')
-    setup = setup_of(plan.summary.get('setup'), machine)
+    setup = second.setup_of(plan.summary.get('setup'), machine)
     try:
         with program.open('rb') as file:
             text = file.read(LONGEST + 1).decode('utf-8-sig', errors='replace')
@@ -97,16 +92,16 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     try:
         if not linuxcnc and _OTHER_HOLES.search(text):
             raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
-        moves: Iterable[ReadMove] = read_by_linuxcnc(
+        moves: Iterable[ReadMove] = second.read_by_linuxcnc(
             text, names, skip, len(plan.blocks['tip']), setup
         )
         moves = _as_planned(moves, settings)
         found.append(compare_places(plan.blocks, machine, moves, tolerances))
-        readers.append(f"read by LinuxCNC's rs274 to {LAST_DIGIT:g} of its unit")
+        readers.append(f"read by LinuxCNC's rs274 to {second.LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
     try:
-        tools = cutters_of(plan.summary.get('setup'))
+        tools = second.cutters_of(plan.summary.get('setup'))
         if tools is None:
             raise ProgramError('the reader of plain words knows no offsets and tool lengths')
         default = float(feed) if isinstance(feed, int | float) else None
@@ -194,7 +189,7 @@ class _Comparison:
         room = _place(move)
         if move.digit and not move.tcp:
             tip = self.pose(move)[0]
-            for step in ROUNDED * LAST_DIGIT * DEG * np.eye(len(move.rotary)):
+            for step in ROUNDED * second.LAST_DIGIT * DEG * np.eye(len(move.rotary)):
                 turned = self.pose(replace(move, rotary=move.rotary + step))[0]
                 room += float(np.linalg.norm(turned - tip))
         return room
@@ -432,7 +427,7 @@ def _place(move: ReadMove) -> float:
 
 def _angle(move: ReadMove) -> float:
     """Return by how much tool axis and rotary words may differ [rad]; digits are of degrees."""
-    return SAME_PLACE + (DIGITS * LAST_DIGIT * DEG if move.digit else 0.0)
+    return SAME_PLACE + (DIGITS * second.LAST_DIGIT * DEG if move.digit else 0.0)
 
 
 def _blur(move: ReadMove, start: FloatArray) -> float:

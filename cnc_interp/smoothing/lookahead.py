@@ -14,16 +14,9 @@ from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.corners import corner_curve
+from cnc_interp.smoothing.corners import corner_curve, vertices
 from cnc_interp.smoothing.corners.corner_curve import PAPER_RATIO, Corners, Style, ratios_at
-from cnc_interp.smoothing.corners.vertices import (
-    ROUND,
-    Legs,
-    axis_corners,
-    classify,
-    corners_at,
-    refuse_reversals,
-)
+from cnc_interp.smoothing.corners.vertices import Legs
 from cnc_interp.smoothing.dense.compressor import Compressor
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.emission import Emission
@@ -72,8 +65,8 @@ class LookAhead:
         if len(blocks) < 2:
             return PathSegments.none()
         legs = Legs.of(blocks, self._machine, self._settings.flank_height)
-        refuse_reversals(rows, legs)
-        vertex = classify(rows, legs, self._settings.flank_height, self._machine)
+        vertices.refuse_reversals(rows, legs)
+        vertex = vertices.classify(rows, legs, self._settings.flank_height, self._machine)
         decided = self._choice.decide(rows, legs, vertex, final)
         inner, outer = self._size(rows, legs, vertex)
         outer[0, 1] = self._outer_before
@@ -94,10 +87,10 @@ class LookAhead:
     def _size(self, lines: Rows, legs: Legs, vertex: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return L1, shape (n,), and L2, shape (n, 2), of every vertex [m]; 0 without a corner."""
         inner, outer = np.zeros(len(lines)), np.zeros((len(lines), 2))
-        rows = np.flatnonzero(vertex == ROUND)
+        rows = np.flatnonzero(vertex == vertices.ROUND)
         rows = self._size_in_axes(lines, legs, rows, inner, outer)
         if len(rows):
-            corners = corners_at(
+            corners = vertices.corners_at(
                 lines.blocks, legs, rows, self._machine, self._settings.flank_height
             )
             half = self._available(lines, legs, rows)
@@ -118,7 +111,7 @@ class LookAhead:
         self, lines: Rows, legs: Legs, rows: IntArray, inner: FloatArray, outer: FloatArray
     ) -> IntArray:
         height, jerk = self._settings.flank_height, self._machine.max_jerk
-        corners = axis_corners(lines, legs, height, self._machine, rows)
+        corners = vertices.axis_corners(lines, legs, height, self._machine, rows)
         if corners is None or jerk is None or not len(corners.row):
             return rows
         own = corners.row

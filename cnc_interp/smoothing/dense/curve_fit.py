@@ -9,14 +9,8 @@ from numba import njit
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bezier import quintic_end_jet
 from cnc_interp.core.bspline import clamped_knots, quintic_bezier_matrices, quintic_bezier_points
+from cnc_interp.smoothing.dense import knots as spacing
 from cnc_interp.smoothing.dense.certificate import certify
-from cnc_interp.smoothing.dense.knots import (
-    AHEAD,
-    LONGEST,
-    knot_spacings,
-    place_knots,
-    sample_points,
-)
 from cnc_interp.smoothing.dense.polyline import Polyline, pieces
 from cnc_interp.smoothing.dense.tube_fit import STIFFNESS, TYPICAL, fit
 from cnc_interp.smoothing.orientation import rotation_between, share_near_pole
@@ -103,7 +97,7 @@ class Run:
         line, end = self.line, float(self.line.u[-1])
         limit = end
         if not self.ended:  # the spacing at a vertex depends on the vertices up to AHEAD after it
-            known = int(np.searchsorted(line.u, end - AHEAD * self._longest, 'right')) - 1
+            known = int(np.searchsorted(line.u, end - spacing.AHEAD * self._longest, 'right')) - 1
             limit = float(line.u[max(known, 0)])
             if limit <= self.t:
                 return None
@@ -117,7 +111,7 @@ class Run:
         if window.found:
             self.t, self._jet = window.t, window.jet
             here = min(int(np.searchsorted(line.u, self.t, 'right')), len(line.feed)) - 1
-            self._longest = LONGEST * float(line.tolerance[here].min())
+            self._longest = spacing.LONGEST * float(line.tolerance[here].min())
             if not window.last:
                 self._drop()
         return window
@@ -126,7 +120,9 @@ class Run:
         """Drop vertices that no later window depends on."""
         if self.ended:
             return
-        first = int(np.searchsorted(self.line.u, self.t - 1.05 * AHEAD * self._longest)) - 1
+        first = (
+            int(np.searchsorted(self.line.u, self.t - 1.05 * spacing.AHEAD * self._longest)) - 1
+        )
         if first > 256:
             self.line = self.line.part(first, len(self.line.u) - 1)
 
@@ -138,10 +134,10 @@ def fit_window(
 ) -> tuple[bool, Window]:  # fmt: skip
     """Fit a window from t on, with knots up to a limit; False if more blocks are necessary."""
     left = _left_over(line, curve)
-    wanted = knot_spacings(line, left, curve.height, longest)
+    wanted = spacing.knot_spacings(line, left, curve.height, longest)
     window = _nothing(t)
     for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
-        knots = place_knots(line.u, wanted, t, limit, factor, LAST)
+        knots = spacing.place_knots(line.u, wanted, t, limit, factor, LAST)
         last = ended and knots[-1] >= limit
         if not ended and (len(knots) <= WINDOW or knots[WINDOW] > limit):
             if attempt == 0:
@@ -208,7 +204,7 @@ def _fitted(
     height, turning, spans = curve.height, curve.turning, len(knots) - 1
     full = clamped_knots(knots)
     matrices = quintic_bezier_matrices(full, spans)
-    samples = sample_points(line, left, knots, height)
+    samples = spacing.sample_points(line, left, knots, height)
     narrow, apart = _tolerances(line, knots)
     coefficients, _ = fit(
         full, matrices, knots, jet, end_jet, samples, turning, (fewest, most), aim,

@@ -12,12 +12,23 @@ from typing import Literal
 
 import numpy as np
 
-from cnc_interp.cam import passes as widths
 from cnc_interp.cam import scallop
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import finely, gouge_depth, raised
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
-from cnc_interp.cam.passes import Angles, Pass, StripError, UnfitError, WideStripError
+from cnc_interp.cam.passes import (
+    Angles,
+    Pass,
+    StripError,
+    UnfitError,
+    WideStripError,
+    constant_tilt,
+    constant_width,
+    kept_places,
+    kept_ranges,
+    places_around,
+    plane_distance,
+)
 from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError, norm
@@ -90,9 +101,7 @@ class PassRecursion:
         if self.options.stepover is not None:
             return 0.5 * self.options.stepover
         curve = self.planes.curve(plane)
-        angles = widths.constant_tilt(
-            curve, self.options.tilt, self.options.yaw, self.count(curve)
-        )
+        angles = constant_tilt(curve, self.options.tilt, self.options.yaw, self.count(curve))
         reach = self.reach(curve, angles)
         if np.isnan(reach).all():
             radius = (self.cutter.tool_radius + self.cutter.corner_radius) / MM
@@ -100,19 +109,19 @@ class PassRecursion:
                 f'the mill of {radius:.4g} mm radius does not fit into the surface at the guiding '
                 f'plane at {plane / MM:.4g} mm; take a smaller mill'
             )
-        kept = widths.kept_places(curve, angles.s, reach, self.options.overrun)
+        kept = kept_places(curve, angles.s, reach, self.options.overrun)
         if not kept.any():
             return float(np.nanmin(reach))
         # A strip of the smallest width may be milled a little further.
         narrow = np.full(len(reach), np.nanmin(reach[kept]))
-        kept |= widths.kept_places(curve, angles.s, narrow, self.options.overrun)
+        kept |= kept_places(curve, angles.s, narrow, self.options.overrun)
         return float(np.nanmin(reach[kept]))
 
     def reach(self, curve: GuidingCurve, angles: Angles, side: float = 1.0) -> FloatArray:
         postures = angles.postures(curve, self.cutter, angles.s)
         height = self.options.scallop_height
         scallops = scallop.scallop_points(self.surface, postures, height, side)
-        return widths.plane_distance(postures, scallops, self.normal)
+        return plane_distance(postures, scallops, self.normal)
 
     def count(self, curve: GuidingCurve) -> int:
         return self.options.points or max(25, int(np.ceil(curve.length / SPACING)))
@@ -120,9 +129,9 @@ class PassRecursion:
     def fresh_pass(self, plane: float, number: int, tilted: bool = False) -> Pass:
         o, curve = self.options, self.planes.curve(plane)
         if tilted or o.freedom == 'yaw':
-            angles = widths.constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
+            angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
         else:
-            angles = widths.constant_width(
+            angles = constant_width(
                 curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
                 o.yaw, self.count(curve), o.overrun,
             )  # fmt: skip
@@ -190,11 +199,11 @@ class PassRecursion:
         least = CLOSEST * (plane - start)
         for _ in range(CLOSER_PLANES):
             curve = self.planes.curve(plane)
-            angles = widths.constant_width(
+            angles = constant_width(
                 curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
                 yaw, self.count(curve), o.overrun, strict=False,
             )  # fmt: skip
-            parts = widths.kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
+            parts = kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
             try:
                 angles = raised(curve, self.cutter, angles, parts, o.tilt_limits[1], o.gouge)
             except SurfaceError:
@@ -211,12 +220,12 @@ class PassRecursion:
         """Return the largest distance from the previous pass that leaves no ridge between [m]."""
         if before is None:
             reach = self.reach(curve, angles, -1.0)
-            kept = widths.kept_places(curve, angles.s, reach, self.options.overrun)
+            kept = kept_places(curve, angles.s, reach, self.options.overrun)
             return float(np.nanmin(reach[kept] if kept.any() else reach))
         s = scallop.nearest_places(curve, before.right)
         postures = angles.postures(curve, self.cutter, s)
         left = scallop.scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
-        both = before.reach + widths.plane_distance(postures, left, self.normal)
+        both = before.reach + plane_distance(postures, left, self.normal)
         return float(np.nanmin(both[before.kept] if before.kept.any() else both))
 
     def distance(self, before: Pass) -> float:
@@ -225,9 +234,7 @@ class PassRecursion:
         distance = 2.0 * float(before.kept_reach.min())
         for _ in range(2):
             curve = self.planes.curve(before.plane + distance)
-            tilted = widths.constant_tilt(
-                curve, self.options.tilt, self.options.yaw, self.count(curve)
-            )
+            tilted = constant_tilt(curve, self.options.tilt, self.options.yaw, self.count(curve))
             distance = CLOSER * self.room(before, curve, tilted)
         return distance
 
@@ -235,7 +242,7 @@ class PassRecursion:
         frames = curve.frames(scallop.nearest_places(curve, before.right))
         postures = scallop.resting(self.cutter, frames, tilt, self.options.yaw)
         left = scallop.scallop_points(self.surface, postures, self.options.scallop_height, -1.0)
-        return widths.plane_distance(postures, left, self.normal)
+        return plane_distance(postures, left, self.normal)
 
     def continued(self, before: Pass, distance: float, number: int) -> Pass:
         o = self.options
@@ -248,10 +255,10 @@ class PassRecursion:
         slack = 1e-6
         fits = fit.found & (fit.tilt >= low - slack) & (fit.tilt <= high + slack)
         places = scallop.nearest_places(curve, before.right)
-        kept = widths.kept_places(curve, places, np.abs(distance - before.reach), o.overrun)
+        kept = kept_places(curve, places, np.abs(distance - before.reach), o.overrun)
         if np.any(kept & ~fits) or not fits.any():
             raise NoPassError(*self.diagnosis(before, curve, fit, fits | ~kept, distance, number))
-        run = widths.places_around(fits, kept)
+        run = places_around(fits, kept)
         if np.any(np.diff(fit.s[run]) <= 0.0):
             i = run[int(np.argmax(np.diff(fit.s[run]) <= 0.0))]
             raise NoPassError(
@@ -282,8 +289,8 @@ class PassRecursion:
         s = np.linspace(0.0, curve.length, self.count(curve))
         postures = angles.postures(curve, self.cutter, s)
         right = scallop.scallop_points(self.surface, postures, self.options.scallop_height)
-        kept = widths.kept_places(
-            curve, s, widths.plane_distance(postures, right, self.normal), self.options.overrun
+        kept = kept_places(
+            curve, s, plane_distance(postures, right, self.normal), self.options.overrun
         )
         missing = kept & ~right.found
         if missing.any() or not right.found.any():
@@ -294,7 +301,7 @@ class PassRecursion:
                 'take a larger tilt, a smaller scallop height or a smaller plane distance',
             )
         if not right.found.all():
-            run = widths.places_around(right.found, kept)
+            run = places_around(right.found, kept)
             s, kept = s[run], kept[run]
             postures = angles.postures(curve, self.cutter, s)
             right = scallop.scallop_points(self.surface, postures, self.options.scallop_height)
@@ -303,7 +310,7 @@ class PassRecursion:
         return made
 
     def check_heel(self, made: Pass, number: int) -> None:
-        parts = widths.kept_ranges(made.curve, made.s, made.reach, self.options.overrun)
+        parts = kept_ranges(made.curve, made.s, made.reach, self.options.overrun)
         if not parts:
             return
         tool = made.tool(finely(made.s, parts))

@@ -20,11 +20,10 @@ ANALYTIC = {
     'Geom_SphericalSurface': 'sphere', 'Geom_ToroidalSurface': 'torus',
 }  # fmt: skip
 CONVERTED = {
-    BEZIER: 'Bezier patch',
-    'Geom_ConicalSurface': 'cone',
+    BEZIER: 'Bezier patch', 'Geom_ConicalSurface': 'cone',
     'Geom_SurfaceOfLinearExtrusion': 'extrusion',
     'Geom_SurfaceOfRevolution': 'surface of revolution',
-}
+}  # fmt: skip
 NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
 #: A boundary within this distance of the rectangle of parameters is the rectangle [m].
 ON_BORDER = 10e-6

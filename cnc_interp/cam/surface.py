@@ -124,9 +124,8 @@ class Surface(ABC):
         grow_u, grow_v = self.growth(extension) if extension else (0.0, 0.0)
         u, v = np.meshgrid(
             np.linspace(u0 - grow_u, u1 + grow_u, rows),
-            np.linspace(v0 - grow_v, v1 + grow_v, columns),
-            indexing='ij',
-        )
+            np.linspace(v0 - grow_v, v1 + grow_v, columns), indexing='ij',
+        )  # fmt: skip
         return u, v
 
     def growth(self, extension: float) -> tuple[float, float]:

@@ -26,15 +26,14 @@ from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_jso
 STEP_SUFFIXES = '.step', '.stp', '.p21'
 #: Keys of each kind of surface, and those that may be left out.
 KEYS = {
-    'plane': ('size_mm',),
-    'bumps': ('size_mm', 'bumps_mm'),
+    'plane': ('size_mm',), 'bumps': ('size_mm', 'bumps_mm'),
     'cap': ('size_mm', 'radius_mm', 'blend_mm', 'angle_deg'),
     'cylinder': ('radius_mm', 'angle_deg', 'length_mm', 'hollow'),
     'sphere': ('radius_mm', 'u_angle_deg', 'v_angle_deg'),
     'torus': ('ring_mm', 'radius_mm', 'u_angle_deg', 'v_angle_deg'),
     'bspline': ('knots_u', 'knots_v', 'points_mm', 'degree', 'flip'),
     'grid': ('points_mm', 'flip'),
-}
+}  # fmt: skip
 OPTIONAL = ('hollow', 'degree', 'flip')
 
 

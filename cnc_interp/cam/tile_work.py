@@ -95,10 +95,9 @@ def simulate_in_tiles(
 def histogram(figures: Figures) -> dict[str, Any]:
     numbers = sorted(figures.classes)
     return {
-        'width': CLASS,
-        'from': [n * CLASS for n in numbers],
+        'width': CLASS, 'from': [n * CLASS for n in numbers],
         'needles': [figures.classes[n] for n in numbers],
-    }
+    }  # fmt: skip
 
 
 #: Unit of the heights on the page [m], and the number that stands for zero.

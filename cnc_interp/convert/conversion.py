@@ -212,15 +212,12 @@ def _cl(blocks: Blocks, source: str) -> Converted:
         notes.append('inverse-time feeds (G93) are written as feedrates')
     moves = (
         WrittenMove(
-            tip=blocks.tip[i],
-            axis=blocks.axis[i],
-            feedrate=float(feed[i]),
-            rapid=bool(blocks.rapid[i]) and i > 0,
+            tip=blocks.tip[i], axis=blocks.axis[i], feedrate=float(feed[i]),
+            rapid=bool(blocks.rapid[i]) and i > 0, program_stop=int(blocks.program_stop[i]),
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
-            program_stop=int(blocks.program_stop[i]),
         )
         for i in range(len(blocks))
-    )
+    )  # fmt: skip
     return Converted(cl_data(moves, source.rsplit('/', 1)[-1], notes), notes)
 
 

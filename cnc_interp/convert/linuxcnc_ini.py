@@ -166,9 +166,8 @@ def _table(
         {'name': letter, 'about': ABOUT[letter], 'carries': 'workpiece'} for letter in rotary
     )
     return {
-        'primary': primary,
-        'secondary': secondary,
+        'primary': primary, 'secondary': secondary,
         'workpiece_offset_mm': [0.0 - x for x in point],
         'secondary_offset_mm': [0.0 - x for x in offset],
         'primary_offset_mm': [x + y for x, y in zip(point, offset, strict=True)],
-    }
+    }  # fmt: skip

@@ -209,17 +209,14 @@ class SplineMoves:
     def _control_points(self, curve: CubicCurve, i: int) -> Iterator[WrittenMove]:
         count = len(curve.bottom)
         feed = self.segments.feed[i]
+        stops = bool(self.segments.stop[i]) and i < len(self.segments) - 1
         for k in range(1, count):
             yield WrittenMove(
-                tip=curve.bottom[k],
+                tip=curve.bottom[k], rapid=False, exact_stop=stops and k == count - 1,
                 second=curve.top[k] if self.transform.machine.has_rotary else None,
                 feedrate=float(feed[0] if k < curve.late else feed[1]),
                 knot_interval=float(curve.knot_interval[k]),
-                rapid=False,
-                exact_stop=bool(self.segments.stop[i])
-                and k == count - 1
-                and i < len(self.segments) - 1,
-            )
+            )  # fmt: skip
 
     def _constant_height(self, first: int, last: int) -> bool:
         """Return whether second points are at flank height: corners, and curves with gaps."""

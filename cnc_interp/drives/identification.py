@@ -49,10 +49,9 @@ LOOPS = (
     Parameter('time_constant', 4e-3, 2e-4, 0.09), Parameter('delay', 1e-3, 0.0, 0.03),
 )  # fmt: skip
 MECHANICS = (
-    Parameter('backlash', 5e-6, 0.0, 2e-3),
-    Parameter('mode_frequency', 40.0, 8.0, 300.0),
+    Parameter('backlash', 5e-6, 0.0, 2e-3), Parameter('mode_frequency', 40.0, 8.0, 300.0),
     Parameter('mode_damping', 0.05, 1e-3, 0.9),
-)
+)  # fmt: skip
 FRICTION = (
     Parameter('coulomb', 0.2, 0.0, 50.0),
     Parameter('static', 0.1, 0.0, 50.0),  # what it exceeds Coulomb friction by

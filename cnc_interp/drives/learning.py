@@ -135,11 +135,10 @@ class LearntMotion:
                 found = {name: file[name] for name in ARRAYS}
             motion = LearntMotion(
                 np.ascontiguousarray(found['setpoint'], dtype=float),
-                np.ascontiguousarray(found['rate'], dtype=float),
-                float(found['period']),
+                np.ascontiguousarray(found['rate'], dtype=float), float(found['period']),
                 np.asarray(found['error'], dtype=float),
                 *(str(found[name]) for name in ('axes', 'machine', 'model')),
-            )
+            )  # fmt: skip
         except OSError as fault:
             why = fault.strerror or 'not a file that `learn` wrote'
             raise InterpError(f'{path}: cannot be read ({why})') from None

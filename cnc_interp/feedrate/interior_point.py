@@ -85,11 +85,8 @@ def predict(
     worst, square = 1.0, 0.0
     centring[:], bending[:] = 0.0, 0.0
     # Rows of x: both forces on the three coefficients of each cell, dw dy, 1 / step length.
-    s, x, zero = (
-        np.empty((6, barrier.CHUNK)),
-        np.empty((8, barrier.CHUNK)),
-        np.zeros(barrier.CHUNK),
-    )
+    s, x = np.empty((6, barrier.CHUNK)), np.empty((8, barrier.CHUNK))
+    zero = np.zeros(barrier.CHUNK)
     for lo in range(0, n, barrier.CHUNK):
         hi = min(lo + barrier.CHUNK, n)
         here = slice(lo, hi)
@@ -200,10 +197,8 @@ def advance(
         here = slice(lo, hi)
         f[:] = 0.0
         for q in range(places):
-            p, x = (
-                jerk_rows.term_rows(predicted, q, lo, hi),
-                jerk_rows.term_rows(reached, q, lo, hi),
-            )
+            p = jerk_rows.term_rows(predicted, q, lo, hi)
+            x = jerk_rows.term_rows(reached, q, lo, hi)
             for k in range(n_axes):
                 c, r = 3 * q, 2 * (places * k + q)
                 _step_rows(

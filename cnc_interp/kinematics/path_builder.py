@@ -15,15 +15,8 @@ from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
 from cnc_interp.machine_model.transform import Transform, branch_at, start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    POINTS,
-    ROTATION,
-    SPLINE,
-    PathSegments,
-    no_rotary,
-)
+from cnc_interp.smoothing import segments as kinds
+from cnc_interp.smoothing.segments import PathSegments
 
 SAME_ANGLE = 1e-8  #: Rotary positions and tool axes that differ less are the same [rad].
 SAME_TOOL = 1e-12  #: Tool vectors of a curve that differ less leave the rotary axes at rest [m].
@@ -44,7 +37,7 @@ class Cells:
 
 
 def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegments:
-    rotary = no_rotary(1)
+    rotary = kinds.no_rotary(1)
     rotary[0, :2] = start, end
     return replace(one, rotary=rotary)
 
@@ -127,16 +120,16 @@ class AxisPathBuilder:
             checks.refuse_tilt(self.machine, segments)
             return motion
         tool = segments.top - segments.bottom
-        for curve, points in ((CORNER, 5), (SPLINE, 6)):
+        for curve, points in ((kinds.CORNER, 5), (kinds.SPLINE, 6)):
             spread = np.ptp(tool[:, :points], axis=1).max(axis=1, initial=0.0)
             bent = np.abs(segments.connection).max(axis=(1, 2), initial=0.0)
             turns = (spread >= SAME_TOOL) | (bent >= SAME_TOOL)
             motion[(kind == curve) & turns] = axes.FOLLOWING
         angle = norm(segments.rotation)
-        turning = (angle > 0.0) & ((kind == LINE) | (kind == ROTATION))
+        turning = (angle > 0.0) & ((kind == kinds.LINE) | (kind == kinds.ROTATION))
         motion[turning] = axes.FOLLOWING
         named = np.isfinite(segments.rotary[:, :2]).all(axis=(1, 2))
-        motion[(kind == ROTATION) & named] = axes.LINEAR
+        motion[(kind == kinds.ROTATION) & named] = axes.LINEAR
         own = segments.interpolation
         return np.where(
             own == POSES, motion, np.where(own == AXES_LINEAR, axes.ALL_AXES, axes.LINEAR)
@@ -166,7 +159,8 @@ class AxisPathBuilder:
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
         turn = target - self._rotary
         still = replace(
-            one, kind=np.array([ROTATION]), extra=np.repeat(one.extra[:, :1], POINTS, axis=1),
+            one, kind=np.array([kinds.ROTATION]),
+            extra=np.repeat(one.extra[:, :1], kinds.POINTS, axis=1),
             length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
             feed=np.full((1, 2), np.inf), stop=np.array([True]),
         )  # fmt: skip
@@ -186,7 +180,7 @@ class AxisPathBuilder:
             if run.interpolation[0] == AXES_LINEAR:
                 here = np.concatenate([run.bottom[0, 0], start, run.extra[0, 0]])
                 point = self.transform.forward(here[None])[0]
-                tip = replace(tip, bottom=np.repeat(point[:, None], POINTS, axis=1))
+                tip = replace(tip, bottom=np.repeat(point[:, None], kinds.POINTS, axis=1))
             axis = self.transform.tool_axis(self._rotary[None])
             still = replace(tip, axis=axis, rotation=np.zeros((1, 3)))
             parts.append(self._turn_first(still, start))
@@ -212,7 +206,7 @@ class AxisPathBuilder:
         if status != FINE:
             line = int(segments.line_number[len(counts) - 1])
             checks.refuse(self.machine, self.transform.outer, status, line)
-        if motion[0] == axes.LINEAR and segments.kind[0] == ROTATION:
+        if motion[0] == axes.LINEAR and segments.kind[0] == kinds.ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])
         elif segments.interpolation[0] != POSES:

@@ -36,10 +36,8 @@ FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
 BOTTOM, TOP = slice(0, kinds.POINTS), slice(kinds.POINTS, 2 * kinds.POINTS)
 AXIS, ROTATION, CONNECTION = (
-    2 * kinds.POINTS,
-    2 * kinds.POINTS + 1,
-    slice(2 * kinds.POINTS + 2, None),
-)
+    2 * kinds.POINTS, 2 * kinds.POINTS + 1, slice(2 * kinds.POINTS + 2, None),
+)  # fmt: skip
 # Gauss-Legendre points and weights for the arc length of half a corner
 _GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
 

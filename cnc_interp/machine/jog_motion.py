@@ -57,11 +57,10 @@ class Slides:
         moves = line.direction != 0.0
         part = np.abs(line.direction[moves])
         return Slides(
-            origin=np.array(stands, dtype=float),
-            direction=line.direction[None, :],
+            origin=np.array(stands, dtype=float), direction=line.direction[None, :],
             limits=(machine.lowest_limits[:, moves] / part).min(axis=1, keepdims=True),
             travel=line.travel[None, :],
-        )
+        )  # fmt: skip
 
 
 class JogMotion:

@@ -61,11 +61,10 @@ def dense_program(transform: Transform) -> Blocks:
     tip = np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM
     tip[[0, -1]] += 50.0 * (tip[[0, -1]] - tip[[1, -2]])
     return replace(
-        Blocks.concatenate([pose] * count),
-        tip=tip,
+        Blocks.concatenate([pose] * count), tip=tip,
         axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
         line_number=np.arange(count),
-    )
+    )  # fmt: skip
 
 
 def pole_program(transform: Transform) -> Blocks:

@@ -66,19 +66,17 @@ PROGRAM = (
 )  # fmt: skip
 
 MARKERS = (
-    MACHINE,
-    Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
+    MACHINE, Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
     Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
-)
+)  # fmt: skip
 
 BATCH = (
-    MACHINE,
-    *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
+    MACHINE, *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
     Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
     Declared('batch_folder', '', 'Folder for tables and pages'),
     Declared('workers', 1, 'Programs that are planned at the same time', 1, 1024),
     Declared('longest_planning', 3600.0, 'Longest planning time of a program [s]', 1.0, 1e6),
-)
+)  # fmt: skip
 
 #: Parameters of the nodes that a run needs.
 NODES = {

@@ -74,10 +74,9 @@ class Preview:
         k = int(np.searchsorted(self.s, s, side='right').clip(1, len(self.s) - 1))
         return Place(
             programmed_feed=float(self.programmed_feed[k - 1]),
-            feed_limit=float(self.feed_limit[k - 1]),
-            time=float(np.interp(s, self.s, self.time)),
+            feed_limit=float(self.feed_limit[k - 1]), time=float(np.interp(s, self.s, self.time)),
             block_end=float(self.block_end[k]),
-        )
+        )  # fmt: skip
 
     @staticmethod
     def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:

@@ -115,21 +115,16 @@ def faces(count: int) -> Any:
 def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
     ends = {'min': vertices.min(axis=0).tolist(), 'max': vertices.max(axis=0).tolist()}
     mesh: tuple[tuple[Any, int, str, dict[str, Any]], ...] = (
-        (vertices, FLOAT, 'VEC3', ends),
-        (normals, FLOAT, 'VEC3', {}),
+        (vertices, FLOAT, 'VEC3', ends), (normals, FLOAT, 'VEC3', {}),
         (colours, UNSIGNED_BYTE, 'VEC4', {'normalized': True}),
         (index, UNSIGNED_INT, 'SCALAR', {}),
-    )
+    )  # fmt: skip
     parts = [array.tobytes() for array, *_ in mesh]
     starts = np.cumsum([0] + [len(part) for part in parts])
+    targets = (*[ARRAY_BUFFER] * 3, ELEMENT_BUFFER)
     views = [
-        {
-            'buffer': 0,
-            'byteOffset': int(start),
-            'byteLength': len(part),
-            'target': ELEMENT_BUFFER if part is parts[3] else ARRAY_BUFFER,
-        }
-        for start, part in zip(starts, parts, strict=False)
+        {'buffer': 0, 'byteOffset': int(start), 'byteLength': len(part), 'target': target}
+        for start, part, target in zip(starts, parts, targets, strict=False)
     ]
     accessors = [
         {'bufferView': k, 'componentType': kind, 'count': len(array), 'type': shape, **more}

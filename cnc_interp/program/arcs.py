@@ -40,15 +40,14 @@ class Arcs:
 _OFF = 'start and end differ in their distance from the centre; correct I, J, K'
 FAULTS = {
     1: 'an arc needs its centre (I, J, K in the plane) or its radius (R)',
-    2: 'radius and centre in one arc; keep one of them',
-    3: _OFF,
+    2: 'radius and centre in one arc; keep one of them', 3: _OFF,
     4: 'the radius is smaller than half the distance from start to end; correct R',
     5: 'a full circle cannot be given by its radius; give I, J, K',
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
     8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
     9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
-}
+}  # fmt: skip
 #: Faults that may only follow from a wrong start.
 OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 

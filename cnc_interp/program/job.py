@@ -136,13 +136,12 @@ class JobSetup:
     def text(self) -> str:
         content: dict[str, Any] = {
             'work_offsets': _positions_shown(self.work_offsets, ALL_OFFSETS),
-            'active': self.active,
-            'g92': _position_shown(self.g92),
+            'active': self.active, 'g92': _position_shown(self.g92),
             'g92_on': None if self.g92_on or not self.g92 else False,
             'tools': {number: _tool_shown(self.tools[number]) for number in sorted(self.tools)},
             'tool': self.tool,
             'reference_points': _positions_shown(self.reference_points, REFERENCE_POINTS),
-        }
+        }  # fmt: skip
         filled = {k: v for k, v in content.items() if v is False or v not in ({}, '', 0, None)}
         style: dict[str, Any] = {'sort_keys': False, 'allow_unicode': True, 'width': 10_000}
         return str(yaml.safe_dump(filled, default_flow_style=None, **style))

@@ -52,20 +52,13 @@ def space_figure(view: CornerView) -> Any:
     middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.52 * float(np.ptp(shown, axis=0).max())
     ranges = np.stack([middle - half, middle + half], axis=1).tolist()
+    eye, ticks = {'x': 1.45, 'y': -1.97, 'z': 0.87}, ({'nticks': 5, 'range': x} for x in ranges)
     figure.update_layout(
-        html.base_layout(HEIGHT),
-        hovermode='closest',
-        scene={
-            'aspectmode': 'cube',
-            **html.scene(
-                ({'nticks': 5, 'range': span} for span in ranges),
-                {'x': 1.45, 'y': -1.97, 'z': 0.87},
-                0.1,
-            ),
-        },
+        html.base_layout(HEIGHT), hovermode='closest',
+        scene={'aspectmode': 'cube', **html.scene(ticks, eye, 0.1)},
         legend={'orientation': 'h', 'y': 0.0, 'x': 0.0, 'yanchor': 'bottom'},
         margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
-    )
+    )  # fmt: skip
     return figure
 
 
@@ -136,10 +129,9 @@ def _draw(
 
 def _dots(colour: str) -> dict[str, Any]:
     return {
-        'mode': 'lines+markers',
-        'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
+        'mode': 'lines+markers', 'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
         'marker': {'color': 'white', 'size': 4, 'line': {'color': colour, 'width': 1.5}},
-    }
+    }  # fmt: skip
 
 
 def _size(view: CornerView) -> float:

@@ -86,11 +86,10 @@ def _names(first: Path, second: Path) -> tuple[str, str]:
 
 def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, str]]:
     rows = [
-        (f'{proof.cycle_time:.3f} s', 'cycle time'),
-        (f'{proof.blocks:,}', 'blocks'),
+        (f'{proof.cycle_time:.3f} s', 'cycle time'), (f'{proof.blocks:,}', 'blocks'),
         (f'{series.way[-1] - series.way[0]:,.1f} mm', 'path length'),
         (f'{series.feed.max():,.0f} mm/min', 'highest feed'),
-    ]
+    ]  # fmt: skip
     least: Any = plan.summary.get('time_bound')
     if isinstance(least, int | float):
         label = 'least time within these velocities and accelerations, without jerk limits'

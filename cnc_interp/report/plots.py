@@ -45,20 +45,13 @@ def path_figure(series: Series) -> Any:
     shown = np.concatenate([tip, series.vertices, _tool_lines(series)])
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
     shape = np.maximum(span / (float(span.max()) or 1.0), 0.08)
+    eye, ticks = {'x': 0.85, 'y': -1.05, 'z': 0.75}, ({'nticks': 3 + int(5 * x)} for x in shape)
+    ratio = dict(zip('xyz', shape.tolist(), strict=True))
     figure.update_layout(
         html.base_layout(600),
-        scene={
-            'aspectmode': 'manual',
-            'aspectratio': dict(zip('xyz', shape.tolist(), strict=True)),
-            **html.scene(
-                ({'nticks': 3 + int(5 * part)} for part in shape),
-                {'x': 0.85, 'y': -1.05, 'z': 0.75},
-                0.06,
-            ),
-        },
-        legend={'orientation': 'h', 'y': 1.0, 'x': 0.0},
-        margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
-    )
+        scene={'aspectmode': 'manual', 'aspectratio': ratio, **html.scene(ticks, eye, 0.06)},
+        legend={'orientation': 'h', 'y': 1.0, 'x': 0.0}, margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
+    )  # fmt: skip
     return figure
 
 

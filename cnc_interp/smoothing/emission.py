@@ -7,22 +7,14 @@ import numpy as np
 from cnc_interp.core import BlockError, FloatArray, IntArray, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
+from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.corners import corner_curve
 from cnc_interp.smoothing.corners.axis_corner import EXTRA, POINT, TURN
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs, axis_corners, corners_at
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.orientation import turned_by
-from cnc_interp.smoothing.segments import (
-    CORNER,
-    LINE,
-    POINTS,
-    ROTATION,
-    SPLINE,
-    PathSegments,
-    no_rotary,
-    padded,
-)
+from cnc_interp.smoothing.segments import PathSegments
 
 
 @dataclass(frozen=True)
@@ -64,12 +56,12 @@ class Emission:
         tool = spans.top[:, 0] - spans.bottom[:, 0]
         final = np.append(row[1:] != row[:-1], True)
         return PathSegments(
-            kind=np.full(n, SPLINE), bottom=spans.bottom, top=spans.top,
+            kind=np.full(n, kinds.SPLINE), bottom=spans.bottom, top=spans.top,
             connection=empty_curves.connection, parametrization=empty_curves.parametrization,
             axis=tool / norm(tool)[:, None], feed=spans.feed, block=spans.block,
             line_number=spans.line_number, stop=final & (self.vertex[row + 1] == STOP),
             deviation=spans.deviation, room=spans.room,
-            extra=np.repeat(self.rows.blocks.extra[row, None], POINTS, axis=1),
+            extra=np.repeat(self.rows.blocks.extra[row, None], kinds.POINTS, axis=1),
         )  # fmt: skip
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
@@ -106,13 +98,14 @@ class Emission:
         axis = turned_by(blocks.axis[:last], rotation, share)
         feed = self._feed(np.arange(last), swept)
         row = rows.row[kept + 1]
-        values = no_rotary(last)
+        values = kinds.no_rotary(last)
         values[:, :2] = rotary
         extra = self._extra_on_lines(last, start, end)
         self._put_axis_lines(start, end, bottom, axis, values, extra)
         return kept, PathSegments(
-            kind=np.where(resting, ROTATION, LINE)[kept], bottom=padded(bottom[kept]),
-            top=padded(curves.top[kept]), connection=curves.connection[kept],
+            kind=np.where(resting, kinds.ROTATION, kinds.LINE)[kept],
+            bottom=kinds.padded(bottom[kept]), top=kinds.padded(curves.top[kept]),
+            connection=curves.connection[kept],
             parametrization=curves.parametrization[kept], axis=axis[kept],
             rotation=(rotation * part[:, None])[kept], rotary=values[kept], length=length[kept],
             feed=np.repeat(feed[kept, None], 2, axis=1), block=np.repeat(row[:, None], 2, axis=1),
@@ -147,12 +140,12 @@ class Emission:
             return None, np.zeros(0, dtype=np.int64)
         own, blocks, n = corners.row, self.rows.blocks, len(corners.row)
         points, deviation = corners.curves(self.inner[own], self.outer[own])
-        points = np.concatenate([points, np.zeros_like(points[:, : POINTS - 5])], axis=1)
+        points = np.concatenate([points, np.zeros_like(points[:, : kinds.POINTS - 5])], axis=1)
         before, after = self._feed(own - 1, np.zeros(n)), self._feed(own, np.zeros(n))
         curves = self.style.empty_curves(n)
         return PathSegments(
-            kind=np.full(n, CORNER), bottom=points[..., POINT].copy(), top=padded(curves.top),
-            connection=curves.connection,
+            kind=np.full(n, kinds.CORNER), bottom=points[..., POINT].copy(),
+            top=kinds.padded(curves.top), connection=curves.connection,
             parametrization=np.zeros_like(curves.parametrization),
             axis=geometry.tool_axis(points[:, 0, TURN]), rotary=points[..., TURN].copy(),
             feed=np.stack([before, after], axis=1),
@@ -169,7 +162,7 @@ class Emission:
 
     def _extra_on_lines(self, last: int, start: FloatArray, end: FloatArray) -> FloatArray:
         blocks, legs = self.rows.blocks, self.legs
-        found = np.zeros((last, POINTS, blocks.extra.shape[1]))
+        found = np.zeros((last, kinds.POINTS, blocks.extra.shape[1]))
         rate = legs.extra_rate[:last]
         found[:, 0] = blocks.extra[:last] + start[:, None] * np.where(
             legs.resting[:last, None], 0.0, rate
@@ -193,7 +186,7 @@ class Emission:
 
     def _extra_on_corners(self, rows: IntArray, inner: FloatArray) -> FloatArray:
         blocks, legs, outer = self.rows.blocks, self.legs, self.outer[rows]
-        found = np.zeros((len(rows), POINTS, blocks.extra.shape[1]))
+        found = np.zeros((len(rows), kinds.POINTS, blocks.extra.shape[1]))
         found[:, 2] = blocks.extra[rows]
         for side, rate in ((0, -legs.extra_rate[rows - 1]), (1, legs.extra_rate[rows])):
             found[:, 4 * side] = found[:, 2] + outer[:, side, None] * rate
@@ -225,8 +218,9 @@ class Emission:
             )
         zero = np.zeros(n)
         return PathSegments(
-            kind=np.full(n, CORNER), bottom=padded(curves.bottom), top=padded(curves.top),
-            connection=curves.connection, parametrization=curves.parametrization,
+            kind=np.full(n, kinds.CORNER), bottom=kinds.padded(curves.bottom),
+            top=kinds.padded(curves.top), connection=curves.connection,
+            parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
             feed=np.stack([self._feed(rows - 1, zero), self._feed(rows, zero)], axis=1),
             block=np.stack([lines.row[rows], lines.row[rows + 1]], axis=1),

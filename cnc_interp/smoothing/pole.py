@@ -110,10 +110,9 @@ class Upright:
             return blocks
         sense = np.where(blocks.axis @ self._pole < 0.0, -1.0, 1.0)
         return replace(
-            blocks,
-            axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
+            blocks, axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
             orientation_tolerance=blocks.orientation_tolerance - used,
-        )
+        )  # fmt: skip
 
 
 def _least(tolerance: FloatArray) -> FloatArray:

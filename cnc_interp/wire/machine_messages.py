@@ -20,10 +20,9 @@ from cnc_interp.wire.run_messages import NUMBERS
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
     message = JointState(
-        name=list(machine.axis_names),
-        position=feedback.position[-1].tolist(),
+        name=list(machine.axis_names), position=feedback.position[-1].tolist(),
         velocity=feedback.velocity[-1].tolist(),
-    )
+    )  # fmt: skip
     message.header.stamp = stamp
     message.header.frame_id = 'base_link'
     return message
@@ -75,11 +74,10 @@ def _executed_of_plan(
     }  # fmt: skip
     actual = np.concatenate([stretch.actual for stretch in executed])
     setpoints = msg.SetpointChunk(
-        **common,
-        **setpoint_fields(samples),
+        **common, **setpoint_fields(samples),
         line_numbers=[line for stretch in executed for line in stretch.rows.lines],
         end_of_program=executed[-1].ends,
-    )
+    )  # fmt: skip
     return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
 

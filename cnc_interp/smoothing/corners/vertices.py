@@ -140,11 +140,10 @@ def corners_at(
         )
         tolerances[1], near = tolerances[1] * share, share < 1.0
     return Corners(
-        tip=blocks.tip[rows],
-        axis=blocks.axis[rows],
+        tip=blocks.tip[rows], axis=blocks.axis[rows],
         legs=np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1),
         rates=np.stack([legs.rate[rows - 1], legs.rate[rows]], axis=1),
         tolerances=np.stack(tolerances, axis=1),
         extra_rates=np.stack([legs.extra_rate[rows - 1], legs.extra_rate[rows]], axis=1),
         near_pole=near,
-    )
+    )  # fmt: skip

@@ -205,10 +205,9 @@ class SkeletonBuilder:
         turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
         rows = raw[kept]
         blocks = replace(
-            rows,
-            feedrate=np.where(moving & timed, feed, rows.feedrate),
+            rows, feedrate=np.where(moving & timed, feed, rows.feedrate),
             duration=np.where(moving, np.nan, rows.duration),
-        )
+        )  # fmt: skip
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]
         nothing = np.zeros(len(kept))

@@ -1,7 +1,5 @@
 """A machine file from the INI file of a LinuxCNC machine."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from math import isfinite

@@ -5,8 +5,6 @@ One tree from ``base_link``, the machine frame M: X, Y, Z and the axes that carr
 markers. Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree

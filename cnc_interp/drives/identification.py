@@ -11,8 +11,6 @@ Forces are known up to the inertia, which is taken from the file, too. Without i
 without friction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 

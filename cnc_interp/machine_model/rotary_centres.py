@@ -10,8 +10,6 @@ Some changes of g move nothing: the axes along themselves, and all together. Of 
 solutions the smallest change of g is taken, so what cannot be seen stays as it is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

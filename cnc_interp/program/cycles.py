@@ -4,8 +4,6 @@ Z, R, Q and P of G73 to G89 stay valid for the next holes. Cycles of Siemens beg
 SDIS, DP (absolute), DPR (below RFP); with MCALL they run after every block with a motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Heidenhain plain text: its lines become words that the reader of G-code executes."""
 
-from __future__ import annotations
-
 import re
 from cmath import exp, phase
 from collections.abc import Callable

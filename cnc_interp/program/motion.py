@@ -1,7 +1,5 @@
 """The targets of single blocks, from their words and the modal state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import inf, nan, pi
 

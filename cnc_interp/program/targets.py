@@ -1,7 +1,5 @@
 """Motion targets to blocks: rows of numbers are collected and converted in batches."""
 
-from __future__ import annotations
-
 from array import array
 from collections import deque
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The functions of a program came out in order, and lines in step follow the spindle's angle."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 

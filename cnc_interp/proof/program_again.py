@@ -1,7 +1,5 @@
 """The text read again, by LinuxCNC or as plain words: ends, arcs, feeds against `blocks.npz`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Native splines as short linear rows, within ``CHORD`` of the curve: one rule for all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any

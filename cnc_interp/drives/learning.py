@@ -75,11 +75,6 @@ def late(rows: FloatArray, periods: float) -> FloatArray:
     return np.stack([np.interp(number - periods, number, row) for row in rows.T], axis=1)
 
 
-def cutoff_of(drive: AxisDrive, period: float) -> float:
-    below = SHARE * drive.mode_frequency if drive.mode_frequency else CUTOFF
-    return min(CUTOFF, below, FASTEST / period)
-
-
 def measured_error(
     machine: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray
 ) -> FloatArray:
@@ -97,7 +92,8 @@ def measured_error(
 def _smooth(values: FloatArray, drive: AxisDrive, period: float) -> FloatArray:
     from scipy.signal import butter, sosfiltfilt
 
-    cutoff = cutoff_of(drive, period)
+    below = SHARE * drive.mode_frequency if drive.mode_frequency else CUTOFF
+    cutoff = min(CUTOFF, below, FASTEST / period)
     sections = butter(2, cutoff, fs=1.0 / period, output='sos')
     beside = min(round(1.0 / (cutoff * period)), len(values) - 1)
     return np.asarray(sosfiltfilt(sections, values, padtype='constant', padlen=beside))

@@ -501,7 +501,9 @@ class Playback:
         if self._starved_for >= LOST and not self._off:
             self._switch_off('lost_planner')
         self._pass_over()
-        enough = self.state.may_start and self._has_enough() and not self._passing
+        last = self.buffer.rests > 0 or bool(self.buffer.chunks and self.state.refusal)
+        ready = last or self.buffer.count >= self._full
+        enough = self.state.may_start and ready and not self._passing
         self._queue_functions(enough)
         for act in switching.work(seconds, self._may_begin):
             self._note(act, self.played)
@@ -585,18 +587,14 @@ class Playback:
             self._power_off()
         self._work(count * self.axes.period)
 
-    def _has_enough(self) -> bool:
-        buffer = self.buffer
-        last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
-        return last or buffer.count >= self._full
-
     def _take_over(self, records: Records) -> None:
         """Read some periods of one source; only the first one may have an event."""
         source, events = int(records.source[0]), int(records.events[0])
         if self.state.resting:
             source = kernel.REST  # delayed drives have failed in the meantime
         if source in (kernel.CHUNK, kernel.FOLLOW):
-            self._find(int(records.serial[0]))
+            while self._current is None or self._current.serial < int(records.serial[0]):
+                self._current, self._row = self.buffer.pop(), -1
         if events & kernel.ALARMED:
             assert isinstance(self.drives, CycleDrives)
             self._alarm(self.drives.fault(events >> kernel.ALARM_SHIFT))
@@ -630,10 +628,6 @@ class Playback:
             self._play(self._played.part(first, self._row + 1), records)
             if events & kernel.PROBED:
                 self._see_answer(number)
-
-    def _find(self, serial: int) -> None:
-        while self._current is None or self._current.serial < serial:
-            self._current, self._row = self.buffer.pop(), -1
 
     @property
     def _played(self) -> SourcedSetpoints:

@@ -93,8 +93,10 @@ class SmoothingRun:
                 message.continue_at = self._continue_at
             last = end and message is messages[-1]
             message.functions = self._functions_until(inf if last else message.last_block)
-            if message.stop:
-                message.program_stop = self._stop_after(message.last_block)
+            if message.stop:  # M0 where several meet there
+                passed = [k for k in self._program_stops if k <= message.last_block]
+                kinds = (self._program_stops.pop(k) for k in passed)
+                message.program_stop = min(kinds, default=G1Block.GO_ON)
         return messages
 
     def _functions_until(self, block: float) -> list[Function]:
@@ -102,11 +104,6 @@ class SmoothingRun:
         while self._functions and self._functions[0].sequence <= block:
             found.append(self._functions.popleft())
         return found
-
-    def _stop_after(self, block: int) -> int:
-        """Return the kind of program stop after a block; M0 where several meet there."""
-        passed = [k for k in self._program_stops if k <= block]
-        return min((self._program_stops.pop(k) for k in passed), default=G1Block.GO_ON)
 
 
 WORK_PERIOD = 0.01  #: Time between two looks for work while blocks or segments are under way [s].

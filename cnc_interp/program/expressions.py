@@ -118,14 +118,12 @@ def _parser() -> Lark:
     return Lark(_GRAMMAR, start=start, lexer='contextual', maybe_placeholders=False, parser='lalr')
 
 
-def _as_number(match: re.Match[str]) -> str:
-    return f'#{5061 + "XYZABC".index(match[1])}' if match[1] else '#5070'
-
-
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
     if '$A' in text:
-        text = _MEASURED.sub(_as_number, text)
+        text = _MEASURED.sub(
+            lambda x: f'#{5061 + "XYZABC".index(x[1])}' if x[1] else '#5070', text
+        )
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:

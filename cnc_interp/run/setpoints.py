@@ -99,13 +99,9 @@ class Chunk:
     first_function: int = 0  #: Number in the run of the first of them.
 
     @property
-    def ends_approach(self) -> bool:
-        """Tell whether the machine rests at the start pose after the chunk, before the program."""
-        return not len(self.tail) and self.samples.block[-1] == 0
-
-    @property
     def rests(self) -> bool:
-        return self.wait is not Wait.NOTHING or self.ends_approach
+        ends_approach = not len(self.tail) and self.samples.block[-1] == 0
+        return self.wait is not Wait.NOTHING or ends_approach
 
     def head(self, count: int) -> Chunk:
         rest = self.samples[count:]

@@ -8,22 +8,8 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.kinematics import segment_axes
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
-from cnc_interp.kinematics.segment_axes import (
-    BRANCH,
-    BRANCH_AFTER,
-    FIRST,
-    FOLLOWING,
-    GUIDE_FROM,
-    GUIDE_TO,
-    HEIGHT,
-    LINEAR,
-    PLAIN_GRID,
-    SECOND,
-    arc_length,
-    sample,
-    tip_rests,
-)
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
 CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -60,7 +46,7 @@ def septic_fits(
 @njit(cache=True, nogil=True)
 def guided_grid(grid: FloatArray, guide: FloatArray) -> FloatArray:
     """Return the parameters of a grid, shape (k,), with the ends of a guide among them."""
-    for k in range(GUIDE_FROM, GUIDE_TO + 1):
+    for k in range(segment_axes.GUIDE_FROM, segment_axes.GUIDE_TO + 1):
         if 0.0 < guide[k] < 1.0 and np.abs(grid - guide[k]).min() > SAME_PARAMETER:
             grid = np.sort(np.append(grid, guide[k]))
     return grid
@@ -69,7 +55,7 @@ def guided_grid(grid: FloatArray, guide: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def first_grid(kind: int, f: FloatArray) -> FloatArray:
     if kind != CORNER:
-        return PLAIN_GRID
+        return segment_axes.PLAIN_GRID
     if f.shape[0] == 0:
         return CORNER_GRID
     grid = corner_breaks(f)
@@ -112,30 +98,31 @@ def sample_segments(
     left, right = np.empty((capacity, 4, n_axes)), np.empty((capacity, 4, n_axes))
     tips, tools = np.empty((capacity + 1, 3)), np.empty((capacity + 1, 3))
     ends = np.empty(MOST_CELLS)  # right ends of the cells still to do, the next one last
-    status, count, row, height = FINE, 0, 0, rotary[HEIGHT]
+    status, count, row, height = FINE, 0, 0, rotary[segment_axes.HEIGHT]
     for row in range(n):
         kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
         beside, guide, way = extra[row], guides[row], 0.0
-        guided = guide[GUIDE_FROM] < 1.0
+        guided = guide[segment_axes.GUIDE_FROM] < 1.0
         if count + MOST_CELLS > capacity:
             capacity = 2 * capacity + MOST_CELLS
             steps, left = roomier(steps, capacity), roomier(left, capacity)
             right = roomier(right, capacity)
             tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
         how = motion[row]
-        free = how == FOLLOWING or guided
+        free = how == segment_axes.FOLLOWING or guided
         least = cone_sine * cone_sine if free and not guided else 0.0
-        grid = CORNER_GRID if kind == CORNER and how >= LINEAR else first_grid(kind, spans)
+        rounds = kind == CORNER and how >= segment_axes.LINEAR
+        grid = CORNER_GRID if rounds else first_grid(kind, spans)
         if guided:
             grid = guided_grid(grid, guide)
         waiting = len(grid) - 1
         ends[:waiting] = grid[:0:-1]
         begin, a, fresh = count, 0.0, False
         rounding = max(ROUNDING, ROUNDING_PER_METRE * np.abs(shape[0]).max())
-        if kind == SPLINE and tip_rests(shape):
+        if kind == SPLINE and segment_axes.tip_rests(shape):
             status = STANDSTILL
             break
-        q_a, tip, tool, sine = sample(
+        q_a, tip, tool, sine = segment_axes.sample(
             packed, kind, how, shape, beside, spans, length, rotary, guide, 0.0, 0.0, 0.0
         )
         if count == 0:
@@ -144,23 +131,23 @@ def sample_segments(
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = sample(
+                q_a = segment_axes.sample(
                     packed, kind, how, shape, beside, spans, length, rotary, guide, way, a, middle
                 )[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
-                rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
-            h = arc_length(kind, how, shape, beside, height, length, a, b)
-            half = arc_length(kind, how, shape, beside, height, length, a, middle)
-            q_m, _, _, sine = sample(
+                rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_a[0, 3], q_a[0, 4]
+            h = segment_axes.arc_length(kind, how, shape, beside, height, length, a, b)
+            half = segment_axes.arc_length(kind, how, shape, beside, height, length, a, middle)
+            q_m, _, _, sine = segment_axes.sample(
                 packed, kind, how, shape, beside, spans, length, rotary, guide, way + half, middle,
                 middle,
             )  # fmt: skip
             if sine < least:
                 break
             if free:
-                rotary[FIRST], rotary[SECOND] = q_m[0, 3], q_m[0, 4]
-            q_b, tip, tool, sine = sample(
+                rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_m[0, 3], q_m[0, 4]
+            q_b, tip, tool, sine = segment_axes.sample(
                 packed, kind, how, shape, beside, spans, length, rotary, guide, way + h, b, middle
             )
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
@@ -182,9 +169,9 @@ def sample_segments(
         if sine < least:
             status = UNREACHABLE if sine < 0.0 else SINGULAR
             break
-        rotary[FIRST], rotary[SECOND] = q_a[0, 3], q_a[0, 4]
-        if guided and guide[GUIDE_TO] <= 1.0:
-            rotary[BRANCH] = guide[BRANCH_AFTER]
+        rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_a[0, 3], q_a[0, 4]
+        if guided and guide[segment_axes.GUIDE_TO] <= 1.0:
+            rotary[segment_axes.BRANCH] = guide[segment_axes.BRANCH_AFTER]
     return (
         status, counts[: row + 1], early[: row + 1], steps[:count], left[:count], right[:count],
         tips[: count + 1], tools[: count + 1],

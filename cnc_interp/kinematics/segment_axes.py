@@ -10,13 +10,7 @@ from cnc_interp.core.bezier import quintic_jet
 from cnc_interp.core.bspline import corner_spline_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.kinematics.axis_path import septic_jet
-from cnc_interp.machine_model.transform_kernels import (
-    OUTER,
-    SIZE,
-    guided_jets,
-    linear_jets,
-    rotary_jets,
-)
+from cnc_interp.machine_model import transform_kernels as kernel
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -76,11 +70,11 @@ def sample(
         p, o = pose_jets(kind, shape, f, u, inside)
         curved = kind == kinds.CORNER or kind == kinds.SPLINE
         speed = speed_of(p) if curved else jet.constant(length)
-    sine_squared, outer = 1.0, int(packed[OUTER])
+    sine_squared, outer = 1.0, int(packed[kernel.OUTER])
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
         s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
         turn = jet.compose(guide_jet(guide, way), s)
-        tilt, turn = guided_jets(packed, o, turn, rotary[1 - outer], rotary[outer])
+        tilt, turn = kernel.guided_jets(packed, o, turn, rotary[1 - outer], rotary[outer])
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     elif motion == RESTING:
         first, second = jet.constant(rotary[FIRST]), jet.constant(rotary[SECOND])
@@ -89,9 +83,11 @@ def sample(
         second = beside_jet(kind, beside, 1, u, inside)
     else:
         branch = rotary[BRANCH] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
-        tilt, turn, sine_squared = rotary_jets(packed, o, branch, rotary[1 - outer], rotary[outer])
+        tilt, turn, sine_squared = kernel.rotary_jets(
+            packed, o, branch, rotary[1 - outer], rotary[outer]
+        )
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
-    v = p if motion == ALL_AXES else linear_jets(packed, p, first, second)
+    v = p if motion == ALL_AXES else kernel.linear_jets(packed, p, first, second)
     count = beside.shape[1] - 2
     q = np.empty((4, 5 + count))
     for i, component in enumerate((v[0], v[1], v[2], first, second)):
@@ -103,7 +99,7 @@ def sample(
         if motion == ALL_AXES:
             continue
         for i in range(3):  # (x, y, z) = XYZ + w d, so XYZ gives way
-            direction = packed[SIZE + 3 * k + i]
+            direction = packed[kernel.SIZE + 3 * k + i]
             for order in range(4):
                 q[order, i] -= direction * q[order, j]
     tip = np.array([p[0][0], p[1][0], p[2][0]])

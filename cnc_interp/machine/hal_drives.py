@@ -235,11 +235,9 @@ class HalDrives:
         block.units[:] = np.where(linear, MM, DEG)
         block.limits[:] = np.where(linear, *limits)
         for word, function in (
-            (hal_step.WRITE, 'hal_stream_write'),
-            (hal_step.READ, 'hal_stream_read'),
-            (hal_step.DEPTH, 'hal_stream_depth'),
-            (hal_step.OVERRUNS, 'hal_stream_num_overruns'),
-        ):
+            (hal_step.WRITE, 'hal_stream_write'), (hal_step.READ, 'hal_stream_read'),
+            (hal_step.DEPTH, 'hal_stream_depth'), (hal_step.OVERRUNS, 'hal_stream_num_overruns'),
+        ):  # fmt: skip
             words[word] = session.address_of(function)
         words[hal_step.STREAM], words[hal_step.SAMPLES] = stream.address, samples.address
         words[hal_step.WANTED] = words[hal_step.LEAST] = depth

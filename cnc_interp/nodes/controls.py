@@ -42,12 +42,10 @@ class Controls:
             (Trigger, 'feed_hold', partial(self._press, playback.hold)),
             (Trigger, 'cycle_start', partial(self._press, playback.start)),
             (Trigger, 'emergency_stop', partial(self._press, playback.stop)),
-            (Trigger, 'reset', self._reset),
-            (SetBool, 'single_block', self._set_single_block),
-            (MoveAxes, 'move_axes', self._move),
-            (Home, 'home', self._home),
+            (Trigger, 'reset', self._reset), (SetBool, 'single_block', self._set_single_block),
+            (MoveAxes, 'move_axes', self._move), (Home, 'home', self._home),
             (SwitchOutputs, 'switch_outputs', self._switch),
-        ):
+        ):  # fmt: skip
             node.create_service(kind, name, answering(act, wake))
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:

@@ -1,5 +1,7 @@
 """Checks of received messages: finite values, right shapes, values that make sense."""
 
+from __future__ import annotations
+
 import math
 from array import array
 

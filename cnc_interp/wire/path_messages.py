@@ -1,5 +1,7 @@
 """Blocks, functions and path segments <-> ROS messages, bit for bit; see ``message_checks``."""
 
+from __future__ import annotations
+
 from array import array
 from collections.abc import Sequence
 from itertools import pairwise

@@ -20,8 +20,8 @@ from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview
-from cnc_interp.page.program_column import StartChoice, WayAhead, WayThere
 from cnc_interp.page.scene import tube
+from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings, changed, texts_of

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.description import urdf
 from cnc_interp.page.preview import Preview
-from cnc_interp.page.program_column import WayThere
+from cnc_interp.page.start_choice import WayThere
 
 SIDES = 5
 FACES = 2 * SIDES  #: Triangles between two neighbouring points.

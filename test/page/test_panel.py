@@ -38,7 +38,6 @@ from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
 from cnc_interp.page.keys import RAPIDS
 from cnc_interp.page.preview import DRAWN, Planner, Preview, thinned
-from cnc_interp.page.program_column import WayAhead
 from cnc_interp.page.readings import (
     axis_words,
     clock,
@@ -47,6 +46,7 @@ from cnc_interp.page.readings import (
     words_before_start,
 )  # fmt: skip
 from cnc_interp.page.scene import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
+from cnc_interp.page.start_choice import WayAhead
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.settings.options import Settings
 

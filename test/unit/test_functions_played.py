@@ -344,3 +344,40 @@ def test_functions_survive_the_wire_and_unsound_ones_are_refused():
         setattr(spoilt[2], name, value)
         with pytest.raises(StreamError, match=told):
             check_functions('blocks', spoilt, MACHINE.signals)
+
+
+@pytest.mark.thorough
+def test_of_ten_thousand_functions_none_is_lost_doubled_or_early_whatever_the_operator_does():
+    """A function in each block of a millisecond, with holds, overrides and lost planners."""
+    places = (0.2 * min(k % 2000, 2000 - k % 2000) for k in range(1, 10_001))
+    lines = (f'S{100 + k} G1 X{x:.1f} F12000\n' for k, x in enumerate(places))
+    bench, held, joined, lost = Bench('G0 X0 Y0 Z0\n' + ''.join(lines) + 'M30\n'), 0, 0, 0
+    play, feed = bench.play, bench.feed
+    while not play.state.completed:
+        bench.step()
+        running, turn = play.state.state is State.RUNNING, bench.periods % 4000
+        if running and turn % 501 == 500:
+            play.hold()
+            held += 1
+        elif running and turn % 501 == 250:
+            number = play.played_of_plan + 40
+            settings = OperatorSettings(0.5 + 0.1 * (joined % 7))
+            revision = bench.planner.revise(number, settings)
+            if revision is not None and number < play.buffer.next_number:
+                chunk, *others = revision.chunks
+                bench.planner.stream.adopt(revision.plan)
+                bench.plans, bench.settings, joined = bench.plans + 1, settings, joined + 1
+                given = [0] * len(chunk.samples), [0] * len(chunk.tail)
+                play.join(RunId('p', play.run_id.attempt, bench.plans), number + 1, chunk, *given)
+                bench.waiting = deque(others)
+        elif running and turn == 3900:
+            bench.feed, lost = lambda: None, lost + 1
+        if play.state.state is State.HELD:
+            play.start()
+        if bench.feed is not feed and play.state.state is State.STARVED:
+            bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.functions)
+            bench.feed, bench.plans = feed, 0
+            play.begin_plan(RunId('p', play.run_id.attempt + 1))
+    assert min(held, joined, lost) > 3, (held, joined, lost)
+    assert bench.functions.block[:10_000].tolist() == list(range(1, 10_001))
+    bench.prove()

@@ -187,7 +187,7 @@ def advance(memory: Memory, step: int) -> None:
         np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,
         memory.feedback.ctypes.data, memory.setpoint.shape[1],
     )  # fmt: skip
-    spin.see_angle(memory.spindle, memory.inputs)
+    spin.see_angle(memory.spindle, memory.outputs, memory.inputs)
     if fault > 0 and source != REST:
         events |= FAILED
         control[SOURCE], control[ROW] = REST, fault

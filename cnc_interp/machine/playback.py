@@ -436,7 +436,7 @@ class Playback:
         """Speed of the spindle [rev/min] and its angle [rev], by an encoder if there is one."""
         places, drives = self._signals.spindle, self.drives
         if places and places[spin.INPUT] >= 0:
-            rate = float(self.spindle.words[spin.ANGLE + 1])
+            rate = float(self.spindle.words[spin.RATE])
             return 60.0 * rate, drives.inputs[places[spin.INPUT]]
         if not places or places[spin.FORWARD] < 0 or places[spin.REVERSE] < 0:
             return 0.0, math.nan

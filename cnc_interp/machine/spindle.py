@@ -12,8 +12,9 @@ so x'(theta) rises smoothly from 0 to 1. The cam begins half a ramp before an in
 so each pass of a thread meets the same angles; a thread ends by the same ramp. A tapped hole turns
 the spindle at its end and follows it back to the start of the cam, where x is 0 and rests.
 
-The angle goes through a fading-memory filter of second order and a chain of three integrators:
-steps of an encoder become smooth, and a constant acceleration leaves no error.
+What the spindle is told, and the ramp of the machine file, say how it turns; what it turns
+otherwise goes through a fading-memory filter of second order, so that a reversal is not seen late.
+A chain of three integrators follows the sum: steps of an encoder become smooth.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import STATES, SURFACE, THREAD
 
 #: Words: the override, largest speed [rev/min], how much later than it is told a setpoint is
-#: played [s], period [s], how fast the spindle slows down [rev/s2], ...
+#: played [s], period [s], how fast the spindle changes its speed [rev/s2]; ...
 OVERRIDE, MOST, AHEAD, PERIOD, SLOWS = range(5)
 #: ... what the line does, why it failed, filtered angle and chain with their two derivatives
 #: [rev, per s, s2], whether the filter has begun, and of the line: sense, begin of the cam, its
-#: ramp, whether the spindle was turned, and the last three places with the speed of a stop [rev].
+#: ramp, whether the spindle was turned; the angle by the ramp with two derivatives, periods so
+#: far, speed by the encoder [rev/s], how fast the chain follows [rad/s], its largest jerk in step
+#: with the spindle [rev/s3]; and the last three places of the line with the speed of a stop [rev].
 MODE, CAUSE, ANGLE, CHAIN, BEGUN, SENSE, BEGIN, RAMP, TURNED = 5, 6, 7, 10, 13, 14, 15, 16, 17
-PLACES, WORDS = 18, 21
+KNOWN, PERIODS, RATE, QUICK, JERK, PLACES, WORDS = 18, 21, 22, 23, 24, 25, 28
 AT_REST, SETTLES, WAITS, FOLLOWS, BRAKES, DONE = range(6)  #: Modes.
 NO_ANGLE, STANDS, SHORT, STEPS = 1, 2, 3, 10  #: Causes; 10 ... 40 and the axis: ``KINDS``.
 #: Numbers among the places of the spindle: outputs, input and the first state.
@@ -54,6 +57,7 @@ SLOWEST = 0.05  #: A slower spindle stands [rev/s].
 STEADY, LONGEST = 0.5, 20.0  #: Change of a steady speed [1/s], and longest wait for it [s].
 FASTER = 1.15  #: The ramp bears a spindle so much faster than it is [-].
 RESERVE = 0.8  #: Share of the limits for the ramp; a changing speed needs the rest.
+BEARS = 5.0  #: The chain is stable where the ramp asks for so many times its largest jerk [-].
 
 
 class Spindle(NamedTuple):
@@ -63,10 +67,12 @@ class Spindle(NamedTuple):
     places: IntArray  #: ``Signals.spindle``, the numbers of its outputs and of the angle.
     words: FloatArray  #: (WORDS,).
     limits: FloatArray  #: (3, 3): Velocity, acceleration, jerk of X Y Z [m/s, m/s2, m/s3].
+    known: FloatArray  #: (D, 2): Angle and speed by the ramp since what is told now [rev, rev/s].
 
     @staticmethod
     def without(commanded: FloatArray) -> Spindle:
-        return Spindle(commanded, np.zeros(0, np.int64), np.zeros(WORDS), np.zeros((3, 3)))
+        numbers = np.zeros(0, np.int64), np.zeros(WORDS), np.zeros((3, 3)), np.zeros((1, 2))
+        return Spindle(commanded, *numbers)
 
     @staticmethod
     def of(machine: Machine, period: float, ahead: float) -> Spindle:
@@ -77,8 +83,12 @@ class Spindle(NamedTuple):
         speed, angle, words = signals.spindle[SPEED], signals.spindle[INPUT], spindle.words
         slows = signals.inputs[angle].ramp if angle >= 0 else math.inf
         words[: SLOWS + 1] = 1.0, signals.outputs[speed].high, ahead, period, slows
-        limits = np.array(machine.lowest_limits[:, :3])
-        return Spindle(spindle.commanded, np.array(signals.spindle), words, limits)
+        words[QUICK] = BANDWIDTH / memory_of(ahead)
+        limits, known = (
+            machine.lowest_limits[:, :3],
+            np.zeros((round(max(ahead, 0.0) / period) + 1, 2)),
+        )
+        return Spindle(spindle.commanded, np.array(signals.spindle), words, limits.copy(), known)
 
     def cause(self, axes: Sequence[str]) -> str:
         """Say why a line in step with the spindle has failed."""
@@ -116,29 +126,57 @@ def set_outputs(spindle: Spindle, outputs: FloatArray, x: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def see_angle(spindle: Spindle, inputs: FloatArray) -> None:
+def memory_of(ahead: float) -> float:
+    """Return the memory of the filter [s]."""
+    return max(FADING, OF_AHEAD * ahead)
+
+
+@njit(cache=True, nogil=True)
+def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
+    """Turn as told, by the ramp; return angle and speed so of the period that is told now."""
+    places, words, ring = spindle.places, spindle.words, spindle.known
+    period, known = words[PERIOD], words[KNOWN : KNOWN + 3]
+    if words[SLOWS] < math.inf:
+        sense = outputs[places[FORWARD]] - outputs[places[REVERSE]]
+        wanted = (sense * outputs[places[SPEED]] / 60.0 - known[1]) / period
+        known[2] = min(max(wanted, -words[SLOWS]), words[SLOWS])
+        known[0] += period * (known[1] + 0.5 * period * known[2])
+        known[1] += period * known[2]
+    number = int(words[PERIODS])
+    words[PERIODS] += 1.0
+    ring[number % len(ring)] = known[:2]
+    return ring[(number + 1) % len(ring)]
+
+
+@njit(cache=True, nogil=True)
+def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray) -> None:
     """Take the angle of this period into the filter and the chain."""
     places, words = spindle.places, spindle.words
     if len(places) == 0 or places[INPUT] < 0:
         return
+    told = _turn_by_ramp(spindle, outputs)
     period, seen, chain = words[PERIOD], words[ANGLE : ANGLE + 3], words[CHAIN : CHAIN + 3]
+    known = words[KNOWN : KNOWN + 3]
     angle, rate = seen[0] + period * (seen[1] + 0.5 * period * seen[2]), seen[1] + period * seen[2]
-    off = inputs[places[INPUT]] - angle
+    off = inputs[places[INPUT]] - told[0] - angle
     if words[BEGUN] == 0.0 or not abs(off) < LOST:
-        seen[0], seen[1], seen[2] = inputs[places[INPUT]], 0.0, 0.0
-        chain[:], words[BEGUN] = seen, 1.0
+        seen[0], seen[1], seen[2] = inputs[places[INPUT]] - told[0], 0.0, 0.0
+        chain[:], words[BEGUN] = seen + known, 1.0
         return
     ahead = words[AHEAD]
-    memory = max(FADING, OF_AHEAD * ahead)
-    fading, speed = math.exp(-period / memory), BANDWIDTH / memory
+    fading, speed = math.exp(-period / memory_of(ahead)), words[QUICK]
     seen[0] = angle + off * (1.0 - fading**3)
     seen[1] = rate + off * 1.5 * (1.0 - fading) ** 2 * (1.0 + fading) / period
     seen[2] += off * (1.0 - fading) ** 3 / period**2
+    words[RATE] = seen[1] + told[1]
     chain[0] += period * (chain[1] + 0.5 * period * chain[2])
     chain[1] += period * chain[2]
-    jerk = speed**3 * (seen[0] + ahead * (seen[1] + 0.5 * ahead * seen[2]) - chain[0])
-    jerk += 3.0 * speed**2 * (seen[1] + ahead * seen[2] - chain[1])
-    jerk += 3.0 * speed * (seen[2] - chain[2])
+    place = known[0] + seen[0] + ahead * (seen[1] + 0.5 * ahead * seen[2])
+    jerk = speed**3 * (place - chain[0])
+    jerk += 3.0 * speed**2 * (known[1] + seen[1] + ahead * seen[2] - chain[1])
+    jerk += 3.0 * speed * (known[2] + seen[2] - chain[2])
+    if words[MODE] == FOLLOWS:
+        jerk = min(max(jerk, -words[JERK]), words[JERK])
     chain[0] += period**3 * jerk / 6.0
     chain[1] += period**2 * jerk / 2.0
     chain[2] += period * jerk
@@ -160,15 +198,19 @@ def begin(spindle: Spindle) -> int:
         return AT_REST if words[CAUSE] else SETTLES
     words[PLACES:] = 0.0
     words[SENSE], ramp = (1.0 if rate > 0.0 else -1.0), 0.0
-    rate = FASTER * abs(rate)
+    rate, words[JERK] = FASTER * abs(rate), math.inf
     for i in range(3):
         step = abs(way[i]) / RESERVE
+        if step > 0.0:
+            words[JERK] = min(words[JERK], limits[2, i] / step)
         if abs(way[i]) * rate > limits[0, i]:
             words[CAUSE] = STEPS + i
             return AT_REST
         ramp = max(ramp, 1.5 * step * rate**2 / limits[1, i])
         ramp = max(ramp, math.sqrt(6.0 * step * rate**3 / limits[2, i]))
-    words[RAMP] = ramp
+    words[RAMP], words[QUICK] = ramp, BANDWIDTH / memory_of(words[AHEAD])
+    if words[SLOWS] < math.inf:
+        words[QUICK] = min(words[QUICK], BEARS * words[JERK] / (3.0 * words[SLOWS]))
     if abs(turns) < (ramp if turns > 0.0 else 0.5 * ramp):
         words[CAUSE] = SHORT
         return AT_REST

@@ -11,6 +11,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from test_functions_played import MACHINE, Bench, T
 
 from cnc_interp.core import MM, ProgramError
+from cnc_interp.machine.spindle import CHAIN, Spindle, see_angle
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
@@ -213,3 +214,22 @@ def test_feed_in_a_turn_holds_at_every_override_unless_the_program_keeps_it(word
     assert rate[middle] / speed[middle] == pytest.approx(turn, rel=1e-3)
     after = (x > 9.5 * MM) & (x < 10.5 * MM)
     assert rate[after] == pytest.approx(300.0 * feed, rel=1e-3)
+
+
+def test_a_reversal_is_foreseen_though_its_angle_is_told_ten_periods_late():
+    late, ramp, counts = 10, 25.0, 4096
+    inputs = replace(MACHINE.signals.inputs[ANGLE], ramp=ramp)
+    kept = tuple(inputs if k == ANGLE else s for k, s in enumerate(MACHINE.signals.inputs))
+    machine = replace(MACHINE, signals=replace(MACHINE.signals, inputs=kept))
+    spindle = Spindle.of(machine, T, late * T)
+    outputs, told = np.zeros(len(NAMES)), np.zeros(len(kept))
+    angle, rate, seen, off = 0.0, 0.0, [0.0] * late, []
+    for k in range(4000):
+        outputs[[SPEED, FORWARD, REVERSE]] = 900.0, k < 2000, k >= 2000
+        change = np.clip((15.0 if k < 2000 else -15.0) - rate, -ramp * T, ramp * T)
+        angle, rate = angle + T * (rate + 0.5 * change), rate + change
+        seen.append(np.floor(angle * counts) / counts)
+        told[ANGLE] = seen[k]
+        see_angle(spindle, outputs, told)
+        off.append(spindle.words[CHAIN] - angle)
+    assert np.ptp(off[1500:]) * LEAD < 1e-3  # 13 um by the encoder alone

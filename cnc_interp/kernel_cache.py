@@ -20,7 +20,9 @@ from typing import Any
 PACKAGE = Path(__file__).resolve().parent
 #: The variables by which numba finds this module, and by which a user chooses another folder.
 LOCATORS, FOLDER = 'NUMBA_CACHE_LOCATOR_CLASSES', 'NUMBA_CACHE_DIR'
-IMPORT = re.compile(rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import ([\w, ]+))?', re.M)
+IMPORT = re.compile(
+    rf'^\s*(?:from|import) {PACKAGE.name}\.([\w.]+)(?: import (\([^)]*\)|[\w, ]+))?', re.M
+)
 
 
 @cache
@@ -39,7 +41,7 @@ def sources(file: Path) -> frozenset[Path]:
 def _imported(source: Path) -> list[Path]:
     names = IMPORT.findall(source.read_text(encoding='utf-8'))
     dotted = {name for name, _ in names}
-    dotted |= {f'{name}.{inner}' for name, all_ in names for inner in re.split(r'[, ]+', all_)}
+    dotted |= {f'{name}.{inner}' for name, all_ in names for inner in re.findall(r'\w+', all_)}
     places = [PACKAGE.joinpath(*name.split('.')) for name in dotted]
     files = [file for place in places for file in (Path(f'{place}.py'), place / '__init__.py')]
     return [file for file in files if file.is_file()]

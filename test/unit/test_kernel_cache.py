@@ -141,6 +141,18 @@ def test_every_kernel_of_the_package_is_told_apart():
     assert len(names) > 100
 
 
+@pytest.mark.parametrize('line', [
+    'import cnc_interp.machine.spindle as s', 'from cnc_interp.machine import spindle as s',
+    'from cnc_interp.machine.spindle import follow',
+    '    from cnc_interp.machine import axes, spindle',
+    'from cnc_interp.machine import (\n    axes,\n    spindle,\n)',
+])  # fmt: skip
+def test_every_way_to_import_a_file_counts(line, tmp_path):
+    file = tmp_path / 'kernel.py'
+    file.write_text(f'import os\n{line}\n')
+    assert kernel_cache.PACKAGE / 'machine' / 'spindle.py' in kernel_cache.sources(file)
+
+
 def test_the_users_folder_wins(monkeypatch):
     monkeypatch.setenv(kernel_cache.FOLDER, 'mine')
     locator = kernel_cache.KernelLocator(kernel_cache.PACKAGE / 'core' / 'jet.py')

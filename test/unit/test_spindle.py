@@ -232,4 +232,4 @@ def test_a_reversal_is_foreseen_though_its_angle_is_told_ten_periods_late():
         told[ANGLE] = seen[k]
         see_angle(spindle, outputs, told)
         off.append(spindle.words[CHAIN] - angle)
-    assert np.ptp(off[1500:]) * LEAD < 1e-3  # 13 um by the encoder alone
+    assert np.ptp(off[1500:]) * LEAD < 1e-3  # 26 um by the encoder alone

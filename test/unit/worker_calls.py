@@ -1,4 +1,4 @@
-"""What workers of a batch are given to do; without imports, which each of them would repeat."""
+"""What workers of a batch are given to do; each of them would repeat heavy imports."""
 
 import os
 import signal

@@ -618,7 +618,8 @@ def test_time_and_memory_of_a_file_are_limited(monkeypatch, tmp_path):
         read_surface(path, 1)
 
 
-def test_face_makes_the_program_of_the_same_surface_in_json(tmp_path, capsys):
+@pytest.mark.parametrize('kinds', few_of(2, [['step'], ['step', 'json']]))
+def test_face_makes_the_program_of_the_same_surface_in_json(kinds, tmp_path, capsys):
     knots, points, degree = wavy()
     points = points[:, ::-1] * [1.0, 1.0, 0.1]
     part = Part()
@@ -629,11 +630,12 @@ def test_face_makes_the_program_of_the_same_surface_in_json(tmp_path, capsys):
         'points_mm': points.tolist(), 'degree': degree, 'flip': True,
     }))  # fmt: skip
     options = ['--stepover', '4', '--json']
-    for name, file in files.items():
-        command = ['cam', 'iso-scallop', str(file), *options, '--out', str(tmp_path / name)]
+    assert_same(*map(read_surface, files.values()))
+    for kind in kinds:
+        command = ['cam', 'iso-scallop', str(files[kind]), *options, '--out', str(tmp_path / kind)]
         assert main(command) == FINE, capsys.readouterr().err
-    programs = [(tmp_path / name / 'program.mpf').read_text() for name in files]
-    assert programs[0] == programs[1] and programs[0].count('BSPLINE') > 1
+    programs = [(tmp_path / kind / 'program.mpf').read_text() for kind in kinds]
+    assert programs[0] == programs[-1] and programs[0].count('BSPLINE') > 1
     command = ['cam', 'iso-scallop', str(files['json']), '--face', '1', '--out', str(tmp_path)]
     capsys.readouterr()
     assert main(command) == BAD_INPUT

@@ -3,9 +3,7 @@
 import ctypes
 
 import numpy as np
-from numba import carray, cfunc, types
 
-from cnc_interp.core.native import pointer
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.hal_file import columns_of
 from cnc_interp.machine_model.signals import signals
@@ -17,28 +15,32 @@ PACKED, SUMMED = (
     2 * N + sum(s.is_number for s in each) for each in (SIGNALS.wires, SIGNALS.inputs)
 )
 ROW, SAMPLE = PACKED + 1, SUMMED + 1
-C_CALL = types.int32(types.uintp, types.uintp, types.uintp)
+C_CALL = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 3)
 
 
-@cfunc(C_CALL)
+def row_at(address):
+    return np.ctypeslib.as_array((ctypes.c_double * 40).from_address(address))
+
+
+@C_CALL
 def write(stream, row, _number):
     """Keep the row, as the FIFO of streamer does."""
-    carray(pointer(stream), 40)[:ROW] = carray(pointer(row), 40)[:ROW]
+    row_at(stream)[:ROW] = row_at(row)[:ROW]
     return 0
 
 
-@cfunc(C_CALL)
+@C_CALL
 def read(stream, row, _number):
     """Hand out the sample once; the first value of the stream says whether there is one."""
-    kept = carray(pointer(stream), 40)
+    kept = row_at(stream)
     if kept[0] == 0.0:
         return -1
-    carray(pointer(row), 40)[:SAMPLE] = kept[1 : 1 + SAMPLE]
+    row_at(row)[:SAMPLE] = kept[1 : 1 + SAMPLE]
     kept[0] = 0.0
     return 0
 
 
-@cfunc(C_CALL)
+@C_CALL
 def zero(_stream, _row, _number):
     return 0
 
@@ -60,7 +62,7 @@ class Stand:
             (hal_step.WRITE, write), (hal_step.READ, read), (hal_step.DEPTH, zero),
             (hal_step.OVERRUNS, zero),
         ):  # fmt: skip
-            self.words[word] = function.address
+            self.words[word] = ctypes.cast(function, ctypes.c_void_p).value
         streams = self.sent.ctypes.data, self.sampled.ctypes.data
         self.words[[hal_step.STREAM, hal_step.SAMPLES]] = streams
         self.words[[hal_step.WANTED, hal_step.PERIOD]] = 1, 1_000_000

@@ -1,13 +1,17 @@
-"""Imports run the way the data flows; rclpy stays in two rooms."""
+"""Imports run the way the data flows and are declared; what sources may say."""
 
 import ast
+import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / 'cnc_interp'
 
 # Upstream first: a room imports only itself and rooms above it.
 FLOW = (
@@ -62,6 +66,22 @@ ROS_ROOMS, MESSAGE_ROOM = ('nodes', 'client', 'page'), 'wire'
 # ament_index_python only finds installed files: any room may ask it.
 ROS_MODULES = ('rclpy', 'rosbags', 'rcl_interfaces', 'std_srvs')
 
+# Imported, but without a rosdep key: the README names them for a full ROS 2.
+WITHOUT_KEY = {
+    'OCP', 'apsw', 'argparse_manpage', 'contourpy', 'dask', 'distributed', 'fastapi', 'mcap',
+    'nicegui', 'plotly', 'pyarrow', 'rosbags', 'ruckig', 'shtab', 'starlette', 'warp', 'zarr',
+}  # fmt: skip
+RENAMED = {
+    'toppra': 'python3-toppra-pip',
+    'yaml': 'python3-yaml',
+    'lark': 'python3-lark-parser',
+    'ament_index_python': 'rclpy',
+    'llvmlite': 'python3-numba',  # its own dependency
+}
+
+#: A possessive quantifier or an atomic group. Debian 12's Python 3.11.2 matches them wrongly.
+POSSESSIVE = re.compile(r'(?<!\\)[*+?}]\+|\(\?>')
+
 
 def modules():
     return sorted(PACKAGE.rglob('*.py'))
@@ -72,14 +92,22 @@ def dotted_name(path):
     return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
 
 
+@cache
 def is_module(name):
     place = PACKAGE.parent.joinpath(*name.split('.'))
     return place.is_dir() or place.with_suffix('.py').is_file()
 
 
+@cache
+def nodes_of(source):
+    """Imports and texts of a source: it is parsed and walked once for all tests."""
+    kinds = ast.Import, ast.ImportFrom, ast.Constant
+    return [node for node in ast.walk(ast.parse(source)) if isinstance(node, kinds)]
+
+
 def imported_names(source, module, is_package=False):
     """Every module a source imports, wherever in it the statement stands."""
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes_of(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -97,7 +125,7 @@ def core_names(source):
     """The names that a source takes from the package ``core`` itself."""
     return {
         alias.name
-        for node in ast.walk(ast.parse(source))
+        for node in nodes_of(source)
         if isinstance(node, ast.ImportFrom) and node.module == 'cnc_interp.core'
         for alias in node.names
     }
@@ -208,3 +236,37 @@ def test_wrong_imports_are_seen(module, source):
 )
 def test_right_imports_pass(module, source):
     assert not list(faults(module, source))
+
+
+def test_package_xml_declares_what_is_imported():
+    declared = {e.text for e in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')}
+    sources = [*modules(), *(ROOT / 'launch').rglob('*.py')]
+    imported = {
+        name.partition('.')[0]
+        for path in sources
+        for name in imported_names(path.read_text(), 'cnc_interp.any.module')
+    }
+    missing = {
+        name
+        for name in imported - {'cnc_interp', *sys.stdlib_module_names, *WITHOUT_KEY}
+        if not {name, f'python3-{name}', RENAMED.get(name)} & declared
+    }
+    assert not missing, f'add an exec_depend for {sorted(missing)} to package.xml'
+
+
+def test_no_pattern_is_possessive():
+    found = {
+        (path.name, node.value)
+        for path in modules()
+        for node in nodes_of(path.read_text())
+        if isinstance(node, ast.Constant) and isinstance(node.value, str | bytes)
+        if POSSESSIVE.search(
+            node.value if isinstance(node.value, str) else node.value.decode('latin-1')
+        )
+    }
+    assert not found
+
+
+@pytest.mark.parametrize('pattern', [r'\d++', r'(?:\s|a)*+', r'a?+', r'a{2}+', r'(?>a)'])
+def test_possessive_patterns_are_seen(pattern):
+    assert POSSESSIVE.search(pattern)

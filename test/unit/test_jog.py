@@ -7,6 +7,7 @@ import pytest
 from tiers import examples, few_of
 
 from cnc_interp.core import StreamError
+from cnc_interp.machine.cycle_kernels import RECORDED
 from cnc_interp.machine.jog import AHEAD, GIVEN_UP, LATE, PIECE, Jog
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback
@@ -150,15 +151,21 @@ class Bench:
         return self.jog.move(values, relative, tool, speed)
 
     def run(self, time, **shares):
-        """Let time pass, with a beat every 50 ms if shares are given."""
+        """Let time pass, with a beat every 50 ms if shares are given; read as a node does."""
+        cycle = self.play.cycle
+        memory, control = cycle._memory, cycle._control
         for k in range(round(time / T)):
             if shares and k % 50 == 0:
                 self.beat(**shares)
-            if k % 5 == 0 and self.works:
-                self.jog.work(self.now, self.override)
-            self.play.step()
-            self.heard.append(self.play.feedback.setpoint[-1])
+            if k % 5 == 0:
+                if self.works:
+                    self.jog.work(self.now, self.override)
+                self.play.read()
+            cycle.step()
+            row = (control[RECORDED] - 1) % len(memory.records)
+            self.heard.append(memory.measured[row, 3].copy())  # the setpoint
             self.now += T
+        self.play.read()
 
     def rest(self):
         for _ in range(1000):

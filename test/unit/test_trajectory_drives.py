@@ -95,13 +95,13 @@ class Bench:
 def test_the_controller_executes_the_setpoints_a_fixed_time_later(delay):
     bench = Bench(delay)
     bench.load()
-    bench.step(5000)
+    bench.step(1300 + round(delay / T))
     assert bench.playback.state.completed
     assert np.array_equal(bench.axes, TARGET)
     assert bench.lag() < 2e-8
     assert bench.playback.largest_following_error.max() < 2e-8
     count = len(bench.sent)
-    bench.step(1000)
+    bench.step(300)
     assert len(bench.sent) == count  # nothing is sent at rest
     for trajectory in bench.sent:
         assert (np.diff(trajectory.times) > 0).all() and trajectory.times[0] == 0
@@ -158,7 +158,7 @@ def test_an_axis_that_does_not_follow_stops_the_others_on_the_path(of_its_own):
     bench.load()
     bench.step(300)
     bench.stuck[0] = True
-    bench.step(1500)
+    bench.step(900)
     playback = bench.playback
     assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
     assert 'following error over' in playback.state.text

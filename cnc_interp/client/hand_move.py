@@ -12,7 +12,7 @@ import numpy as np
 from cnc_interp_msgs.msg import MachineState
 from cnc_interp_msgs.srv import MoveAxes
 
-from cnc_interp.client.operator_client import SILENCE, Answer, OperatorClient
+from cnc_interp.client.operator_client import SILENCE, STOPS, Answer, OperatorClient
 from cnc_interp.client.session import check_place, domain_of_nodes
 from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Axis, Machine, place_text
@@ -51,13 +51,13 @@ def pose_request(values: dict[str, float], speed: float, length: float = MM) -> 
 @contextmanager
 def connected(
     name: str, namespace: str, domain: int | None,
-    ready: Callable[[OperatorClient], bool] = lambda _: True,
+    ready: Callable[[OperatorClient], bool] = lambda client: client.offers('move_axes'),
 ) -> Iterator[tuple[OperatorClient, Machine]]:  # fmt: skip
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
         until = time.monotonic() + PATIENCE
-        while not all((ready(client), client.machine, client.state, client.offers('move_axes'))):
+        while not all((client.machine, client.state, client.offers(*STOPS), ready(client))):
             if time.monotonic() > until:
                 raise InterpError(
                     f'the nodes do not answer in ROS domain {domain}, namespace {namespace}; '
@@ -85,7 +85,7 @@ def move_by_hand(
 
 def home_axes(axes: Sequence[str], namespace: str, domain: int | None) -> list[str]:
     """Home axes, all where none is named; return those that are not. InterpError if refused."""
-    with connected('home', namespace, domain) as (client, machine):
+    with connected('home', namespace, domain, lambda one: one.offers('home')) as (client, machine):
         client.granted(client.ask('home', axes=list(axes)))
         wanted = set(axes or machine.homing.switches)
         with held_at_interrupt(client):

@@ -37,13 +37,18 @@ from cnc_interp.processes.this_host import stay_on_this_host
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
 SWITCHES = ('single_block', 'optional_stop')  #: Stop at the end of each line; stop at M1.
-#: The commands: services of these names.
+#: The commands: services of these names, and who offers those that the machine does not.
 SERVICES = {
     **dict.fromkeys(('cycle_start', 'feed_hold', 'reset', 'emergency_stop'), Trigger),
     **dict.fromkeys(SWITCHES, SetBool),
     'switch_outputs': SwitchOutputs, 'move_axes': MoveAxes, 'home': Home,
     'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff,
 }  # fmt: skip
+MACHINE = 'machine_node'
+OFFERED_BY = {
+    'optional_stop': 'feedrate_node',
+    **dict.fromkeys(('set_offset', 'set_tool', 'touch_off'), 'program_node'),
+}
 #: Factors on the programmed feed, on rapids and on the spindle. Each is a topic of that name.
 OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 #: Commands that may arrive twice or late. They are sent again until they are answered.
@@ -141,11 +146,13 @@ class OperatorClient:
         self._set_overrides = {
             topic: node.create_publisher(Float64, topic, OVERRIDE) for topic in OVERRIDES
         }
-        self._simulated = Question(
-            node.create_client(GetParameters, 'machine_node/get_parameters'),
-            GetParameters.Request(names=['machine']),
-        )
         self._action = ActionClient(node, RunProgram, 'run_program')
+        # Made after those, and DDS tells of them in order: who answers this can answer all.
+        self._doors = {
+            owner: node.create_client(GetParameters, f'{owner}/get_parameters')
+            for owner in (MACHINE, *OFFERED_BY.values())
+        }
+        self._simulated = self._knock(MACHINE, 'machine')
         self._pending.append(self._knows_machine)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -195,6 +202,9 @@ class OperatorClient:
                 self.prepared = float(values[PREPARED]) if waits else None
             if WITHOUT in values:
                 self.uncompensated = float(values[WITHOUT])
+
+    def _knock(self, owner: str, *names: str) -> Question:
+        return Question(self._doors[owner], GetParameters.Request(names=names))
 
     def _knows_machine(self) -> bool:
         answer = self._simulated.answer()
@@ -300,26 +310,34 @@ class OperatorClient:
         return len(found)
 
     def ask(self, name: str, request: Any = None, **fields: Any) -> Future[Answer]:
-        """Call a service; a stop is sent again until it is answered."""
+        """Call a service; a stop is sent again until it is answered.
+
+        All else is sent once, and when its node has just answered a question: a node that has not
+        yet found this client would act, and its answer would be lost.
+        """
         wanted: Future[Answer] = Future()
         client, request = self._services[name], request or SERVICES[name].Request(**fields)
+        stops = name in STOPS
 
         def send() -> None:
-            if not client.service_is_ready():
+            if not stops and not client.service_is_ready():
                 wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
                 return
-            question = Question(client, request, AGAIN if name in STOPS else math.inf)
+            knock = None if stops else self._knock(OFFERED_BY.get(name, MACHINE))
+            question = Question(client, request, AGAIN if stops else math.inf)
             until = time.monotonic() + ANSWER
-            self._pending.append(lambda: answered(question, until))
+            self._pending.append(lambda: answered(knock, question, until))
 
-        def answered(question: Question, until: float) -> bool:
-            response = question.answer()
+        def answered(knock: Question | None, question: Question, until: float) -> bool:
+            heard = knock is None or knock.answer() is not None
+            response = question.answer() if heard else None
             if response is not None:
                 told = f'{name}: {response.message}'
                 wanted.set_result(Answer(response.success, told, response))
             elif time.monotonic() > until:  # a repeated start may be too late
                 question.drop()
-                wanted.set_result(Answer(False, f'{name}: no answer; look and press again'))
+                told = 'no answer; look and press again' if heard else 'not sent, no node answers'
+                wanted.set_result(Answer(False, f'{name}: {told}'))
             return wanted.done()
 
         self._executor.create_task(send)

@@ -14,6 +14,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
 
+from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.question import Question
 from cnc_interp.processes.this_host import stay_on_this_host
 
@@ -93,3 +94,36 @@ def test_what_must_not_arrive_twice_is_sent_once(ask):
     asking, other = ask
     assert asking(math.inf, lambda: other.taken_for > 1.0) is None
     assert other.taken == 1
+
+
+@pytest.mark.parametrize('answers', [False, True])
+def test_what_starts_is_sent_only_to_a_node_that_answers_here(answers):
+    """A node that has not found this client acts, and its answer is lost."""
+    stay_on_this_host()
+    context, taken = rclpy.Context(), []
+    rclpy.init(context=context, domain_id=91)
+    node = rclpy.create_node(
+        'machine_node', namespace='/knocks', context=context, start_parameter_services=answers
+    )
+
+    def start(_request, response):
+        taken.append(time.monotonic())
+        response.success = True
+        return response
+
+    node.create_service(Trigger, 'cycle_start', start)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+    with OperatorClient('operator', '/knocks', 91) as client:
+        until = time.monotonic() + PATIENCE
+        while not client.offers('cycle_start'):
+            assert time.monotonic() < until
+            client.serve()
+        asked = client.ask('cycle_start')
+        while not asked.done():
+            executor.spin_once(timeout_sec=0.01)
+            client.serve(0.01)
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    assert (asked.result().ok, len(taken)) == (answers, int(answers))
+    assert answers or 'not sent' in asked.result().message

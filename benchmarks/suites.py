@@ -23,9 +23,12 @@ import numpy as np
 
 from cnc_interp.core import INCH, MM, InterpError
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import ANGLE, FOLLOWS, FREE, Signals, signals
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import Blocks, JobSetup, Tool, read_program
+from cnc_interp.program import Blocks, JobSetup, Tool
+from cnc_interp.program.functions import Functions
 from cnc_interp.program.job import WORK_OFFSETS
+from cnc_interp.program.reading import open_program
 from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
 
@@ -49,15 +52,77 @@ EXCEPTIONS = {
     'edge_cases': 'an axis ELX, which no machine here has',
     'simple': 'G2 without a centre',
 }
+#: A milling machine without an encoder: LinuxCNC's canon calls reverse the spindle of a tap, too.
+_MILLING = signals({'signals': 'milling'})
+SIGNALS = replace(
+    _MILLING,
+    inputs=tuple(one for one in _MILLING.inputs if one.name != ANGLE),
+    words={word: k for word, k in _MILLING.words.items() if word not in (FOLLOWS, FREE)},
+)
+#: Speed, direction, tool, flood and mist.
+State = tuple[float, float, float, float, float]
+NOTHING: State = (0.0, 0.0, 0.0, 0.0, 0.0)
 AT_ZERO = {name: dict.fromkeys('XYZAC', 0.0) for name in WORK_OFFSETS}
 
 
-def read(path: Path, machine: str, tools: dict[int, Tool], feed: float | None) -> Blocks:
+def read(
+    path: Path,
+    machine: str,
+    tools: dict[int, Tool],
+    feed: float | None,
+    switching: Signals = SIGNALS,
+) -> tuple[Blocks, Functions]:
     """Read a program on a machine whose zeros are all in one point."""
     plain = Machine.load(machine)
-    plain = replace(plain, offsets=np.zeros_like(plain.offsets))
+    plain = replace(plain, offsets=np.zeros_like(plain.offsets), signals=switching)
     settings = Settings(feedrate=feed)
-    return read_program(path, Transform.of(plain), settings, JobSetup(AT_ZERO, tools)).blocks
+    stream = open_program(path, Transform.of(plain), settings, JobSetup(AT_ZERO, tools))
+    return stream.read().blocks, stream.functions
+
+
+def switched(functions: Functions, signals: Signals) -> list[State]:
+    """Return what a program switches: each state of spindle, tool and coolant after another."""
+    names = [output.name for output in signals.outputs]
+    now, found = dict.fromkeys(names, 0.0), [NOTHING]
+    for step, value in zip(functions.step.tolist(), functions.value.tolist(), strict=True):
+        output = names[signals.steps[step].output]
+        now[output] = value
+        if output == 'tool_number':
+            continue  # it is there after the change
+        turns = now['spindle_forward'] - now['spindle_reverse']
+        state = (now['spindle_speed'], turns, now['tool_number'])
+        state += (now['coolant_flood'], now['coolant_mist'])
+        if state != found[-1]:
+            found.append(state)
+    return found
+
+
+def expected_states(text: str) -> list[State]:
+    """Return the same of LinuxCNC's canon calls."""
+    speed, turns, tool, flood, mist, chosen = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    found = [NOTHING]
+    for name, inner in re.findall(r'([A-Z_]+)\(([^()]*)\)', text):
+        match name:
+            case 'SET_SPINDLE_SPEED':
+                speed = float(inner.split(',')[-1])
+            case 'START_SPINDLE_CLOCKWISE':
+                turns = 1.0
+            case 'START_SPINDLE_COUNTERCLOCKWISE':
+                turns = -1.0
+            case 'STOP_SPINDLE_TURNING':
+                turns = 0.0
+            case 'SELECT_TOOL':
+                chosen = float(inner)
+            case 'CHANGE_TOOL':
+                tool = chosen
+            case 'FLOOD_ON' | 'FLOOD_OFF':
+                flood = float(name == 'FLOOD_ON')
+            case 'MIST_ON' | 'MIST_OFF':
+                mist = float(name == 'MIST_ON')
+        state = (speed, turns, tool, flood, mist)
+        if state != found[-1]:
+            found.append(state)
+    return found
 
 
 def tools_of(table: Path) -> dict[int, Tool]:
@@ -97,7 +162,10 @@ def linuxcnc(folder: Path) -> Iterator[tuple[str, str, str]]:
         runs = case['outcome'] == 'reads'
         try:
             machine = 'xyzac' if axes else 'xyz'
-            blocks = read(program, machine, tools_of(here / 'test.tbl'), None)
+            switching = _MILLING if 'G33' in text else SIGNALS
+            blocks, functions = read(
+                program, machine, tools_of(here / 'test.tbl'), None, switching
+            )
         except InterpError as problem:
             why = str(problem).splitlines()[0].split('program.ngc:')[-1]
             if 'no motion found' in why and runs:
@@ -108,8 +176,12 @@ def linuxcnc(folder: Path) -> Iterator[tuple[str, str, str]]:
         if not runs:
             yield case['id'], ACCEPTED, case['error']
             continue
-        columns = block_columns(blocks)
-        faults, count = judge.compare((here / 'expected').read_text(), columns, axes)
+        told = here / 'expected'
+        expected = told.read_text() if told.exists() else ''
+        faults, count = judge.compare(expected, block_columns(blocks), axes)
+        wanted, got = expected_states(expected), switched(functions, switching)
+        if wanted != got:
+            faults = [*faults, f'switches {got[1:]}, not {wanted[1:]}']
         yield case['id'], WRONG if faults else AGREES, (faults or [f'{count} motions'])[0]
 
 
@@ -127,7 +199,7 @@ def sinumerik(folder: Path) -> Iterator[tuple[str, str, str]]:
         named = {n for n in 'ABC' if any(row.get(n) for row in rows)}
         machine = {'': 'xyz', 'A': 'xyza'}.get(''.join(sorted(named)), 'xyzac')
         try:
-            blocks = read(program, machine, {}, 1000.0 * MM / 60.0)
+            blocks = read(program, machine, {}, 1000.0 * MM / 60.0)[0]
         except InterpError as problem:
             why = str(problem).splitlines()[0].split('.mpf:')[-1]
             if len(wanted) < 2 and 'no motion found' in why:

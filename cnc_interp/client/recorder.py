@@ -100,7 +100,8 @@ class Recorder:
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
         def write(data: bytes) -> None:
-            self._bag.write(topic, data, time.time_ns())
+            if self._subscriptions:  # what was on its way when the record ended comes too late
+                self._bag.write(topic, data, time.time_ns())
 
         def count(data: bytes) -> None:
             write(data)
@@ -169,8 +170,8 @@ class Recorder:
         self.close()
 
     def close(self) -> None:
-        for subscription in self._subscriptions:  # the node may live on
-            self._node.destroy_subscription(subscription)
+        while self._subscriptions:  # the node may live on
+            self._node.destroy_subscription(self._subscriptions.pop())
         self._bag.close()
 
 

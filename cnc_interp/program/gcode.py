@@ -536,10 +536,21 @@ class GcodeReader:
 
     def _restore(self, state: tuple[dict[str, object], dict[str, str]]) -> None:
         values, outputs = state
+        before, speed = self._outputs, self.mover.spindle_speed
         self._outputs = dict(outputs)
         if str(values['offset']) != self.mover.setup.offset:
             self._modes.choose_work_offset(str(values['offset']))
         self.mover.restore_values(values)
+        words = ['S'] if self.mover.spindle_speed != speed else []
+        spindle, turned = (told.get('spindle', 'M5') for told in (outputs, before))
+        words += [spindle] if spindle != turned else []
+        on, was = ({'M7', 'M8'} & {*told.values()} for told in (outputs, before))
+        words += (['M9'] if was - on else []) + sorted(on if was - on else on - was)
+        for word in words:
+            if word in self._signals.words:
+                given = {'S': self.mover.spindle_speed}
+                for steps in acting(self._signals, [word], given, self.fault):
+                    self._act(steps)
 
     def _program_stop(self, code: str) -> None:
         self.mover.end_corner()

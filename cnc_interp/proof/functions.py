@@ -66,6 +66,7 @@ def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
 def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
     read: Counter[tuple[int, str, float]] = Counter()
     by_surface = False  # S is no speed of the spindle then (G96)
+    restoring = set()  # lines that set what M70 has saved, whatever that was
     for number, line in enumerate(text.upper().splitlines(), start=1):
         found = _WORD.findall(_COMMENT.sub(' ', line))
         modes = [code for *_, code in found if code in ('96', '97')]
@@ -74,6 +75,8 @@ def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
             word = f'M{float(value):g}' if letter == 'M' else letter
             if code or (by_surface and letter == 'S'):
                 word = {'38.4': AWAY, '38.5': AWAY, '96': '', '97': '', '': ''}.get(code, TOWARD)
+            if word == 'M72':
+                restoring.add(number)
             if word in machine.signals.words:
                 read[number, word, float(value) if letter in 'ST' else 0.0] += 1
     planned = Counter(_words(plan.functions, machine.signals))
@@ -82,7 +85,7 @@ def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
         f'{planned[key]} times'
         for key in sorted({*read, *planned})
         for line, word, _ in [key]
-        if read[key] != planned[key]
+        if read[key] != planned[key] and line not in restoring
     ]
 
 

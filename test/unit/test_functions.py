@@ -128,6 +128,25 @@ def test_a_speed_that_was_changed_later_is_set_before_the_spindle_starts() -> No
     assert before[-1] == 'spindle_forward on' and 'tool_number 5' not in before
 
 
+def test_what_a_subprogram_restores_is_switched_again() -> None:
+    text = (
+        'O1 sub\nM73\nM9 S700\nM4\nM7\nG1 X10\nO1 endsub\n'
+        'S900 M3 M8\nG0 X0 Y0 Z0\nG1 X5 F1000\nO1 call\nX20\nO1 call\nX30\nM2'
+    )
+    found, _ = functions_of(text)
+    begun, restored = (
+        [k for k, (_, name) in enumerate(found) if name == f'spindle_{way} on']
+        for way in ('reverse', 'forward')
+    )
+    back = [name for _, name in found[begun[0] : restored[1] + 4]]
+    assert len(begun) == 2 and len(restored) == 3
+    assert back == [
+        'spindle_reverse on', 'coolant_mist on', 'spindle_speed 900 rev/min',
+        'spindle_reverse off', 'spindle_forward on', 'coolant_mist off', 'coolant_flood off',
+        'coolant_flood on',
+    ]  # fmt: skip
+
+
 def test_cl_data_switch_the_same() -> None:
     text = ('LOADTL/3\nSPINDL/8000,CLW\nCOOLNT/MIST\nFEDRAT/100,MMPM\nGOTO/0,0,0\nGOTO/10,0,0\n'
             'COOLNT/OFF\nSPINDL/OFF\nFINI')  # fmt: skip

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.cam.posture import Postures
+from cnc_interp.cam.cutter import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, cross, dot, norm, scaled, unit
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.motion_law import axis_motion
     from cnc_interp.feedrate.plan_options import PlanOptions
     from cnc_interp.kinematics.axis_path import evaluate
-    from cnc_interp.kinematics.path_from_arrays import axis_path_from
-    from cnc_interp.library import Plan, check, plan_program, smooth_path
+    from cnc_interp.library import Plan, axis_path_from, check, plan_program, smooth_path
     from cnc_interp.machine.simulated_drives import simulate
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.machine_model.transform import Transform
@@ -41,8 +40,7 @@ _HOMES = {
     'cam.shapes': 'BSplineSurface', 'core': 'InterpError',
     'feedrate.feed_planner': 'plan_path', 'feedrate.motion_law': 'axis_motion',
     'feedrate.plan_options': 'PlanOptions', 'kinematics.axis_path': 'evaluate',
-    'kinematics.path_from_arrays': 'axis_path_from',
-    'library': 'Plan check plan_program smooth_path', 'machine.simulated_drives': 'simulate',
+    'library': 'Plan axis_path_from check plan_program smooth_path', 'machine.simulated_drives': 'simulate',
     'machine_model.machine': 'Machine', 'machine_model.transform': 'Transform',
     'program.blocks': 'Blocks', 'program.reading': 'Program read_program read_text',
     'settings.options': 'Settings',

@@ -114,7 +114,7 @@ def write_page(results: Results, rate: float | None, file: Path) -> None:
         ),
     ]
     page = '\n'.join([*body, f'<script>{SCRIPT}</script>'])
-    write_whole(file, html.document(f'{len(rows)} plans', page, LOCAL_STYLE))
+    html.write(file, f'{len(rows)} plans', page, LOCAL_STYLE)
 
 
 def _figures(rows: list[dict[str, Any]], counts: Counter[Verdict]) -> list[tuple[str, str]]:
@@ -146,13 +146,13 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
             mode='markers', marker={'color': colour, 'size': 7, 'opacity': 0.7}, name=name,
             hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
         )  # fmt: skip
-    figure.update_xaxes(title='least time of any motion without jerk limits [s]', type='log')
-    figure.update_yaxes(title='cycle time / least time [-]')
+    titles = {'xaxis_title': 'least time of any motion without jerk limits [s]',
+              'xaxis_type': 'log', 'yaxis_title': 'cycle time / least time [-]'}  # fmt: skip
     return html.section(
         'Cycle times',
         'The least time is that of any motion within the feeds, velocities and accelerations. '
         'What is above it is the price of the jerk limits.',
-        html.drawing(html.laid_out(figure, 320, hovermode='closest')),
+        html.drawing(html.laid_out(figure, 320, hovermode='closest', **titles)),
     )
 
 

@@ -300,7 +300,7 @@ def write_page(found: dict[Point, Found], file: Path) -> None:
         drawn = html.drawing(_over(found, name))
         body.append(html.section(f'--{escape(name)}', 'Each point over this option.', drawn))
     body.append(_faults(found))
-    write_whole(file, html.document('sweep', '\n'.join(body), LOCAL_STYLE))
+    html.write(file, 'sweep', '\n'.join(body), LOCAL_STYLE)
 
 
 def _moving(found: dict[Point, Found]) -> list[Point]:
@@ -340,10 +340,9 @@ def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
         trace([start], 'as it is', mode='markers',
               marker={'color': html.RED, 'size': 11, 'symbol': 'x'}),
     ])  # fmt: skip
-    figure.update_xaxes(title='cycle time [s]')
     title = 'highest ridge [um]' if scallops else 'largest error [um]'
-    figure.update_yaxes(title=title, rangemode='tozero')
-    return html.laid_out(figure, 420, hovermode='closest')
+    own = {'xaxis_title': 'cycle time [s]', 'yaxis_title': title, 'yaxis_rangemode': 'tozero'}
+    return html.laid_out(figure, 420, hovermode='closest', **own)
 
 
 def _over(found: dict[Point, Found], name: str) -> Any:
@@ -360,9 +359,8 @@ def _over(found: dict[Point, Found], name: str) -> Any:
             marker={'color': html.BLUE, 'opacity': 0.5},
         )
     )
-    figure.update_xaxes(title=f'--{name}')
-    figure.update_yaxes(title='cycle time [s]')
-    return html.laid_out(figure, 260, hovermode='closest')
+    own = {'xaxis_title': f'--{name}', 'yaxis_title': 'cycle time [s]'}
+    return html.laid_out(figure, 260, hovermode='closest', **own)
 
 
 def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:

@@ -9,10 +9,9 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.guiding import GuidingCurve
 from cnc_interp.cam.passes import Angles, runs
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import resting
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, unit

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from cnc_interp.cam import scallop
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import finely, gouge_depth, raised
 from cnc_interp.cam.guiding import GuidingCurve, GuidingPlanes
 from cnc_interp.cam.passes import (
@@ -29,7 +29,6 @@ from cnc_interp.cam.passes import (
     places_around,
     plane_distance,
 )
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, InterpError, norm
 

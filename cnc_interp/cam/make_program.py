@@ -95,9 +95,9 @@ def make_program(options: argparse.Namespace) -> int:
     figures = _drawn(faces, motions, cutter, summary, options)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
     text = describe(summary)
-    from cnc_interp.cam.program_page import page
+    from cnc_interp.cam.program_page import write_page
 
-    (out / 'cam.html').write_text(page(f'{options.surface}', text, figures), encoding='utf-8')
+    write_page(out / 'cam.html', str(options.surface), text, figures)
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
     for face, found in zip(faces, face_facts(summary), strict=True):
         highest = found.get('executed', {}).get('ridge_highest', 0.0)
@@ -246,12 +246,10 @@ def simulate_motion(options: argparse.Namespace) -> int:
         heights, section = _cut(surface, cutter, motion, normal, options)
         summary = {motion.name: results(heights, section)}
     if options.out:
-        from cnc_interp.cam.program_page import page
+        from cnc_interp.cam.program_page import write_page
 
         figures = _height_figures(motion, heights, section, options.scallop * UM)
-        text = page(str(options.motion), describe(summary), figures)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(text, encoding='utf-8')
+        write_page(options.out, str(options.motion), describe(summary), figures)
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     return 0
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, scallop_points
 from cnc_interp.cam.surface import SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, dot, scaled

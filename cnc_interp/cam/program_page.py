@@ -1,6 +1,7 @@
 """One self-contained HTML page about iso-scallop passes and the simulated surface."""
 
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,9 @@ def map_figure(heights: Heights, scallop: float) -> Any:
         colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
         hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
     ))  # fmt: skip
-    figure.update_xaxes(title_text='along u (mm)', constrain='domain')
-    figure.update_yaxes(title_text='along v (mm)', scaleanchor='x')
-    return html.laid_out(figure, 560, hovermode='closest')
+    own = {'xaxis_constrain': 'domain', 'yaxis_scaleanchor': 'x', 'hovermode': 'closest'}
+    titles = {'xaxis_title': 'along u (mm)', 'yaxis_title': 'along v (mm)'}
+    return html.laid_out(figure, 560, **titles, **own)
 
 
 def thinned(values: FloatArray, skip: int) -> FloatArray:
@@ -60,9 +61,8 @@ def section_figure(section: Section, scallop: float) -> Any:
         line={'color': html.BLUE, 'width': 1.2},
     ))  # fmt: skip
     figure.add_hline(scallop / UM, line={'color': html.RED, 'width': 1.0, 'dash': 'dash'})
-    figure.update_xaxes(title_text='across the passes (mm)')
-    figure.update_yaxes(title_text='height (&#181;m)')
-    return html.laid_out(figure, 300, showlegend=False)
+    titles = {'xaxis_title': 'across the passes (mm)', 'yaxis_title': 'height (&#181;m)'}
+    return html.laid_out(figure, 300, showlegend=False, **titles)
 
 
 def tilt_figure(paths: IsoScallopPaths) -> Any:
@@ -75,9 +75,7 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
             x=html.rounded(made.s / made.curve.length), y=html.rounded(tilt), name=f'pass {k + 1}',
             line={'width': 1.5},
         ))  # fmt: skip
-    figure.update_xaxes(title_text='along the pass (-)')
-    figure.update_yaxes(title_text='tilt (deg)')
-    return html.laid_out(figure, 380)
+    return html.laid_out(figure, 380, xaxis_title='along the pass (-)', yaxis_title='tilt (deg)')
 
 
 def path_figure(paths: Strips) -> Any:
@@ -100,8 +98,8 @@ def path_figure(paths: Strips) -> Any:
     return figure
 
 
-def page(title: str, facts: str, figures: list[tuple[str, str, Any]]) -> str:
+def write_page(file: Path, title: str, facts: str, figures: list[tuple[str, str, Any]]) -> None:
     parts = [f'<h1>{escape(title)}</h1><section><pre>{escape(facts)}</pre></section>']
     for heading, text, figure in figures:
         parts.append(html.section(escape(heading), escape(text), html.drawing(figure)))
-    return html.document(title, ''.join(parts), f' pre {{ color: {html.INK}; }}')
+    html.write(file, title, ''.join(parts), f' pre {{ color: {html.INK}; }}')

@@ -22,9 +22,8 @@ from typing import Literal
 
 import numpy as np
 
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.guiding import CurveFrames, GuidingCurve
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface
 from cnc_interp.core import (
     DEG,

@@ -9,11 +9,10 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.guiding import GuidingCurve, SurfaceCurve
 from cnc_interp.cam.passes import kept_ranges
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core import MM, UM, FloatArray, dot, norm, scaled, unit
 

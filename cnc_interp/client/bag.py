@@ -18,9 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 
-from cnc_interp.core import InterpError, StreamError
-from cnc_interp.core.ros_share import share_directory
-from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_json, read_yaml
+from cnc_interp.core import InterpError, StreamError, small_files
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import opened
 
@@ -55,7 +53,7 @@ def types() -> Any:
     """Return the message types that a bag describes; the package's own are among them."""
     store = get_typestore(Stores.ROS2_JAZZY)
     try:
-        folder = share_directory('cnc_interp_msgs') / 'msg'
+        folder = small_files.share_directory('cnc_interp_msgs') / 'msg'
     except LookupError:
         raise InterpError('cnc_interp_msgs is not installed; source the workspace') from None
     for file in sorted(folder.glob('*.msg')):
@@ -152,9 +150,9 @@ def files_of(path: Path) -> list[Path]:
     for file in files:
         file.stat()
         if not file.is_file():
-            raise UnreadableError(f'{file.name} is not a file')
+            raise small_files.UnreadableError(f'{file.name} is not a file')
         if file.suffix == '.yaml':
-            read_yaml(file)
+            small_files.read_yaml(file)
     return files
 
 
@@ -194,9 +192,9 @@ class Bag:
     def __init__(self, path: Path):
         self.path = path
         self._reader: Reader | None = None
-        self._bounds: BoundedMemory | None = None
+        self._bounds: small_files.BoundedMemory | None = None
         try:
-            self._bounds = BoundedMemory(*files_of(path))
+            self._bounds = small_files.BoundedMemory(*files_of(path))
             self._reader = Reader(path)
             self._reader.open()
             custom = dict(self._reader.storage.metadata.custom or {})
@@ -308,7 +306,7 @@ def repair(path: Path, out: Path) -> tuple[int, float]:
         raise InterpError(f'{path}: no bag; it has no .mcap file')
     writer, stamps = BagWriter(out), [0]
     if (path / NOTED).exists():
-        writer.keep(read_json(path / NOTED))
+        writer.keep(small_files.read_json(path / NOTED))
     names = {f'/{topic.removeprefix("/")}': topic for topic in TOPICS}
     for file in files:
         topics: dict[int, str] = {}

@@ -28,7 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.core import InterpError
-from cnc_interp.nodes.diagnostics import PREPARED, WAITING, WITHOUT
+from cnc_interp.nodes.node_main import PREPARED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 from cnc_interp.processes.stop_signals import stops_later

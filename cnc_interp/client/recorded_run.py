@@ -28,8 +28,8 @@ from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire import path_messages as messages
-from cnc_interp.wire.chunk_messages import setpoints_from
 from cnc_interp.wire.message_checks import check_setpoints
+from cnc_interp.wire.path_messages import setpoints_from
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 BATCH = 256  #: Segments taken over together.

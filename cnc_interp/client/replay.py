@@ -18,7 +18,6 @@ from rosgraph_msgs.msg import Clock
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.core import InterpError
-from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
@@ -30,8 +29,7 @@ from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Setpoints, Wait
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.chunk_messages import setpoints_from
-from cnc_interp.wire.path_messages import blocks_from
+from cnc_interp.wire.path_messages import blocks_from, setpoints_from
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 #: Topics that are published again. The streams are left out: a live machine would follow them.
@@ -98,11 +96,10 @@ def _compare_run(
     )  # fmt: skip
     place = float(told[0].s[0])
     planner = RunPlanner(
-        transform, blocks[0].flank_height, period,
-        float(bag.parameters.get('feedrate_node.chunk_time', 0.005)), told[0].position[0],
+        transform, wanted, float(bag.parameters.get('feedrate_node.chunk_time', 0.005)),
+        told[0].position[0],
         (place if place > 0.0 else float(blocks[0].continue_at)) if goes_on else math.nan,
-        followed, wanted.retract, wanted.plunge_feed, wanted_tool(transform.machine, wanted),
-        asks=run_id.attempt == 0,
+        followed, asks=run_id.attempt == 0,
     )  # fmt: skip
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)
@@ -123,8 +120,8 @@ def _compare_run(
             planner.resume(rests[plan - 1], samples.position[0], followed)
         again = _all_samples(planner, len(samples))
         yield Comparison(
-            replace(run_id, plan=plan), len(samples), _same(samples, again),
-            _difference(samples, again), len(set(overrides)) > 1,
+            replace(run_id, plan=plan), len(samples), *_compared(samples, again),
+            len(set(overrides)) > 1,
         )  # fmt: skip
 
 
@@ -171,19 +168,16 @@ def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
     return Setpoints.concatenate(parts)
 
 
-def _same(samples: Setpoints, again: Setpoints) -> int:
+def _compared(samples: Setpoints, again: Setpoints) -> tuple[int, float]:
+    """Return how many are the same, and the largest difference of a position [m, rad]."""
     n = min(len(samples), len(again))
     same = np.ones(n, dtype=bool)
     for name in COLUMNS:
         a, b = getattr(samples, name)[:n], getattr(again, name)[:n]
         same &= (a == b).reshape(n, -1).all(axis=1)
-    return n if same.all() else int(np.argmin(same))
-
-
-def _difference(samples: Setpoints, again: Setpoints) -> float:
-    if len(again) < len(samples):
-        return float('inf')
-    return float(np.abs(samples.position - again.position[: len(samples)]).max(initial=0.0))
+    off = np.abs(samples.position[:n] - again.position[:n]).max(initial=0.0)
+    difference = float(off) if n == len(samples) else math.inf
+    return n if same.all() else int(np.argmin(same)), difference
 
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:

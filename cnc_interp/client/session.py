@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core import MM, MS, UM, InterpError, ProgramError
-from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.machine import error_text
 from cnc_interp.processes.node_processes import Children, load_nodes
 from cnc_interp.settings.command_line import settings_from

@@ -34,10 +34,6 @@ class SetupClient:
     def _see(self, table: SetupTable) -> None:
         self.table, self.setup = table, JobSetup.of_text(table.text)
 
-    @property
-    def is_ready(self) -> bool:
-        return self.table is not None and self._nodes.offers('set_offset', 'set_tool', 'touch_off')
-
     def ask(self, service: str, **request: Any) -> Future[Answer]:
         return self._nodes.ask(service, client=self._who, **request)
 
@@ -91,7 +87,8 @@ def setup_console(namespace: str, domain: int | None) -> Iterator[SetupConsole]:
     def ready(client: OperatorClient) -> bool:
         if not found:
             found.append(SetupClient(client, 'cnc-interp'))
-        return found[0].is_ready
+        offers = client.offers('set_offset', 'set_tool', 'touch_off')
+        return found[0].table is not None and offers
 
     with connected('setup', namespace, domain, ready) as (client, _):
         yield SetupConsole(client, found[0])

@@ -20,11 +20,8 @@ GIGABYTE = 1e9
 
 
 def add_batch_commands(commands: Any) -> None:
-    batch = parser.command(
-        commands, 'batch', batch_command,
-        'plan and prove many programs on one or more machines; writes one table and one page',
-        'cnc-interp batch programs/ --machine xyzac xyzbc --out out/batch',
-    )  # fmt: skip
+    example = 'batch programs/ --machine xyzac xyzbc --out out/batch'
+    batch = parser.command(commands, batch_command, example)
     batch.option('programs', 'folders and files of programs', Path, 'PROGRAM', nargs='+')
     text = f'bundled machines or YAML files ({DEFAULT_MACHINE})'
     batch.add_argument('--machine', nargs='+', default=[DEFAULT_MACHINE], metavar='M', help=text)
@@ -42,11 +39,11 @@ def add_batch_commands(commands: Any) -> None:
     batch.flag('--json', 'print the counts as JSON')
 
     cluster = parser.command(
-        commands, 'cluster', cluster_command,
-        'plan batches on several computers: a scheduler and workers, or further workers',
-        'cnc-interp cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
+        commands,
+        cluster_command,
+        'cluster --host 192.168.1.10, and elsewhere cnc-interp cluster --join '
         'tcp://192.168.1.10:8786',
-    )  # fmt: skip
+    )
     cluster.option('--join', 'work for the scheduler there, start none here', metavar='ADDRESS')
     cluster.option(
         '--workers',
@@ -60,6 +57,7 @@ def add_batch_commands(commands: Any) -> None:
 
 
 def batch_command(options: argparse.Namespace) -> int:
+    """Plan and prove many programs on one or more machines; writes one table and one page."""
     import json
 
     from cnc_interp.batch.batch_page import write_page, write_tables
@@ -100,6 +98,7 @@ def batch_command(options: argparse.Namespace) -> int:
 
 
 def cluster_command(options: argparse.Namespace) -> int:
+    """Plan batches on several computers: a scheduler and workers, or further workers."""
     from cnc_interp.batch.batch_run import dask_workers
     from cnc_interp.core import InterpError
 
@@ -121,12 +120,9 @@ FAULTS = 5  #: Most reasons why points do not move that are printed; the page ha
 
 
 def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> None:
-    sweep = command(
-        commands, 'sweep', lambda options: sweep_command(options, main, commands),
-        'try many values of the options of `plan` or `cam iso-scallop`; tells the fastest and why',
-        'cnc-interp sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan '
-        'part.ngc',
-    )  # fmt: skip
+    example = 'sweep --vary place-x -50 0 50 --vary ratio 1.5 2 --out out/sweep -- plan part.ngc'
+    sweep = command(commands, sweep_command, example)
+    sweep.set_defaults(main=main, commands=commands)
     sweep.add_argument(
         '--vary', nargs='+', action='append', required=True, metavar=('OPTION', 'VALUE'),
         help='an option of the command, without its dashes, and its values; with --search the '
@@ -139,20 +135,19 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
     sweep.option('words', 'after --: the command, without --out', metavar='COMMAND', nargs='*')
 
 
-def sweep_command(
-    options: argparse.Namespace, main: Callable[[Sequence[str]], int], commands: Any
-) -> int:
+def sweep_command(options: argparse.Namespace) -> int:
+    """Try many values of options of `plan` or `cam iso-scallop`; tells the fastest and why."""
     from cnc_interp.batch import sweep as points
     from cnc_interp.batch.processes import Processes, total_memory
     from cnc_interp.core.progress_bar import ProgressBar
 
     ranges = [_range(words, options.search is not None) for words in options.vary]
-    _check_options(commands, options.words, ranges)
+    _check_options(options.commands, options.words, ranges)
     total = 1 + (options.search or math.prod(len(one.values) for one in ranges))
     bar = ProgressBar(sys.stderr)
     workers = Processes(options.workers, total_memory() / options.workers, HOUR)
     sweep = points.Sweep(
-        main, options.words, options.out, workers,
+        options.main, options.words, options.out, workers,
         lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
     )  # fmt: skip
     try:

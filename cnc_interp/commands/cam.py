@@ -16,11 +16,8 @@ def add_cam_commands(commands: Any) -> None:
     told = '5-axis iso-scallop programs from surfaces, and the simulated surface'
     cam = commands.add_parser('cam', help=told, description=f'{told}.')
     inner = cam.add_subparsers(required=True, metavar='COMMAND')
-    make = command(
-        inner, 'iso-scallop', _iso_scallop,
-        'make a program of constant scallop height along parallel planes',
-        'cnc-interp cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps',
-    )  # fmt: skip
+    example = 'cam iso-scallop examples/bumps.json --stepover 2 --run --out out/bumps'
+    make = command(inner, iso_scallop_command, example)
     make.option('surface', 'surface file (JSON), or STEP (.step, .stp)', Path, 'SURFACE')
     _face(make, several=True)
     text = 'do not end passes where the mill would enter other faces of a STEP file'
@@ -68,11 +65,11 @@ def add_cam_commands(commands: Any) -> None:
     make.flag('--json', 'print the summary as JSON')
 
     simulate = command(
-        inner, 'simulate', _simulate,
-        'cut a surface with a program or a plan and measure what is left',
-        'cnc-interp cam simulate out/bumps/program.mpf --surface examples/bumps.json '
+        inner,
+        simulate_command,
+        'cam simulate out/bumps/program.mpf --surface examples/bumps.json '
         '--spacing 0.02 --tiles out/tiles',
-    )  # fmt: skip
+    )
     simulate.option('motion', 'part program, or folder of a plan', Path, 'PROGRAM_OR_DIR')
     text = 'surface file (JSON), or STEP (.step, .stp)'
     simulate.option('--surface', text, Path, 'FILE', required=True)
@@ -125,13 +122,15 @@ def _cutting(added: CommandParser) -> None:
     added.add_argument('--compensate', metavar='M', help=text)
 
 
-def _iso_scallop(options: argparse.Namespace) -> int:
+def iso_scallop_command(options: argparse.Namespace) -> int:
+    """Make a program of constant scallop height along parallel planes."""
     from cnc_interp.cam.make_program import make_program
 
     return make_program(options)
 
 
-def _simulate(options: argparse.Namespace) -> int:
+def simulate_command(options: argparse.Namespace) -> int:
+    """Cut a surface with a program or a plan and measure what is left."""
     from cnc_interp.cam.make_program import simulate_motion
 
     return simulate_motion(options)

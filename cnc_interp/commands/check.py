@@ -1,4 +1,4 @@
-"""`cnc-interp record`, `replay`, `repair`, `check`, `report`: runs in bags, and what is proven."""
+"""Runs in bags, what is proven of them, and scores of motions along the problem set."""
 
 import json
 import tempfile
@@ -10,26 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command, positive
-from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.core import MS, UM, FloatArray, InterpError
 
 
 def add_check_commands(commands: Any) -> None:
-    check = command(
-        commands, 'check', check_command,
-        'prove every setpoint of a plan or a recorded run against limits and tolerances',
-        'cnc-interp check out/pyramid',
-    )  # fmt: skip
+    check = command(commands, check_command, 'check out/pyramid')
     check.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
     check.option('--machine', 'another machine than the plan names', metavar='M')
     text = 'read the program again by a second reader, and compare it with the plan'
     check.option('--program', text, Path, 'FILE')
     check.flag('--json', 'print the proof as JSON')
 
-    report = command(
-        commands, 'report', report_command,
-        'write one self-contained HTML page about a plan or a recorded run',
-        'cnc-interp report out/pyramid --out out/pyramid.html',
-    )  # fmt: skip
+    report = command(commands, report_command, 'report out/pyramid --out out/pyramid.html')
     report.option('directory', 'folder with plan files, or a bag', Path, 'DIR')
     report.option('--machine', 'another machine than the plan names', metavar='M')
     text = 'page to write (DIR/report.html)'
@@ -38,12 +30,12 @@ def add_check_commands(commands: Any) -> None:
 
 
 def check_command(options: Namespace) -> int:
+    """Prove every setpoint of a plan or a recorded run against limits and tolerances."""
     from cnc_interp.machine_model.machine import Machine
-    from cnc_interp.proof.beside import with_beside
     from cnc_interp.proof.plan_files import read_plan
     from cnc_interp.proof.program_again import compare_with_text, with_program
     from cnc_interp.proof.verdict import given_of
-    from cnc_interp.proof.verify import verify
+    from cnc_interp.proof.verify import verify, with_beside
 
     proofs = []
     parts = runs_of(options.directory)
@@ -73,6 +65,7 @@ def check_command(options: Namespace) -> int:
 
 
 def report_command(options: Namespace) -> int:
+    """Write one self-contained HTML page about a plan or a recorded run."""
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.report import write_report
 
@@ -123,19 +116,11 @@ def plan_files(
 
 
 def add_bag_commands(commands: Any) -> None:
-    record = command(
-        commands, 'record', record_command,
-        'record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C',
-        'cnc-interp record out/shift1',
-    )  # fmt: skip
+    record = command(commands, record_command, 'record out/shift1')
     record.option('bag', 'folder to create', Path, 'BAG')
     namespace_option(record, 'of the nodes')
 
-    replay = command(
-        commands, 'replay', replay_command,
-        'show a recorded run again, or compute its setpoints again and compare them',
-        'cnc-interp replay out/shift1 --compare',
-    )  # fmt: skip
+    replay = command(commands, replay_command, 'replay out/shift1 --compare')
     replay.option('bag', 'folder of the bag', Path, 'BAG')
     text = 'compute the setpoints from the recorded blocks; exit code 0 if bit for bit the same'
     replay.flag('--compare', text)
@@ -144,11 +129,7 @@ def add_bag_commands(commands: Any) -> None:
     replay.flag('--clock', 'publish the time of the bag too')
     namespace_option(replay, 'to publish in')
 
-    repair = command(
-        commands, 'repair', repair_command,
-        'write what the bag of a killed recorder holds as a sound bag',
-        'cnc-interp repair out/shift1 --out out/shift1-repaired',
-    )  # fmt: skip
+    repair = command(commands, repair_command, 'repair out/shift1 --out out/shift1-repaired')
     repair.option('bag', 'folder of the bag', Path, 'BAG')
     repair.option('--out', 'folder to create', Path, 'NEW', required=True)
 
@@ -158,6 +139,7 @@ def namespace_option(added: Any, purpose: str) -> None:
 
 
 def record_command(options: Namespace) -> int:
+    """Record what running nodes say into a bag (rosbag2, MCAP), until Ctrl-C."""
     from cnc_interp.client.recorder import record
 
     count = record(options.bag, options.namespace)
@@ -166,6 +148,7 @@ def record_command(options: Namespace) -> int:
 
 
 def replay_command(options: Namespace) -> int:
+    """Show a recorded run again, or compute its setpoints again and compare them."""
     from cnc_interp.client.bag import Bag
     from cnc_interp.client.replay import compute_again, show_again
 
@@ -182,8 +165,65 @@ def replay_command(options: Namespace) -> int:
 
 
 def repair_command(options: Namespace) -> int:
+    """Write what the bag of a killed recorder holds as a sound bag."""
     from cnc_interp.client.bag import repair
 
     count, duration = repair(options.bag, options.out)
     print(f'{options.out}: {count} messages of {duration:.1f} s')
     return FINE
+
+
+def add_problems_command(commands: Any) -> None:
+    problems = command(commands, problems_command, 'problems --score out/motions')
+    problems.option('--write', 'write each path and its limits as .npz', Path, 'DIR')
+    text = 'score motions: NAME.npz with position, or NAME.csv, a row each period'
+    problems.option('--score', text, Path, 'DIR')
+    problems.number('--period', 1.0, 'period of the motions', 'MS')
+
+
+def problems_command(options: Namespace) -> int:
+    """Compare feed laws: forty paths with optimum times, as files, and scores of motions."""
+    return (_score if options.score else _show)(options)
+
+
+def _show(options: Namespace) -> int:
+    import numpy as np
+
+    from cnc_interp.problems import known, problems
+
+    if options.write is not None:
+        options.write.mkdir(parents=True, exist_ok=True)
+    print(f'{"path":<28}{"optimum s":>11}{"ours s":>11}{"no jerk s":>11}')
+    for case in problems():
+        print(f'{case.name:<28}' + ''.join(f'{time:>11.4f}' for time in known(case.name)))
+        if options.write is not None:
+            names = 's', 'cell_left', 'cell_right', 'cell_feed', 'stop'
+            columns = {name: getattr(case.path, name) for name in names}
+            file = options.write / f'{case.name}.npz'
+            np.savez_compressed(file, limits=case.limits.limits, **columns)
+    return FINE
+
+
+def _score(options: Namespace) -> int:
+    import numpy as np
+
+    from cnc_interp.problems import problem, score
+
+    files = sorted([*options.score.glob('*.npz'), *options.score.glob('*.csv')])
+    if not files:
+        raise InterpError(f'{options.score}: has no NAME.npz or NAME.csv, NAME of a problem')
+    kept = True
+    print(f'{"path":<28}{"time s":>11}{"/ optimum":>11}{"use":>9}{"beside um":>11}')
+    for file in files:
+        try:
+            csv = file.suffix == '.csv'
+            q = np.loadtxt(file, delimiter=',') if csv else np.load(file)['position']
+        except (ValueError, KeyError, OSError) as fault:
+            raise InterpError(f'{file}: cannot be read: {fault}') from None
+        found = score(problem(file.stem), q, options.period * MS)
+        kept &= found.kept
+        print(
+            f'{found.name:<28}{found.time:>11.4f}{found.ratio:>11.4f}{found.use:>9.2%}'
+            f'{found.deviation / UM:>11.3f}' + ('' if found.kept else '  NOT kept')
+        )
+    return FINE if kept else FAILED

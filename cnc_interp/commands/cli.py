@@ -11,15 +11,13 @@ from pathlib import Path
 from types import FrameType
 
 import cnc_interp
+from cnc_interp.commands import identify
 from cnc_interp.commands.batch import add_batch_commands, add_sweep_command
 from cnc_interp.commands.cam import add_cam_commands
-from cnc_interp.commands.check import add_bag_commands, add_check_commands
-from cnc_interp.commands.convert import add_convert_command, add_machine_commands
-from cnc_interp.commands.identify import add_identify_commands
+from cnc_interp.commands.check import add_bag_commands, add_check_commands, add_problems_command
 from cnc_interp.commands.operate import add_operate_commands
 from cnc_interp.commands.parser import BAD_INPUT, FINE, CommandParser, command
 from cnc_interp.commands.plan import add_panel_command, add_plan_command, add_run_command
-from cnc_interp.commands.problems import add_problems_command
 from cnc_interp.core import InterpError
 
 
@@ -108,21 +106,19 @@ def parser() -> argparse.ArgumentParser:
 
     for add in (
         add_run_command, add_plan_command, add_batch_commands,
-        partial(add_sweep_command, main=main), add_convert_command, add_check_commands,
-        add_panel_command, add_operate_commands, add_machine_commands, add_bag_commands,
-        add_identify_commands, add_cam_commands, add_problems_command,
+        partial(add_sweep_command, main=main), identify.add_convert_command, add_check_commands,
+        add_panel_command, add_operate_commands, identify.add_machine_commands, add_bag_commands,
+        identify.add_identify_commands, add_cam_commands, add_problems_command,
     ):  # fmt: skip
         add(commands)
-    completion = command(
-        commands, 'completion', completion_command,
-        'print what a shell completes, or the man page',
-        'cnc-interp completion bash > ~/.local/share/bash-completion/completions/cnc-interp',
-    )  # fmt: skip
+    example = 'completion bash > ~/.local/share/bash-completion/completions/cnc-interp'
+    completion = command(commands, completion_command, example)
     completion.add_argument('kind', choices=('bash', 'zsh', 'man'), help='shell, or man')
     return top
 
 
 def completion_command(options: argparse.Namespace) -> int:
+    """Print what a shell completes, or the man page."""
     if options.kind == 'man':
         from argparse_manpage.manpage import Manpage
 

@@ -20,11 +20,11 @@ from cnc_interp.core import DEG, MM, UM, InterpError
 
 def add_operate_commands(commands: Any) -> None:
     jog = command(
-        commands, 'jog', jog_command,
-        'move axes of a running machine by hand, by a distance or to a position',
-        'cnc-interp jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
+        commands,
+        jog_command,
+        'jog X 10 A -5 (by 10 mm and -5 deg); cnc-interp jog --to X 0 Y 0; '
         'cnc-interp jog --pose X 0 Y 0 Z 50 I 0 J 0 K 1',
-    )  # fmt: skip
+    )
     text = 'letter of an axis, and distance or position [mm, deg]; may be repeated'
     jog.add_argument('words', nargs='*', metavar='AXIS VALUE', help=text)
     jog.flag('--to', 'the values are positions of the axes')
@@ -40,11 +40,8 @@ def add_operate_commands(commands: Any) -> None:
     jog.flag('--json', 'print the result as JSON')
     jog.nodes_options()
 
-    offsets = command(
-        commands, 'offsets', offsets_command,
-        'show or change the work offsets and G92 of a running machine',
-        'cnc-interp offsets; cnc-interp offsets G55 X 140 Y -70 --use',
-    )  # fmt: skip
+    example = 'offsets; cnc-interp offsets G55 X 140 Y -70 --use'
+    offsets = command(commands, offsets_command, example)
     offsets.option('offset', 'G54 to G59.3, or G92', nargs='?', default='')
     offsets.option(
         'words',
@@ -53,10 +50,8 @@ def add_operate_commands(commands: Any) -> None:
     )  # fmt: skip
     offsets.flag('--clear', 'remove the values it had before')
     offsets.flag('--use', 'make it the active one')
-    tools = command(
-        commands, 'tools', tools_command, 'show or change the tool table of a running machine',
-        'cnc-interp tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load',
-    )  # fmt: skip
+    example = 'tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load'
+    tools = command(commands, tools_command, example)
     tools.option('number', 'number of the tool', int, nargs='?')
     tools.option('--length', 'its length', float, 'MM')
     tools.option('--radius', 'its radius', float, 'MM')
@@ -65,11 +60,8 @@ def add_operate_commands(commands: Any) -> None:
     tools.option('--remark', 'what tells it from others', metavar='TEXT')
     tools.flag('--remove', 'take it out of the table')
     tools.flag('--load', 'it is in the spindle; 0: none is')
-    touch = command(
-        commands, 'touch-off', touch_off_command,
-        'set a work offset so that coordinates read given values where the axes stand',
-        'cnc-interp touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55',
-    )  # fmt: skip
+    example = 'touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55'
+    touch = command(commands, touch_off_command, example)
     text = 'letter of an axis, and what its coordinate shall read [mm, deg]; may be repeated'
     touch.add_argument('words', nargs='+', metavar='AXIS VALUE', help=text)
     touch.option('--offset', 'the offset (the active one)', metavar='G', default='')
@@ -77,38 +69,25 @@ def add_operate_commands(commands: Any) -> None:
         added.flag('--json', 'print the result as JSON')
         added.nodes_options()
 
-    home = command(
-        commands, 'home', home_command,
-        'home axes of a running machine, all that have a reference switch or those named',
-        'cnc-interp home; cnc-interp home Z',
-    )  # fmt: skip
+    home = command(commands, home_command, 'home; cnc-interp home Z')
     home.option('axes', 'letter of an axis', metavar='AXIS', nargs='*')
     home.nodes_options()
 
-    mdi = command(
-        commands, 'mdi', mdi_command,
-        'have lines of G-code executed by a running machine, from where it stands',
-        "cnc-interp mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)",
-    )  # fmt: skip
+    example = "mdi 'G91' 'G1 X10 F500' (without a line: show the modal state)"
+    mdi = command(commands, mdi_command, example)
     mdi.option('lines', 'a line of G-code', metavar='LINE', nargs='*')
     mdi.flag('--json', 'print the results as JSON')
     mdi.nodes_options()
 
-    probe = command(
-        commands, 'probe', probe_command,
-        'have a running machine find a place with its probe, and set the work offset there',
-        'cnc-interp probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3',
-    )  # fmt: skip
+    example = 'probe (tells all cycles); cnc-interp probe bore diameter 20 ball 3'
+    probe = command(commands, probe_command, example)
     probe.option('cycle', 'what to find', metavar='CYCLE', nargs='?', default='')
     text = 'what the cycle is told, and its value; may be repeated'
     probe.option('words', text, metavar='NAME VALUE', nargs='*')
     probe.nodes_options()
 
-    rotary = command(
-        commands, 'probe-rotary', probe_rotary_command,
-        'find the rotary axes of a running machine by touching one ball, from above it',
-        'cnc-interp probe-rotary --ball 25 --tip 3 --out my_machine.yaml',
-    )  # fmt: skip
+    example = 'probe-rotary --ball 25 --tip 3 --out my_machine.yaml'
+    rotary = command(commands, probe_rotary_command, example)
     rotary.option('--ball', 'diameter of the ball', positive, 'MM', required=True)
     rotary.option('--tip', 'diameter of the ball of the probe', positive, 'MM', required=True)
     text = 'length of the probe beyond the tip in the machine file (0)'
@@ -141,6 +120,7 @@ def pairs(words: list[str]) -> dict[str, float]:
 
 
 def jog_command(options: argparse.Namespace) -> int:
+    """Move axes of a running machine by hand, by a distance or to a position."""
     values = pairs(options.words)
     if bool(values) == bool(options.tool):
         raise InterpError('name an axis and its value, such as X 10, or --tool and a distance')
@@ -162,6 +142,7 @@ def jog_command(options: argparse.Namespace) -> int:
 
 
 def home_command(options: argparse.Namespace) -> int:
+    """Home axes of a running machine, all that have a reference switch or those named."""
     from cnc_interp.client.hand_move import home_axes
 
     missing = home_axes([name.upper() for name in options.axes], options.namespace, options.domain)
@@ -170,6 +151,7 @@ def home_command(options: argparse.Namespace) -> int:
 
 
 def mdi_command(options: argparse.Namespace) -> int:
+    """Have lines of G-code executed by a running machine, from where it stands."""
     from cnc_interp.client.hand_move import give_lines
     from cnc_interp.program.notices import tell
 
@@ -187,7 +169,7 @@ def mdi_command(options: argparse.Namespace) -> int:
 
 
 def probe_command(options: argparse.Namespace) -> int:
-    """Run a probing cycle from where the machine stands; without one, tell them all."""
+    """Have a running machine find a place with its probe, and set the work offset there."""
     from cnc_interp.program.probing import cycles
 
     cycle = cycles().get(options.cycle)
@@ -214,7 +196,7 @@ def probe_command(options: argparse.Namespace) -> int:
 
 
 def probe_rotary_command(options: argparse.Namespace) -> int:
-    """Touch the ball at all poses; print what the machine file should say, and write it."""
+    """Find the rotary axes of a running machine by touching one ball, from above it."""
     from cnc_interp.client.rotary_probing import BallProbing, probe_rotary_centres
     from cnc_interp.machine_model.machine import with_geometry
 
@@ -235,12 +217,14 @@ def probe_rotary_command(options: argparse.Namespace) -> int:
 
 
 def offsets_command(options: argparse.Namespace) -> int:
+    """Show or change the work offsets and G92 of a running machine."""
     words = pairs(options.words)
     wanted = {'offset': options.offset.upper(), 'clear': options.clear, 'activate': options.use}
     return _do(options, 'set_offset', wanted if any(wanted.values()) else None, words)
 
 
 def tools_command(options: argparse.Namespace) -> int:
+    """Show or change the tool table of a running machine."""
     names = ('length', 'radius', 'corner_radius', 'remark')
     given = {name: getattr(options, name) for name in names}
     given = {
@@ -257,6 +241,7 @@ def tools_command(options: argparse.Namespace) -> int:
 
 
 def touch_off_command(options: argparse.Namespace) -> int:
+    """Set a work offset so that coordinates read given values where the axes stand."""
     return _do(options, 'touch_off', {'offset': options.offset.upper()}, pairs(options.words))
 
 

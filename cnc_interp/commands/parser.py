@@ -90,10 +90,13 @@ class CommandParser(argparse.ArgumentParser):
         self.option('--token-file', text, Path, 'FILE')
 
 
-def command(commands: Any, name: str, function: Any, purpose: str, example: str) -> CommandParser:
-    told = purpose[0].upper() + purpose[1:] + '.'
+def command(commands: Any, function: Any, example: str) -> CommandParser:
+    """Add a command by the name of its function; the docstring there says what it is for."""
+    name = function.__name__.removesuffix('_command').replace('_', '-')
+    told = str(function.__doc__)
+    purpose = told[0].lower() + told[1:].rstrip('.')
     added: CommandParser = commands.add_parser(
-        name, help=purpose, description=told, epilog=f'example: {example}'
+        name, help=purpose, description=told, epilog=f'example: cnc-interp {example}'
     )
     added.set_defaults(command=function)
     return added

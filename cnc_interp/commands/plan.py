@@ -24,11 +24,7 @@ WIDEST = 100  #: Largest width of a drawing in text [characters].
 
 
 def add_plan_command(commands: Any) -> None:
-    plan = parser.command(
-        commands, 'plan', plan_command,
-        'plan a program without ROS and write the plan files',
-        'cnc-interp plan examples/pyramid.apt --out out/pyramid',
-    )  # fmt: skip
+    plan = parser.command(commands, plan_command, 'plan examples/pyramid.apt --out out/pyramid')
     plan.program_options()
     plan.option('--out', 'folder for the plan files', Path, 'DIR', required=True)
     plan.flag('--look', 'draw the feed profile in text, as a terminal always gets it')
@@ -41,6 +37,7 @@ def add_plan_command(commands: Any) -> None:
 
 
 def plan_command(options: argparse.Namespace) -> int:
+    """Plan a program without ROS and write the plan files."""
     from cnc_interp import kernel_cache
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.feedrate.plan_options import tool_warnings
@@ -165,11 +162,7 @@ def sketch(directory: Path) -> str:
 
 
 def add_run_command(commands: Any) -> None:
-    run = parser.command(
-        commands, 'run', run_command,
-        'stream a program through the ROS 2 nodes to the machine',
-        'cnc-interp run examples/pyramid.apt --out out/pyramid',
-    )  # fmt: skip
+    run = parser.command(commands, run_command, 'run examples/pyramid.apt --out out/pyramid')
     run.program_options(live=True)
     run.drives_option()
     run.add_argument(
@@ -188,11 +181,7 @@ def add_run_command(commands: Any) -> None:
 
 
 def add_panel_command(commands: Any) -> None:
-    panel = parser.command(
-        commands, 'panel', panel_command,
-        'serve the operator page: see the machine and operate it from a browser',
-        'cnc-interp panel examples/pyramid.ngc',
-    )  # fmt: skip
+    panel = parser.command(commands, panel_command, 'panel examples/pyramid.ngc')
     panel.option('program', 'program to lay on the desk', Path, 'PROGRAM', nargs='?')
     panel.machine_option()
     panel.drives_option()
@@ -203,6 +192,7 @@ def add_panel_command(commands: Any) -> None:
 
 
 def run_command(options: argparse.Namespace) -> int:
+    """Stream a program through the ROS 2 nodes to the machine."""
     from cnc_interp.processes.node_processes import load_nodes, process_start
 
     load_nodes()  # in another process, while this one imports the rest
@@ -224,6 +214,7 @@ def run_command(options: argparse.Namespace) -> int:
 
 
 def panel_command(options: argparse.Namespace) -> int:
+    """Serve the operator page: see the machine and operate it from a browser."""
     from cnc_interp.page.command import run_panel
 
     run_panel(options)

@@ -17,7 +17,7 @@ import numpy as np
 
 from cnc_interp.convert.native_splines import PROBES, Portion, clamped
 from cnc_interp.core import DEG, MM, UM, FloatArray, IntArray, InterpError, norm
-from cnc_interp.core.bezier import start_derivatives
+from cnc_interp.core.bspline import start_derivatives
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.connection import matching_slopes
 from cnc_interp.smoothing.native.joining import (

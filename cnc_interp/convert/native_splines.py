@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import DEG, MM, BlockError, FloatArray, dot, norm
-from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import corner_end_derivatives, cubic_bezier_points
+from cnc_interp.core.bspline import bezier_values, corner_end_derivatives, cubic_bezier_points
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.writer import WrittenMove

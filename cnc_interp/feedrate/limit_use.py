@@ -1,6 +1,6 @@
 """The upper limit of the feed [B2013, Eq. 10], and how much of each limit a motion law uses."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -13,23 +13,14 @@ from cnc_interp.machine_model.machine import Machine
 ROOMY = 1.0 * MS  #: Shortest period at which the slack covers steps between path cells [s].
 
 
-class AxisLimits(Protocol):
-    """Limits of the axes, as a ``Machine`` has them."""
-
-    @property
-    def max_velocity(self) -> FloatArray:
-        """Largest velocities, shape (n_axes,) [m/s or rad/s]."""
-
-    @property
-    def limit_table(self) -> FloatArray:
-        """All limits over position, shape (7, n_axes, m); see ``core/limits_by_position.py``."""
-
-
 class PlanningLimits(NamedTuple):
     """Axis limits for planning, which may be lower than those of the machine."""
 
-    max_velocity: FloatArray
-    limit_table: FloatArray
+    max_velocity: FloatArray  #: (n_axes,): Largest velocities [m/s or rad/s].
+    limit_table: FloatArray  #: (7, n_axes, m): All limits; see ``core/limits_by_position.py``.
+
+
+AxisLimits = Machine | PlanningLimits
 
 
 def limits_at(machine: Machine, period: float) -> AxisLimits:

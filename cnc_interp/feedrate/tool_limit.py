@@ -1,6 +1,6 @@
 """A limit on the error at the tool that the drives leave: rows for the jerk stage, and its check.
 
-In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/error_series.py``),
+In slow motion the axes are off by e = c1 q' + c2 q'' - sign(q') away (``drives/tool_error.py``),
 and the tip by J e with J = dp/dq. What counts is the part across the path, in the normals n of the
 tip's way. With q' = q_s s_dot and q'' = q_s s_ddot + q_ss s_dot^2, the row of a normal is
 
@@ -24,8 +24,7 @@ from scipy.ndimage import maximum_filter1d
 
 from cnc_interp.core import MM, BoolArray, FloatArray, SettingsError
 from cnc_interp.drives.compensation import compensated_model
-from cnc_interp.drives.error_series import ErrorSeries, error_series
-from cnc_interp.drives.tool_error import ToolMotion
+from cnc_interp.drives.tool_error import ErrorSeries, ToolMotion, error_series
 from cnc_interp.feedrate.motion_law import MotionLaw, Stretch, axis_motion
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine

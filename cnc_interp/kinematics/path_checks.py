@@ -5,7 +5,7 @@ from typing import NoReturn
 import numpy as np
 
 from cnc_interp.core import DEG, BlockError, FloatArray, IntArray, SingularityError, TravelError
-from cnc_interp.core.bezier import bezier_values, divided
+from cnc_interp.core.bspline import bezier_values, divided
 from cnc_interp.kinematics.sampling import SINGULAR, STANDSTILL
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, branch_at

@@ -2,7 +2,7 @@
 
 On a segment the tool axis is o = D / |D| with ``D = E + L + (T(f) - T(u))``: E = T - B is the
 difference of top and bottom curve, L the connection, and f the parameter of the top curve, u
-itself on most curves. With hulls (``core/bezier.py``) of the derivatives, and with
+itself on most curves. With hulls (``core/bspline.py``) of the derivatives, and with
 ``d >= |f - u|``, ``e >= |f' - 1|``,
 
     |D| >= min E - |L| - |T'| d              |D'| <= |E'| + |L'| + |T'| e + |T''| d
@@ -29,9 +29,7 @@ from math import atan2, ceil, pi, sqrt, tan
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import FloatArray, IntArray, norm
-from cnc_interp.core.bezier import derivative_bounds, divided, largest, least_length
-from cnc_interp.core.bspline import corner_pieces
+from cnc_interp.core import FloatArray, IntArray, bspline, norm
 from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.machine_model.transform_kernels import guided_gap, outer_and_inner
 from cnc_interp.program.blocks import POSES
@@ -52,7 +50,7 @@ def rates_of(segments: PathSegments) -> FloatArray:
     straight = (segments.kind == LINE) | (segments.kind == ROTATION)
     found[straight, TURN] = norm(segments.rotation)[straight]
     found[straight, SPEED] = segments.length[straight]
-    for kind, halves in ((CORNER, corner_pieces), (SPLINE, divided)):
+    for kind, halves in ((CORNER, bspline.corner_pieces), (SPLINE, bspline.divided)):
         rows = np.flatnonzero((segments.kind == kind) & (segments.interpolation == POSES))
         if not len(rows):
             continue
@@ -61,11 +59,14 @@ def rates_of(segments: PathSegments) -> FloatArray:
             np.stack(halves(points[rows]), axis=1) for points in (segments.bottom, segments.top)
         )
         tip, up, between = (
-            derivative_bounds(curves, 0.5).max(axis=2) for curves in (bottom, top, top - bottom)
+            bspline.derivative_bounds(curves, 0.5).max(axis=2)
+            for curves in (bottom, top, top - bottom)
         )
-        raised = derivative_bounds(lift)
+        raised = bspline.derivative_bounds(lift)
         off, stretch, bend = _parameter_bounds(segments.parametrization[rows])
-        least = least_length(top - bottom).min(axis=1) - largest(lift) - up[0] * off
+        least = (
+            bspline.least_length(top - bottom).min(axis=1) - bspline.largest(lift) - up[0] * off
+        )
         rate = between[0] + raised[0] + up[0] * stretch + up[1] * off
         second = between[1] + raised[1] + up[1] * stretch * (2.0 + stretch) + up[2] * off
         bounded, least = least > 0.0, np.where(least > 0.0, least, 1.0)

@@ -147,9 +147,6 @@ class AxisMotion:
             feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period, largest_use=use,
         )  # fmt: skip
 
-    def forget_use(self) -> None:
-        self.largest_use = np.zeros_like(self.largest_use)
-
     def take_recent_use(self) -> FloatArray:
         """Return the largest use of each limit since the last call, shape (3, n_axes) [-]."""
         recent, self._recent_use = self._recent_use, np.zeros_like(self._recent_use)

@@ -10,19 +10,7 @@ import numpy as np
 from cnc_interp.core import FloatArray
 from cnc_interp.machine.switching import ActsOfChunk
 from cnc_interp.run.run_state import RunId
-from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
-
-
-@dataclass(frozen=True)
-class SourcedSetpoints:
-    samples: Setpoints
-    lines: list[int]
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def part(self, first: int, last: int) -> SourcedSetpoints:
-        return SourcedSetpoints(self.samples[first:last], self.lines[first:last])
+from cnc_interp.run.setpoints import Chunk, Wait
 
 
 @dataclass(frozen=True)
@@ -31,21 +19,15 @@ class BufferedChunk:
     run_id: RunId  #: The plan that it belongs to.
     first: int  #: Number of its first setpoint since the last rest by a stop.
     chunk: Chunk  #: Setpoints, stop tail, and what comes after.
-    #: Setpoints and stop tail with their lines.
-    rows: SourcedSetpoints
-    tail: SourcedSetpoints
     acts: ActsOfChunk  #: What is switched.
 
     def head(self, count: int, serial: int, acts: ActsOfChunk) -> BufferedChunk:
         """Return its first setpoints as a chunk with another serial number."""
-        chunk, lines = self.chunk.head(count), self.rows.lines
-        tail = SourcedSetpoints(chunk.tail, lines[count:] + self.tail.lines)
-        rows = SourcedSetpoints(chunk.samples, lines[:count])
-        return BufferedChunk(serial, self.run_id, self.first, chunk, rows, tail, acts)
+        return BufferedChunk(serial, self.run_id, self.first, self.chunk.head(count), acts)
 
     @property
     def after(self) -> int:
-        return self.first + len(self.rows)
+        return self.first + len(self.chunk.samples)
 
 
 class Buffer:
@@ -62,21 +44,21 @@ class Buffer:
 
     def push(self, chunk: BufferedChunk) -> None:
         self.chunks.append(chunk)
-        self.count += len(chunk.rows)
+        self.count += len(chunk.chunk.samples)
         self.rests += chunk.chunk.wait is not Wait.NOTHING
         self.next_number = chunk.after
-        self.newest = np.concatenate([self.newest, chunk.rows.samples.position])[-3:]
+        self.newest = np.concatenate([self.newest, chunk.chunk.samples.position])[-3:]
 
     def cut(self, number: int, newest: FloatArray) -> None:
         """Forget the chunks that end after a setpoint; ``newest`` are the last three kept."""
         while self.chunks and self.chunks[-1].after > number:
             chunk = self.chunks.pop()
-            self.count -= len(chunk.rows)
+            self.count -= len(chunk.chunk.samples)
             self.rests -= chunk.chunk.wait is not Wait.NOTHING
         self.newest = newest
 
     def pop(self) -> BufferedChunk:
         chunk = self.chunks.popleft()
-        self.count -= len(chunk.rows)
+        self.count -= len(chunk.chunk.samples)
         self.rests -= chunk.chunk.wait is not Wait.NOTHING
         return chunk

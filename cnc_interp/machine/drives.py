@@ -7,7 +7,7 @@ what the cycle has played, and execute it after a delay (``trajectory_drives.py`
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,63 +40,41 @@ class AxisFeedback(NamedTuple):
     answered: FloatArray  #: (K, n_axes): The command that the actual one answers [m, rad].
 
 
-class Drives(Protocol):
+class Drives:
     """The drives of all axes. Setpoints were checked before against travel and limits."""
 
-    @property
-    def lag(self) -> float:
-        """How much later than their setpoints the axes are there, about [s]."""
-        ...
-
-    @property
-    def ahead(self) -> float:
-        """How much later than it is told a setpoint is played; 0: in its period [s]."""
-        ...
+    lag = 0.0  #: How much later than their setpoints the axes are there, about [s].
+    ahead = 0.0  #: How much later than it is told a setpoint is played; 0: in its period [s].
+    #: Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does.
+    wired = False
+    calm = 0.0  #: Time between two steps of drives that have stood for long; 0: each period [s].
+    #: What the outputs of the machine file are set to: their memory, which others write.
+    outputs: FloatArray
+    inputs: FloatArray  #: The inputs of the machine file, as they were reported last.
 
     @property
     def position(self) -> FloatArray:
         """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
-        ...
-
-    @property
-    def outputs(self) -> FloatArray:
-        """What the outputs of the machine file are set to: their memory, which others write."""
-        ...
-
-    @property
-    def inputs(self) -> FloatArray:
-        """The inputs of the machine file, as they were reported last."""
-        ...
-
-    @property
-    def wired(self) -> bool:
-        """Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does."""
-        ...
-
-    @property
-    def calm(self) -> float:
-        """Time between two steps of drives that have stood for long; 0: each period [s]."""
-        ...
+        raise NotImplementedError
 
     def exchange(self, seconds: float) -> None:
         """Take over outputs and inputs, some time after the call before."""
-        ...
 
     def switch_on(self) -> None:
         """Switch the power on and hold the axes where they stand."""
-        ...
 
     def switch_off(self) -> None:
         """Release the axes; the machine is at rest."""
-        ...
 
     def close(self) -> None:
         """Let the drives go: the machine ends, and its clock has stopped."""
-        ...
+
+    def fault(self, number: int) -> str:
+        """Say what a number of the step means, and what to do; that of an alarm without sign."""
+        return f'fault {number}'
 
 
-@runtime_checkable
-class CycleDrives(Drives, Protocol):
+class CycleDrives(Drives):
     """Drives with a compiled step that the cycle calls once per period.
 
     The step is a C function ``int64 step(double *memory, const double *setpoint, double *feedback,
@@ -111,48 +89,30 @@ class CycleDrives(Drives, Protocol):
     tail is played to its end. Then the drives are switched off, until the operator's reset.
     """
 
-    @property
-    def step(self) -> int:
-        """Address of the step."""
-        ...
-
-    @property
-    def memory(self) -> FloatArray:
-        """The state that the step keeps from one period to the next."""
-        ...
-
-    def fault(self, number: int) -> str:
-        """Say what a number of the step means, and what to do; that of an alarm without sign."""
-        ...
+    step: int  #: Address of the step.
+    memory: FloatArray  #: The state that the step keeps from one period to the next.
 
 
-@runtime_checkable
-class HomedDrives(CycleDrives, Protocol):
+class HomedDrives(CycleDrives):
     """Drives that know where their axes are only after these have found reference switches."""
 
     @property
     def released(self) -> FloatArray:
         """Where each axis was when its watched input went off, an index exactly [m, rad]."""
-        ...
+        raise NotImplementedError
 
     def watch(self, axis: int, number: int) -> None:
         """Watch an input for an axis; until it goes off, ``released`` is NaN."""
-        ...
 
     def shift(self, by: FloatArray) -> None:
         """Add to the positions of the axes, which rest and stay where they are [m, rad]."""
-        ...
 
 
-@runtime_checkable
-class DelayedDrives(Drives, Protocol):
+class DelayedDrives(Drives):
     """Drives that Python feeds with what the cycle played; unheard, they rest on the path."""
 
-    @property
-    def alarm(self) -> str:
-        """Why the machine must stop on its path; empty if all is well."""
-        ...
+    alarm = ''  #: Why the machine must stop on its path; empty if all is well.
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
         """Take the setpoints of some periods, and report what the axes did meanwhile."""
-        ...
+        raise NotImplementedError

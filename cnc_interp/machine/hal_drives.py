@@ -15,7 +15,7 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray
 from cnc_interp.core.native import publish
 from cnc_interp.machine import hal_step
-from cnc_interp.machine.drives import DriveFaultError
+from cnc_interp.machine.drives import DriveFaultError, HomedDrives
 from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of
 from cnc_interp.machine.spindle import INPUT
 from cnc_interp.machine_model.machine import Machine
@@ -153,7 +153,7 @@ CAUSES = {
 }  # fmt: skip
 
 
-class HalDrives:
+class HalDrives(HomedDrives):
     """Drives that a running session of HAL moves; see ``drives.CycleDrives``.
 
     ``depth``: setpoints that wait in HAL's FIFO; ``limits``: largest following error of linear [m]
@@ -161,7 +161,7 @@ class HalDrives:
     thread stands or has another period.
     """
 
-    wired, calm = True, 0.0
+    wired = True
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(self, machine: Machine, period: float, depth: int, limits: tuple[float, float]):
@@ -205,9 +205,6 @@ class HalDrives:
         except BaseException:
             self._leave()
             raise
-
-    def exchange(self, seconds: float) -> None:
-        """Do nothing: the step exchanges outputs and inputs with HAL."""
 
     def _attach(self, key: int, columns: str, name: str) -> HalStream:
         stream = HalStream(self._session, key, columns, name)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from cnc_interp.core import FloatArray, Refusal, StreamError
 from cnc_interp.machine import cycle_kernels as kernel
 from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints
-from cnc_interp.machine.buffer import Buffer, BufferedChunk, SourcedSetpoints
+from cnc_interp.machine.buffer import Buffer, BufferedChunk
 from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import follow_ideally
 from cnc_interp.machine.drives import (
@@ -56,7 +56,7 @@ class Executed(NamedTuple):
 
     run_id: RunId  #: The plan.
     number: int  #: Of the first in the run.
-    rows: SourcedSetpoints
+    rows: Setpoints
     actual: FloatArray
     ends: bool  #: Whether the program ends with them.
 
@@ -87,6 +87,10 @@ class Reached(NamedTuple):
     line: int
     s: float
 
+    @classmethod
+    def of(cls, samples: Setpoints) -> Self:
+        return cls(int(samples.block[-1]), int(samples.line[-1]), float(samples.s[-1]))
+
 
 class Playback:
     """The machine's buffer, the state and the figures of the run; it starts when ``full``."""
@@ -109,8 +113,6 @@ class Playback:
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
         self.switching = Switching(machine.signals, drives, self._commanded)
-        #: What functions have set, until it is published: the run, and the setpoint before.
-        self.switched: deque[tuple[RunId, Act, int]] = deque()
         self.state = RunState()
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
@@ -206,13 +208,10 @@ class Playback:
     def _forget_run(self, run_id: RunId) -> None:
         self.run_id = run_id
         self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
-        self.switching.forget()
-        self.functions = self._queued = 0  # set so far; number after those that wait
-        self._wanted: dict[int, Act] = {}  # what the functions have set, by output
-        self._off = self._finishing = False  # a stop has switched off; the last functions wait
-        self._probes_from = 0  # setpoint with which the line of a probe begins
+        self.switching.begin()
+        self._finishing = False  # the last functions wait
         self._answered = False  # the probe
-        self._forget_states()
+        self.switching.forget_states(self.cycle.follows)
         self._starved_for = 0.0  # [s]
         #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
         self._passing = self._held_after = False
@@ -229,7 +228,7 @@ class Playback:
         self._on_tail, self._row = False, -1
 
     def _forget_figures(self) -> None:
-        self.axes.forget_use()
+        self.axes.largest_use = np.zeros_like(self.axes.largest_use)
         self.largest_following_error = np.zeros(len(self.axes.machine.axis_names))
         self.largest_contour_error = 0.0
         self.least_buffered = np.inf
@@ -269,20 +268,17 @@ class Playback:
         else:
             self._forget_run(run_id)
         self.state = self.state.after(Event.JOG)
-        self._push_jog(chunk)
+        self.push(chunk)
         self.cycle.start(self.buffer.chunks[0].serial)
 
     def push_jog(self, chunk: Chunk) -> None:
         """Take the next setpoints of a motion by hand, checked as those of a program are."""
         self._refuse_jog(chunk)
-        self._push_jog(chunk)
+        self.push(chunk)
 
     def _refuse_jog(self, chunk: Chunk) -> None:
         rows = np.concatenate([chunk.samples.position, chunk.tail.position])
         refuse_setpoints(self.axes.machine, self.axes.period, self.before_jog, rows)
-
-    def _push_jog(self, chunk: Chunk) -> None:
-        self.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
 
     def is_void(self, run_id: RunId, begins: FloatArray | None) -> bool:
         """Tell whether setpoints are not needed, because the machine has left their plan.
@@ -305,27 +301,24 @@ class Playback:
         farthest = axes.machine.max_jerk * axes.period**3 + ELSEWHERE
         return bool((np.abs(begins - axes.setpoints[-1]) > farthest).any())
 
-    def push(self, chunk: Chunk, lines: list[int], tail_lines: list[int]) -> None:
+    def push(self, chunk: Chunk) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
         self.look()
         if not self.left:
             last = self.buffer.chunks[-1] if self.buffer.chunks else self._current
-            pushed = self._written(chunk, lines, tail_lines, self.buffer.next_number, last)
+            pushed = self._written(chunk, self.buffer.next_number, last)
             if last is not None:
                 self.cycle.link(last.serial, pushed.serial)
             self.buffer.push(pushed)
 
-    def _written(
-        self, chunk: Chunk, lines: list[int], tails: list[int], first: int,
-        before: BufferedChunk | None,
-    ) -> BufferedChunk:  # fmt: skip
-        rows, tail = SourcedSetpoints(chunk.samples, lines), SourcedSetpoints(chunk.tail, tails)
-        expected = self.functions if before is None else max(before.acts.after, self.functions)
+    def _written(self, chunk: Chunk, first: int, before: BufferedChunk | None) -> BufferedChunk:
+        done = self.switching.functions
+        expected = done if before is None else max(before.acts.after, done)
         acts = ActsOfChunk.of(chunk, self._signals, expected)
         if acts.waiting and before is not None and not before.chunk.rests:
             raise StreamError('a function that waits must stand where the path rests')
         serial = self.cycle.push(chunk, acts.switches)
-        return BufferedChunk(serial, self.run_id, first, chunk, rows, tail, acts)
+        return BufferedChunk(serial, self.run_id, first, chunk, acts)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
@@ -340,13 +333,11 @@ class Playback:
             raise StreamError(text, Refusal.TOO_LATE)
         parts = [self.axes.setpoints]
         if self._current is not None:
-            parts.append(self._current.rows.samples.position[row:])
-        parts += [c.rows.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
+            parts.append(self._current.chunk.samples.position[row:])
+        parts += [c.chunk.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
         return np.concatenate(parts)[-3:]
 
-    def join(
-        self, run_id: RunId, number: int, chunk: Chunk, lines: list[int], tail_lines: list[int]
-    ) -> None:
+    def join(self, run_id: RunId, number: int, chunk: Chunk) -> None:
         """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
         newest, buffer = self.before_join(run_id, number), self.buffer
         kept = [c for c in buffer.chunks if c.after <= number]
@@ -354,11 +345,11 @@ class Playback:
         before, comes = kept[-1] if kept else self._current, []
         if split is not None:
             count = number - split.first
-            acts = split.acts.head(count, len(split.rows))
+            acts = split.acts.head(count, len(split.chunk.samples))
             serial = self.cycle.push(split.chunk.head(count), acts.switches)
             comes.append(split.head(count, serial, acts))
         follows = comes[-1] if comes else before
-        pushed = self._written(chunk, lines, tail_lines, number, follows)
+        pushed = self._written(chunk, number, follows)
         pushed = replace(pushed, run_id=run_id)
         if comes:
             self.cycle.link(comes[0].serial, pushed.serial)
@@ -378,9 +369,8 @@ class Playback:
         if self.state.resting or current is None:
             return AxisRows.held(self.axes.setpoints[-1], 0)
         if self._on_tail:
-            return _axis_rows(current.tail.part(row, len(current.tail)).samples)
-        rest = current.rows.part(row, len(current.rows)).samples
-        return _axis_rows(Setpoints.concatenate([rest, current.tail.samples]))
+            return _axis_rows(current.chunk.tail[row:])
+        return _axis_rows(current.chunk.head(row).tail)
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -459,28 +449,16 @@ class Playback:
         self.state = self.state.after(Event.FILL, Reason.FUNCTION, self.switching.text)
 
     def _switch_off(self, word: str) -> None:
-        """Set what the machine file says for a stop; setpoints switch nothing any more."""
         self.cycle.mute(True)
-        self._forget_states()
+        self.switching.forget_states(self.cycle.follows)
         self.switching.stop(word)
-        self._off, self._queued = True, self.functions
-        self.switching.work(0.0, lambda _: True)
-        self.drives.outputs[:] = self._commanded[: self._signals.wired]  # the clock may end
-
-    def _forget_states(self) -> None:
-        """Let nothing that counts for a run alone count for the next one."""
-        if self._signals.probe:
-            for outputs in (self._commanded, self.drives.outputs):
-                outputs[self._signals.probe[0]] = 0.0
-        if not self.cycle.follows:
-            self._commanded[self._signals.wired :] = 0.0
 
     def _see_answer(self, number: int) -> None:
         """Note that the probe has answered in the period of a setpoint, and come to rest."""
         moving = (State.RUNNING, State.HOLDING, State.STARVING)
         if self.last is None or self.state.state not in moving:
             return
-        at_once = number <= self._probes_from + 1
+        at_once = number <= self.switching.probes_from + 1
         position, since = self.feedback.position[0].copy(), self._signals.input(SINCE)
         if since >= 0:  # else it is that at the end of the period
             position -= self.feedback.velocity[0] * self.drives.inputs[since]
@@ -489,7 +467,7 @@ class Playback:
         self._handle(Event.HOLD, Reason.PROBE)
 
     def _see_stop(self) -> None:
-        if self.state.state in (State.STOPPING, State.FAULT) and not self._off:
+        if self.state.state in (State.STOPPING, State.FAULT) and not self.switching.off:
             emergency = self.state.reason is Reason.EMERGENCY_STOP
             self._switch_off(EMERGENCY if emergency else 'fault')
 
@@ -498,7 +476,7 @@ class Playback:
         switching, starved = self.switching, self.state.state is State.STARVED
         self._see_stop()
         self._starved_for = self._starved_for + seconds if starved else 0.0
-        if self._starved_for >= LOST and not self._off:
+        if self._starved_for >= LOST and not self.switching.off:
             self._switch_off('lost_planner')
         self._pass_over()
         last = self.buffer.rests > 0 or bool(self.buffer.chunks and self.state.refusal)
@@ -506,7 +484,7 @@ class Playback:
         enough = self.state.may_start and ready and not self._passing
         self._queue_functions(enough)
         for act in switching.work(seconds, self._may_begin):
-            self._note(act, self.played)
+            self.switching.note(act, self.run_id, self.played)
         self.drives.exchange(seconds)
         state = self.state
         if not (state.may_start and (enough or switching.asks or self._finishing)):
@@ -531,34 +509,12 @@ class Playback:
         return act.number == NO_FUNCTION or act.before_stop or not held
 
     def _queue_functions(self, starts: bool) -> None:
-        """Take what must be set before the path goes on, or before a program stop waits."""
         stops = self.state.state is State.HELD and self.state.reason in STOPPED
         if not (self.buffer.chunks and (starts or stops)) or self.buffer.chunks[0].first < 0:
             return
-        if starts and self._off:  # after a lost planner
-            self._off = False
+        if starts and self.switching.off:
             self.cycle.mute(False)
-            self.switching.forget()
-            outputs = self._commanded
-            again = [a for a in self._wanted.values() if outputs[a.step.output] != a.value]
-            self.switching.add(act._replace(number=NO_FUNCTION) for act in again)
-        acts = self.buffer.chunks[0].acts
-        count = acts.waiting if starts else 0
-        for k, (row, act) in enumerate(acts.rows):
-            early = row == 0 and (k < count or (stops and act.before_stop))
-            if early and act.number >= max(self._queued, self.functions):
-                self.switching.add([act])
-                self._queued = act.number + 1
-
-    def _note(self, act: Act, sample: int) -> None:
-        if act.number < self.functions:
-            return
-        self.functions = act.number + 1
-        if self._signals.probe and act.step.output == self._signals.probe[0]:
-            self._probes_from = sample
-        self._wanted.pop(act.step.output, None)  # the last one comes last
-        self._wanted[act.step.output] = act
-        self.switched.append((self.run_id, act, sample))
+        self.switching.queue(self.buffer.chunks[0].acts, starts, stops)
 
     # What the cycle does ------------------------------------------------------------------------
 
@@ -596,7 +552,6 @@ class Playback:
             while self._current is None or self._current.serial < int(records.serial[0]):
                 self._current, self._row = self.buffer.pop(), -1
         if events & kernel.ALARMED:
-            assert isinstance(self.drives, CycleDrives)
             self._alarm(self.drives.fault(events >> kernel.ALARM_SHIFT))
         if events & kernel.STARVED:
             self._starve()
@@ -625,14 +580,14 @@ class Playback:
             first = int(records.row[0])
             self._row = first + len(records.row) - 1
             number = self.played
-            self._play(self._played.part(first, self._row + 1), records)
+            self._play(self._played[first : self._row + 1], records)
             if events & kernel.PROBED:
                 self._see_answer(number)
 
     @property
-    def _played(self) -> SourcedSetpoints:
+    def _played(self) -> Setpoints:
         assert self._current is not None
-        return self._current.tail if self._on_tail else self._current.rows
+        return self._current.chunk.tail if self._on_tail else self._current.chunk.samples
 
     def _starve(self) -> None:
         """Leave the plan: the next setpoints are late, or will never come."""
@@ -655,7 +610,7 @@ class Playback:
             return
         wait, self._current = current.chunk.wait, None
         if wait is Wait.END:
-            self._forget_states()
+            self.switching.forget_states(self.cycle.follows)
         if wait is Wait.END and current.acts.end:
             self.switching.add(current.acts.end)
             self._finishing = True
@@ -669,10 +624,9 @@ class Playback:
         """Go to FAULT: the cycle has refused a setpoint, or the drives have."""
         row = int(records.row[0])
         if int(records.events[0]) & kernel.FAILED:
-            assert isinstance(self.drives, CycleDrives)
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))
             return
-        samples = self._played.samples
+        samples = self._played
         fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
@@ -683,13 +637,13 @@ class Playback:
 
     @property
     def _line(self) -> int:
-        return 0 if self._current is None else self._current.rows.lines[0]
+        return 0 if self._current is None else int(self._current.chunk.samples.line[0])
 
     def _measure_followed(self, records: Records) -> None:
         wanted, answered = records.setpoint, records.answered
         self.feedback = self.axes.measure(wanted, records.position, records.velocity, answered)
         assert self._current is not None
-        block, ramp = self._current.rows.samples.block[0], float(self.spindle.words[spin.RAMP])
+        block, ramp = self._current.chunk.samples.block[0], float(self.spindle.words[spin.RAMP])
         line = self.run_id, int(block), self._line, ramp
         self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
@@ -701,16 +655,13 @@ class Playback:
                     return
                 self._current = self.buffer.pop()
             current = self._current
-            samples = current.rows.samples
+            samples = current.chunk.samples
             for row, act in current.acts.rows:
-                self._note(act, self.played + row)
+                self.switching.note(act, self.run_id, self.played + row)
             ends = current.chunk.wait is Wait.END
-            self.executed.append(
-                Executed(current.run_id, self.played, current.rows, samples.position, ends)
-            )
-            self.last = Reached(
-                int(samples.block[-1]), current.rows.lines[-1], float(samples.s[-1])
-            )
+            given = current.run_id, self.played, samples, samples.position
+            self.executed.append(Executed(*given, ends))
+            self.last = Reached.of(samples)
             self.played += len(samples)
             self.played_of_plan += len(samples)
             if current.chunk.wait in (Wait.NOTHING, Wait.OVERRIDE):
@@ -741,30 +692,32 @@ class Playback:
         self.feedback = self.axes.measure(wanted.position, x, v, answered)
         return follow
 
-    def _play(self, rows: SourcedSetpoints, records: Records) -> None:
+    def _play(self, samples: Setpoints, records: Records) -> None:
         current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
         assert current is not None
-        if rows.samples.block[0] > 0 and (self.last is None or self.last.block == 0):
+        if samples.block[0] > 0 and (self.last is None or self.last.block == 0):
             self._forget_figures()
-        if not self._measure(rows.samples, records):
+        if not self._measure(samples, records):
             return
-        samples = rows.samples
         if samples.block[-1] > 0:
             self.away = np.zeros(0)  # the machine is back on the path
         if not len(self.away):
             if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
                 self.least_buffered = min(self.least_buffered, self.buffer.count + left)
-            self.last = Reached(int(samples.block[-1]), rows.lines[-1], float(samples.s[-1]))
+            self.last = Reached.of(samples)
         for row, act in current.acts.tail if on_tail else current.acts.rows:
-            if 0 <= (ahead := row - (self._row + 1 - len(rows))) < len(rows) and not self._off:
-                self._note(act, self.played + ahead)
+            if (
+                0 <= (ahead := row - (self._row + 1 - len(samples))) < len(samples)
+                and not self.switching.off
+            ):
+                self.switching.note(act, self.run_id, self.played + ahead)
         at_end = not on_tail and not left
         ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
         actual = self.feedback.position
-        self.executed.append(Executed(current.run_id, self.played, rows, actual, ends))
-        self.played += len(rows)
+        self.executed.append(Executed(current.run_id, self.played, samples, actual, ends))
+        self.played += len(samples)
         self.approach_samples += int(np.sum(samples.block == 0))
-        self.played_of_plan += 0 if on_tail or self.state.by_hand else len(rows)
+        self.played_of_plan += 0 if on_tail or self.state.by_hand else len(samples)
         error = np.abs(self.feedback.following_error).max(axis=0)
         self.largest_following_error = np.maximum(self.largest_following_error, error)
         contour_error = float(self.feedback.contour_error.max())

@@ -37,10 +37,10 @@ def spin_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     return int(fault)
 
 
-class SimulatedDrives:
+class SimulatedDrives(CycleDrives):
     """Drives that follow setpoints by ``drive_model.py``; at first they stand at ``position``."""
 
-    wired, calm, ahead = False, CALM, 0.0
+    calm = CALM
 
     def __init__(self, machine: Machine, period: float, position: FloatArray):
         self.lag, self.step = lag_of(machine), int(follow_once.address)
@@ -81,18 +81,6 @@ class SimulatedDrives:
                 settled = self._unchanged[follows].min() >= signal.after
                 self.inputs[k] = settled and self.outputs[follows[0]] != 0.0
 
-    def switch_on(self) -> None:
-        """Do nothing: simulated axes are where they were."""
-
-    def switch_off(self) -> None:
-        """Do nothing: simulated axes stand still without power."""
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to let go."""
-
-    def fault(self, number: int) -> str:
-        return f'fault {number}'
-
 
 def simulate(
     machine: Machine, period: float, positions: FloatArray, velocities: FloatArray | None = None,
@@ -126,18 +114,17 @@ def simulate(
     return AxisMotion(machine, period, lag, r[0]).measure(r, x, v)
 
 
-class CompensatedDrives:
+class CompensatedDrives(CycleDrives):
     """Drives that are sent the inverse of their model, and what was ``learnt`` for setpoints."""
 
-    wired, calm, ahead = False, CALM, 0.0
+    calm = CALM
 
     def __init__(
         self, inner: CycleDrives, model: Machine, period: float, learnt: LearntMotion | None = None
     ):
         self._compensation = Compensation(model, period, inner.position)
-        self.switch_on, self.switch_off = inner.switch_on, inner.switch_off
-        self.close, self.fault, self.exchange = inner.close, inner.fault, inner.exchange
-        self.outputs, self.inputs = inner.outputs, inner.inputs
+        for name in ('switch_on', 'switch_off', 'close', 'fault', 'exchange', 'outputs', 'inputs'):
+            setattr(self, name, getattr(inner, name))
         self.lag, self.step = self._compensation.lead, int(compensate_once.address)
         self._learnt = learnt  # its arrays must stay where they are
         taught = None if learnt is None else (learnt.setpoint, learnt.rate)

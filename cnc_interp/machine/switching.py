@@ -11,6 +11,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.drives import Drives
 from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, Signals, Step
+from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Wait
 
 NO_FUNCTION = -1  #: Number of what no function of the program sets.
@@ -91,6 +92,17 @@ class Switching:
         self._queue: deque[Act] = deque()
         self._is_set = self._answered = False  # the first one of the queue
         self._waited = 0.0  # since it was set [s]
+        #: What functions have set, until it is published: the run, and the setpoint before.
+        self.switched: deque[tuple[RunId, Act, int]] = deque()
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a run, of which no function is set; what a stop sets remains."""
+        self._forget()
+        self.functions = self._queued = 0  # set so far; number after those that wait
+        self._wanted: dict[int, Act] = {}  # what the functions have set, by output
+        self.off = False  # a stop has switched off
+        self.probes_from = 0  # setpoint with which the line of a probe begins
 
     @property
     def busy(self) -> bool:
@@ -129,14 +141,49 @@ class Switching:
         self._queue.extend(acts)
 
     def stop(self, word: str) -> None:
-        """Set what a word of ``signals.STOPS`` says, in the place of all that waits."""
+        """Set what a word of ``signals.STOPS`` says, now; setpoints switch nothing any more."""
         self._queue.clear()
         self._is_set = False
         steps = [self._signals.steps[k] for k in self._signals.words.get(word, ())]
         self.add(Act(step, float(step.value)) for step in steps)
+        self.off, self._queued = True, self.functions
+        self.work(0.0, lambda _: True)
+        self._drives.outputs[:] = self._commanded[: self._signals.wired]  # the clock may end
 
-    def forget(self) -> None:
-        """Forget all but what a stop sets."""
+    def forget_states(self, follows: bool) -> None:
+        """Let nothing that counts for a run alone count for the next one."""
+        if self._signals.probe:
+            for outputs in (self._commanded, self._drives.outputs):
+                outputs[self._signals.probe[0]] = 0.0
+        if not follows:
+            self._commanded[self._signals.wired :] = 0.0
+
+    def queue(self, acts: ActsOfChunk, starts: bool, stops: bool) -> None:
+        """Take what must be set before the path goes on, or before a program stop waits."""
+        if starts and self.off:  # after a lost planner
+            self.off, outputs = False, self._commanded
+            self._forget()
+            again = [a for a in self._wanted.values() if outputs[a.step.output] != a.value]
+            self.add(act._replace(number=NO_FUNCTION) for act in again)
+        count = acts.waiting if starts else 0
+        for k, (row, act) in enumerate(acts.rows):
+            early = row == 0 and (k < count or (stops and act.before_stop))
+            if early and act.number >= max(self._queued, self.functions):
+                self.add([act])
+                self._queued = act.number + 1
+
+    def note(self, act: Act, run_id: RunId, sample: int) -> None:
+        """Count a function that was set with a setpoint of a run, unless it is counted."""
+        if act.number < self.functions:
+            return
+        self.functions = act.number + 1
+        if self._signals.probe and act.step.output == self._signals.probe[0]:
+            self.probes_from = sample
+        self._wanted.pop(act.step.output, None)  # the last one comes last
+        self._wanted[act.step.output] = act
+        self.switched.append((run_id, act, sample))
+
+    def _forget(self) -> None:
         self._queue = deque(act for act in self._queue if act.step.word in STOPS)
         self._is_set = self._is_set and bool(self._queue)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, IntArray
-from cnc_interp.machine.drives import AxisFeedback, AxisRows, DriveFaultError
+from cnc_interp.machine.drives import AxisFeedback, AxisRows, DelayedDrives, DriveFaultError
 from cnc_interp.machine_model.machine import Machine
 
 SPACING = 0.004  #: Time between points; the controller interpolates between them [s].
@@ -43,30 +43,24 @@ class Controller(Protocol):
     @property
     def name(self) -> str:
         """Its name, and the name of the topic with its positions, for messages to people."""
-        ...
 
     def now(self) -> int:
         """Return the time of ROS [ns]."""
-        ...
 
     def listens(self) -> bool:
         """Tell whether somebody takes trajectories."""
-        ...
 
     def send(self, trajectory: Trajectory) -> None:
         """Send a trajectory that replaces the one before."""
-        ...
 
     def take_reports(self) -> list[JointReport]:
         """Return what was reported since the last call."""
-        ...
 
     def close(self) -> None:
         """Let it go."""
-        ...
 
 
-class TrajectoryDrives:
+class TrajectoryDrives(DelayedDrives):
     """Drives that a trajectory controller moves; see ``drives.DelayedDrives``.
 
     ``delay``: from a setpoint in the cycle to its execution [s]; ``limits``: following errors of
@@ -74,8 +68,6 @@ class TrajectoryDrives:
     Raises DriveFaultError if the positions of the axes are not reported.
     """
 
-    wired, calm = False, 0.0
-    ahead = 0.0
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(
@@ -152,9 +144,6 @@ class TrajectoryDrives:
 
     def close(self) -> None:
         self._controller.close()
-
-    def exchange(self, seconds: float) -> None:
-        """Do nothing: outputs are told on ``machine_signals``, inputs on ``machine_inputs``."""
 
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
         """Take setpoints and send what is new to the controller; see ``drives.DelayedDrives``."""

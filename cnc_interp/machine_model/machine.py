@@ -8,15 +8,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineError
 from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
-from cnc_interp.core.ros_share import config_directory
-from cnc_interp.core.small_files import UnreadableError, read_yaml, write_whole
+from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml, write_whole
 from cnc_interp.machine_model import machine_entries as entries
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
@@ -33,6 +32,12 @@ from cnc_interp.machine_model.signals import Signals, signals
 LIKELY = {True: (200.0, 240e3), False: (100.0, 1e6)}
 QUICKEST, LONGEST = 1e-4, 20.0
 LOCKED = 1e-6  #: Travel of a locked axis [rad].
+Kind = TypeVar('Kind', FloatArray, BoolArray)
+
+
+def read_only(table: Kind) -> Kind:
+    table.flags.writeable = False
+    return table
 
 
 @dataclass(frozen=True)
@@ -139,22 +144,17 @@ class Machine:
     def is_linear(self) -> BoolArray:
         linear = np.ones(len(self.axis_names), dtype=np.bool_)
         linear[3 : len(linear) - len(self.extra_direction)] = False
-        linear.flags.writeable = False
-        return linear
+        return read_only(linear)
 
     @cached_property
     def limits(self) -> FloatArray:
-        table = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
-        table.flags.writeable = False
-        return table
+        return read_only(np.stack([self.max_velocity, self.max_acceleration, self.max_jerk]))
 
     @cached_property
     def limit_table(self) -> FloatArray:
         """The limits over position, shape (7, n_axes, m); see ``core/limits_by_position.py``."""
         loads = {axis: load.row for axis, load in self.loads.items()}
-        table = place_table(self.limits, self.places, loads)
-        table.flags.writeable = False
-        return table
+        return read_only(place_table(self.limits, self.places, loads))
 
     @cached_property
     def lowest_limits(self) -> FloatArray:
@@ -163,8 +163,7 @@ class Machine:
         for axis, load in self.loads.items():
             left = load.least_acceleration(float(self.max_velocity[axis]))
             lowest[ACCELERATION, axis] = min(lowest[ACCELERATION, axis], left)
-        lowest.flags.writeable = False
-        return lowest
+        return read_only(lowest)
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:

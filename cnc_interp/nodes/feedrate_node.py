@@ -1,4 +1,4 @@
-"""The feedrate node: ``segments`` in, ``setpoints`` out; see ``run/planning_session.py``."""
+"""The feedrate node: ``segments`` in, ``setpoints`` out; see ``nodes/planning_session.py``."""
 
 import sys
 import time
@@ -15,27 +15,24 @@ from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, Set
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 from cnc_interp.core import MS, FloatArray, Refusal, StreamError
-from cnc_interp.feedrate.plan_options import tool_warnings, wanted_tool
+from cnc_interp.feedrate.plan_options import tool_warnings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.nodes import parameters
+from cnc_interp.nodes import node_main, parameters
 from cnc_interp.nodes.controls import OperatorInputs
-from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_all
-from cnc_interp.nodes.node_main import Pace, every, run_node, start_lifecycle, transition
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
+from cnc_interp.nodes.planning_session import Activity, PlanningSession, PlanningTask, Received
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.program.functions import Functions
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import Activity, PlanningSession, PlanningTask, Received
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
-from cnc_interp.wire.chunk_messages import chunk_message
 from cnc_interp.wire.message_checks import check_segment
-from cnc_interp.wire.path_messages import functions_from, segments_from
+from cnc_interp.wire.path_messages import chunk_message, functions_from, segments_from
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
@@ -93,19 +90,19 @@ class FeedrateNode(LifecycleNode):
         self._active = self._moves = self._machine_waits = False
         self._thread = PlanningThread()
         if self._values['autostart']:
-            start_lifecycle(self)
+            node_main.start_lifecycle(self)
 
     def on_configure(self, _state: Any) -> TransitionCallbackReturn:
-        return transition(self, self._configure)
+        return node_main.transition(self, self._configure)
 
     def _configure(self) -> None:
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
         told = tool_warnings(self._transform.machine, parameters.settings_of(values))
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = node_main.Diagnostics(self)
         if told:
-            self._diagnostics.say('tool error', WARN, told[0].removeprefix(WARNING))
+            self._diagnostics.say('tool error', node_main.WARN, told[0].removeprefix(WARNING))
         self._watch = SenderWatch(
             self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
             heartbeat='blocks',
@@ -123,8 +120,8 @@ class FeedrateNode(LifecycleNode):
         count = len(self._transform.machine.axis_names)
         watch_machine(self, self._see_machine, count, self._diagnostics)
         self._inputs = OperatorInputs(self)
-        self._pace = Pace(self, WORK_PERIOD, self._work)
-        every(self, DIAGNOSTICS_PERIOD, self._tell_planning)
+        self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
+        node_main.every(self, DIAGNOSTICS_PERIOD, self._tell_planning)
 
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         self._active = True
@@ -193,7 +190,7 @@ class FeedrateNode(LifecycleNode):
     def _tell_planning(self) -> None:
         session, sender = self._session, self.outlet.sender
         self._diagnostics.say(
-            'planning', OK, 'no program' if self._idle else 'at work',
+            'planning', node_main.OK, 'no program' if self._idle else 'at work',
             planned_ahead_s=round(session.ready, 2),
             longest_step_ms=round(self._thread.longest / MS, 1),
             setpoints_sent=session.sent_before + sender.sent,
@@ -204,12 +201,8 @@ class FeedrateNode(LifecycleNode):
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
     ) -> RunPlanner:
         wanted = replace(parameters.settings_of(self._values), flank_height=first.flank_height)
-        tool = wanted_tool(self._transform.machine, wanted)
-        return RunPlanner(
-            self._transform, first.flank_height, self._values['interpolation_period'],
-            self._values['chunk_time'], stands, place, settings,
-            self._values['retract'], self._values['plunge_feed'], tool, asks=first.attempt == 0,
-        )  # fmt: skip
+        given = self._transform, wanted, self._values['chunk_time'], stands, place, settings
+        return RunPlanner(*given, asks=first.attempt == 0)
 
     def read(self, segments: list[PathSegment]) -> tuple[PathSegments, dict[int, Wait], Functions]:
         functions = functions_from([f for segment in segments for f in segment.functions])
@@ -224,15 +217,12 @@ class FeedrateNode(LifecycleNode):
             self._inlet.refuse(receiver.run_id, kind, reason)
 
     def _encode(self, chunk: Chunk, first: int) -> SetpointChunk:
-        planner = self._session.planner
-        if planner is None:
+        session = self._session
+        if session.planner is None:
             raise StreamError('a setpoint was asked for before its run')
-        lines_of = planner.lines_of
-        return chunk_message(
-            chunk, lines_of(chunk.samples), lines_of(chunk.tail), self._session.run_id, first,
-            self._values['interpolation_period'], joins=0 < first == self._session.joins_at,
-            signals=self._transform.machine.signals,
-        )  # fmt: skip
+        period, signals = self._values['interpolation_period'], self._transform.machine.signals
+        told, joins = session.planner.with_lines(chunk), 0 < first == session.joins_at
+        return chunk_message(told, session.run_id, first, period, joins, signals)
 
     def close(self) -> None:
         """Close. The setpoints sent end with a stop tail."""
@@ -240,4 +230,4 @@ class FeedrateNode(LifecycleNode):
         self._thread.close()
 
 
-main = partial(run_node, FeedrateNode)
+main = partial(node_main.run_node, FeedrateNode)

@@ -162,7 +162,7 @@ def warm_machine(machine: str, period: float) -> None:
     chunk = resting_chunk(stands, period)
     playback.switch_on()
     playback.begin_plan(RunId('warm'))
-    playback.push(chunk, [0] * len(chunk.samples), [])
+    playback.push(chunk)
     playback.step()
     for _ in range(3):
         playback.cycle.step()

@@ -11,9 +11,8 @@ from cnc_interp.core import InterpError, Refusal
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_lookahead
-from cnc_interp.nodes.node_main import Pace, run_node
+from cnc_interp.nodes.node_main import Diagnostics, Pace, run_node
 from cnc_interp.nodes.peers import SenderWatch
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.run.path_chain import smoother_of

@@ -13,18 +13,15 @@ from cnc_interp.machine.drive_kinds import drives_of
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.realtime import ask_for_priority, lock_memory
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.nodes import parameters
+from cnc_interp.nodes import node_main, parameters
 from cnc_interp.nodes.controls import Controls, Overrides
-from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_topics import MachineTopics
-from cnc_interp.nodes.node_main import Pace, every, run_node, start_lifecycle, transition
 from cnc_interp.nodes.streams import Inlet
 from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import Reason, State
-from cnc_interp.run.setpoints import Chunk
-from cnc_interp.wire.chunk_messages import JoinGate, chunk_from
 from cnc_interp.wire.message_checks import check_chunk
+from cnc_interp.wire.path_messages import JoinGate, chunk_from
 from cnc_interp.wire.run_messages import run_id_of
 from cnc_interp.wire.window_protocol import WindowedReceiver
 
@@ -32,7 +29,11 @@ WORK_PERIOD = 0.005  #: Time between two looks at what was played, while in moti
 CLOCK_PERIOD = 1.0  #: Time between reports about the clock [s].
 #: States in which setpoints are refused.
 CLOSED = (State.INACTIVE, State.STOPPING, State.FAULT)
-LEVELS = {State.FAULT: ERROR, State.STARVING: WARN, State.STARVED: WARN}
+LEVELS = {
+    State.FAULT: node_main.ERROR,
+    State.STARVING: node_main.WARN,
+    State.STARVED: node_main.WARN,
+}
 
 
 class MachineNode(LifecycleNode):
@@ -43,10 +44,10 @@ class MachineNode(LifecycleNode):
         self._published: tuple[Any, ...] = ()
         self._clock_of_drives: MachineClock | None = None
         if self._values['autostart']:
-            start_lifecycle(self)
+            node_main.start_lifecycle(self)
 
     def on_configure(self, _state: Any) -> TransitionCallbackReturn:
-        return transition(self, self._configure)
+        return node_main.transition(self, self._configure)
 
     def _configure(self) -> None:
         values = self._values
@@ -60,22 +61,21 @@ class MachineNode(LifecycleNode):
         window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
-        self._diagnostics = Diagnostics(self)
+        self._diagnostics = node_main.Diagnostics(self)
         self._gate = JoinGate(round(JOIN_RESERVE / self._period))
         self._inlet = Inlet(
             self, WindowedReceiver('setpoints', window), {'setpoints': SetpointChunk},
-            self._check, self._take, self._see_refusal, self._diagnostics,
-            gate=self._pass,
+            self._check, self._take, self._see_refusal, self._diagnostics, gate=self._pass,
         )  # fmt: skip
         self._inlet.buffered_time = 0.0
-        self._pace = Pace(self, WORK_PERIOD, self._work)
+        self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
         told = self._diagnostics, self._give_up, self._pace.wake
         self._controls = Controls(self, self._playback, *told)
         self._topics = MachineTopics(
             self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
         )
-        every(self, CLOCK_PERIOD, self._report_clock)
+        node_main.every(self, CLOCK_PERIOD, self._report_clock)
 
     def _link(self, controller: str, feedback: str, joints: list[str]) -> Any:
         from cnc_interp.nodes.controller_link import ControllerLink
@@ -85,12 +85,12 @@ class MachineNode(LifecycleNode):
     def on_activate(self, state: Any) -> TransitionCallbackReturn:
         assert self._clock_of_drives is not None
         self._clock_of_drives.start()
-        done = transition(self, self._playback.switch_on)
+        done = node_main.transition(self, self._playback.switch_on)
         return super().on_activate(state) if done == TransitionCallbackReturn.SUCCESS else done
 
     def on_deactivate(self, state: Any) -> TransitionCallbackReturn:
         """Switch the drives off, at rest only, and stop the clock."""
-        done = transition(self, self._playback.switch_off)
+        done = node_main.transition(self, self._playback.switch_off)
         if done != TransitionCallbackReturn.SUCCESS:
             return done
         self._stop_clock()
@@ -130,7 +130,7 @@ class MachineNode(LifecycleNode):
             raise StreamError(f'{text} started again; run the program again', Refusal.GIVEN_UP)
         check_chunk(chunk, playback.axes.machine, self._period, before)
         if chunk.joins:
-            playback.join(run_id, number, *_parts(chunk))
+            playback.join(run_id, number, chunk_from(chunk))
 
     def _void(self) -> str:
         plan = self._playback.run_id.plan
@@ -143,7 +143,7 @@ class MachineNode(LifecycleNode):
             if not playback.played:
                 playback.cycle.forget_lateness()  # a new run resets the figures
         if not chunk.joins:  # a chunk that joins is in the buffer already
-            playback.push(*_parts(chunk))
+            playback.push(chunk_from(chunk))
 
     def _see_refusal(self) -> None:
         """Stop on the path after the valid setpoints, because the run gets no further ones."""
@@ -174,7 +174,7 @@ class MachineNode(LifecycleNode):
         told = state, run_id, override, self._overrides.rapid, playback.single_block, homed
         if told != self._published:
             self._published = told
-            level = LEVELS.get(state.state, OK)
+            level = LEVELS.get(state.state, node_main.OK)
             self._diagnostics.say('drives', level, state.text or state.state.value)
             self._topics.publish_state()
         self._topics.tell_signals()
@@ -188,7 +188,9 @@ class MachineNode(LifecycleNode):
         clock = self._clock_of_drives
         if clock is not None:
             said = f'{clock.scheduling}; {self._memory}'
-            self._diagnostics.say('clock', OK, said, **self._playback.cycle.lateness().figures())
+            self._diagnostics.say(
+                'clock', node_main.OK, said, **self._playback.cycle.lateness().figures()
+            )
 
     def come_to_rest(self) -> bool:
         """Stop on the path, as at a feed hold; tell whether the axes stand. Call it until then."""
@@ -216,8 +218,4 @@ class MachineNode(LifecycleNode):
             self._playback.close()
 
 
-def _parts(chunk: SetpointChunk) -> tuple[Chunk, list[int], list[int]]:
-    return chunk_from(chunk), list(chunk.line_numbers), list(chunk.tail_line_numbers)
-
-
-main = partial(run_node, MachineNode)
+main = partial(node_main.run_node, MachineNode)

@@ -8,7 +8,7 @@ from typing import Any
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core import Refusal, StreamError
-from cnc_interp.nodes.diagnostics import OK, WARN, Diagnostics
+from cnc_interp.nodes.node_main import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE, STATUS
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId
@@ -150,7 +150,7 @@ class SenderWatch:
     ):  # fmt: skip
         self._diagnostics, self._stream, self._sender = diagnostics, stream, sender
         self._timeout, self._heartbeat = timeout, heartbeat
-        self._silence, self._lost = Silence(), False
+        self._silence, self._lost, self._part = Silence(), False, f'sender of {stream}'
         if heartbeat:
             node.create_subscription(StreamStatus, 'stream_status', self._see_status, STATUS)
 
@@ -171,7 +171,3 @@ class SenderWatch:
             self._lost = True
             text = f'no {self._stream} for {silence:.0f} s; {self._sender} is lost, start it again'
             self._diagnostics.say(self._part, WARN, text)
-
-    @property
-    def _part(self) -> str:
-        return f'sender of {self._stream}'

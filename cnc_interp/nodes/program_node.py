@@ -2,13 +2,14 @@
 
 import math
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ProbeContact
+from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, ModalState, ProbeContact
 from cnc_interp_msgs.srv import SwitchOutputs
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.node import Node
@@ -18,20 +19,77 @@ from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.diagnostics import OK, PREPARED, WAITING, WARN, Diagnostics
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
-from cnc_interp.nodes.mdi_lines import ActiveModesTopic, Mdi
-from cnc_interp.nodes.node_main import Pace, run_node
+from cnc_interp.nodes.node_main import OK, PREPARED, WAITING, WARN, Diagnostics, Pace, run_node
 from cnc_interp.nodes.peers import Peers, second_publisher
-from cnc_interp.nodes.program_check import Prepared, prepare, prepare_on
-from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, answer
+from cnc_interp.nodes.program_check import Prepared, prepare, prepare_line, prepare_on
+from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, answer, why_not
 from cnc_interp.nodes.qos import CONTACTS, LOADED
 from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.reading import MDI, MdiReader
 from cnc_interp.program.setup_table import SetupTable
 from cnc_interp.run.run_phase import SENDING, Code, Outcome, Phase
+from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import function_messages
-from cnc_interp.wire.run_messages import add_executed, run_feedback
+from cnc_interp.wire.run_messages import add_executed, modal_state, run_feedback
+
+
+class Mdi:
+    def __init__(
+        self, node: Any, transform: Transform, settings: Settings,
+        of_machine: Callable[[], JobSetup],
+    ):  # fmt: skip
+        self._transform, self._settings, self._of_machine = transform, settings, of_machine
+        self._reader = MdiReader(transform, settings)
+        self._publisher = node.create_publisher(ModalState, 'modal_state', LOADED)
+        self._told: JobSetup | None = None
+
+    def tell(self) -> None:
+        """Publish the modal state if the offsets or tools of the machine have changed."""
+        if (setup := self._of_machine()) is not self._told:
+            self._told = setup
+            self._publisher.publish(modal_state(self._reader.modes(setup)))
+
+    def refusal(self, run: ProgramRun, peers: Peers, missing: str, busy: bool) -> Outcome | None:
+        """Return why a line cannot start now; else store in its run where the machine stands."""
+        if busy:
+            return Outcome(Code.BUSY, 'a program is running; give the line when it has ended')
+        machine = peers.machine
+        run.name, run.stands = MDI, None if machine is None else machine.stands
+        return why_not(missing, machine)
+
+    def prepare(self, run: ProgramRun, goal: Any) -> Prepared:
+        assert run.stands is not None
+        return prepare_line(
+            goal, self._reader, self._of_machine(), run.stands, self._transform, self._settings,
+            run.preparation.has_checked,
+        )  # fmt: skip
+
+    def keep(self, prepared: Prepared | None) -> None:
+        if prepared is not None and prepared.line is not None:
+            self._reader.keep(prepared.line)
+            self._told = None
+            self.tell()
+
+
+class ActiveModesTopic:
+    def __init__(self, node: Any):
+        self._publisher = node.create_publisher(ModalState, 'active_modes', LOADED)
+        self._told = ('', -1)
+
+    def tell(self, program: Prepared, state: MachineState) -> None:
+        change = program.modes.change_before(state.sequence)
+        told = (str(state.program_id), change)
+        if told == self._told:
+            return
+        self._told = told
+        if (modes := program.modes.after(change)) is None:
+            self._publisher.publish(ModalState(program_id=state.program_id))
+        else:
+            self._publisher.publish(modal_state(modes, state.program_id))
+
 
 Result = RunProgram.Result
 WORK_PERIOD = 0.02  #: Time between two steps of a run [s].

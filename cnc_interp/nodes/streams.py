@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
 from cnc_interp.core import Refusal, StreamError
-from cnc_interp.nodes.diagnostics import ERROR, OK, WARN, Diagnostics
+from cnc_interp.nodes.node_main import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of

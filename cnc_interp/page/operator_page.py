@@ -9,14 +9,13 @@ from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.setup_client import work_zero
 from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
-from cnc_interp.page.charts import Charts
 from cnc_interp.page.contact import AGAIN, LATE, VIEW_ONLY, Access, Act, Contact, asked, key
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.program_column import Listing, MdiField, StartField
-from cnc_interp.page.readings import NOTHING, Messages, ShownUnit, progress, readings
+from cnc_interp.page.readings import NOTHING, Charts, Messages, ShownUnit, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings

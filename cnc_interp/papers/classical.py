@@ -9,11 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.gouge import gouge_depth
 from cnc_interp.cam.guiding import CurveFrames, GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.passes import constant_tilt
-from cnc_interp.cam.posture import Postures
 from cnc_interp.cam.scallop import Scallops, conditions, newton_step, scallop_points
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, cross, dot, norm, scaled, unit

@@ -7,8 +7,7 @@ discrete third derivative of the axis (Eq. 11). A cubic spline joins them.
 import numpy as np
 
 from cnc_interp.core import FloatArray, dot, norm
-from cnc_interp.core.bezier import elevated
-from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points
+from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points, elevated
 from cnc_interp.smoothing.corners.connection import Curves
 from cnc_interp.smoothing.orientation import turned_by
 

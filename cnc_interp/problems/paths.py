@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray, InterpError
-from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import config_directory
 from cnc_interp.kinematics.axis_path import AxisPath, cut
-from cnc_interp.kinematics.path_from_arrays import axis_path_from
-from cnc_interp.library import smooth_path
+from cnc_interp.library import axis_path_from, smooth_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks

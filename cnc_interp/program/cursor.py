@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cnc_interp.core import InterpError, ProgramError
-from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import config_directory
 from cnc_interp.program.expressions import ProgramVariables
 from cnc_interp.program.source import LineStart, Source, subprogram_file
 

@@ -274,7 +274,9 @@ class GcodeReader:
             values.pop(letter, None)
         words.g += probing.measuring(words)
         drilling = self._siemens_cycle(words)
-        self._modes.execute_named(words)
+        for key, given in words.keys:
+            self._modes.key_word(key, given, words)
+        self._modes.assign(words)
         changes = 'M6' in words.m or 'M61' in words.m
         if 'M61' in words.m and 'Q' not in values:
             raise self.fault('give the number of the tool as Q', 'M61')

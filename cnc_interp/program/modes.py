@@ -328,12 +328,7 @@ class Modes:
         if word:
             mover.switch_tcp(word)
 
-    def execute_named(self, words: BlockWords) -> None:
-        for key, given in words.keys:
-            self._key_word(key, given, words)
-        self._assign(words)
-
-    def _key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
+    def key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
         mover = self._mover
         if key in codes.INTERPOLATION_KEYS:
             if mover.settings.interpolation == 'auto' and mover.rotary_letters:
@@ -374,7 +369,7 @@ class Modes:
                 unknown = f'the letter O stands where a number must; write {zero} with the digit 0'
             raise self.fault(codes.refused_key(key) or unknown, key)
 
-    def _assign(self, words: BlockWords) -> None:
+    def assign(self, words: BlockWords) -> None:
         mover = self._mover
         others = bool(words.values or words.g or words.m or words.keys)
         for name, value in words.sets:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray, InterpError
-from cnc_interp.core.ros_share import config_directory
+from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.signals import AWAY, TOWARD, Signals
 from cnc_interp.program.control_profiles import FANUC, PLAIN
 from cnc_interp.program.motion import Mover

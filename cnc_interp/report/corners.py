@@ -2,19 +2,146 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+import plotly.graph_objects as go
 
 from cnc_interp.core import MM, MM_PER_MIN, UM, FloatArray, IntArray, InterpError, jet, norm
-from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.kinematics.segment_axes import speed_of
+from cnc_interp.core.bspline import bezier_values, corner_spline_points
+from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.program.blocks import POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import vertex_tolerances
-from cnc_interp.report.dense_blocks import FILE, lengths
+from cnc_interp.report.html import BLUE, ORANGE, drawing, laid_out, section
+from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.corners.connection import Curves, poses, top_parameters
-from cnc_interp.smoothing.segments import CORNER, LINE, PathSegments, corner_breaks, corner_jets
+
+#: Points of a span in the close-up, and its spans on either side of the largest bound.
+POINTS, AROUND = 24, 5
+MOST_BOUNDS = 4000  #: Largest number of bounds drawn along the path.
+
+
+@dataclass(frozen=True)
+class CurvesView:
+    #: Number of blocks that became curves, of spans, and of curves.
+    blocks: int
+    spans: int
+    runs: int
+    share: float  #: Share of the path that consists of curves [-].
+    way: FloatArray  #: (n,): Path length at the ends of the spans [mm].
+    bound: FloatArray  #: (n, 2): Bounds of contour and orientation deviation of the spans [um].
+    used: FloatArray  #: (2,): Largest bounds of all spans over their tolerances [-].
+    #: (K, 2): The curve around the largest bound, in the plane of its largest extent [mm].
+    curve: FloatArray
+    polyline: FloatArray  #: (M, 2): The programmed tips there, in the same plane [mm].
+    line: int  #: Line of the program there.
+
+    @property
+    def text(self) -> str:
+        return (
+            f'{self.blocks:,} blocks became {self.runs:,} curves of {self.spans:,} spans: '
+            f'{self.spans / max(self.blocks, 1):.2f} spans a block, {self.share:.1%} of the path. '
+            'Left: proven bounds of the deviation along the path, in both directions: '
+            f'at most {self.used[0]:.1%} of the contour and {self.used[1]:.1%} of the '
+            f'orientation tolerance. Right: around the largest one, line {self.line}.'
+        )
+
+
+def curves_of(plan: PlanFiles, segments: kinds.PathSegments) -> CurvesView | None:
+    native = np.isfinite(plan.blocks['knot_interval'])
+    spans = np.flatnonzero((segments.kind == kinds.SPLINE) & ~native[segments.block[:, 1]])
+    if not len(spans):
+        return None
+    length = lengths(segments, plan.flank_height)
+    begins = np.r_[True, (np.diff(spans) > 1) | segments.stop[spans[:-1]]]
+    first = segments.block[spans[begins], 0]
+    last = segments.block[spans[np.r_[begins[1:], True]], 1]
+    bound = segments.deviation[spans] / UM
+    tolerance = np.column_stack(
+        [
+            plan.blocks[name][segments.block[spans, 1]]
+            for name in ('contour_tolerance', 'orientation_tolerance')
+        ]
+    )
+    worst = int(np.argmax(bound.max(axis=1)))
+    near = spans[max(worst - AROUND, 0) : worst + AROUND + 1]
+    near = near[np.abs(near - spans[worst]) <= AROUND]
+    u = np.linspace(0.0, 1.0, POINTS)
+    curves = segments.bottom[near].transpose(0, 2, 1)
+    points = np.concatenate([bezier_values(one[None], u[:, None]) for one in curves])
+    rows = slice(max(int(segments.block[near].min()) - 1, 0), int(segments.block[near].max()) + 2)
+    tips = plan.blocks['tip'][rows]
+    middle = points.mean(axis=0)
+    plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
+    chosen = np.unique(np.linspace(0, len(spans) - 1, min(len(spans), MOST_BOUNDS)).astype(int))
+    return CurvesView(
+        blocks=int((last - first + 1).sum()), spans=len(spans), runs=int(begins.sum()),
+        share=float(length[spans].sum() / length.sum()), way=np.cumsum(length)[spans][chosen] / MM,
+        bound=bound[chosen], used=(segments.deviation[spans] / tolerance).max(axis=0),
+        curve=(points - middle) @ plane.T / MM, polyline=(tips - middle) @ plane.T / MM,
+        line=int(segments.line_number[spans[worst]]),
+    )  # fmt: skip
+
+
+def bounds_figure(view: CurvesView) -> Any:
+    figure = go.Figure()
+    for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
+        figure.add_scatter(
+            x=view.way, y=view.bound[:, k], name=name, mode='lines',
+            line={'color': colour, 'width': 1.0},
+        )  # fmt: skip
+    own = {'yaxis_title': 'bound (µm)', 'yaxis_rangemode': 'tozero'}
+    return laid_out(figure, 360, xaxis_title='path (mm)', **own)
+
+
+def close_figure(view: CurvesView) -> Any:
+    figure = go.Figure()
+    figure.add_scatter(
+        x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',
+        line={'color': '#8d99a5', 'width': 1.5}, marker={'size': 4},
+    )  # fmt: skip
+    figure.add_scatter(
+        x=view.curve[:, 0], y=view.curve[:, 1], name='curve', mode='lines',
+        line={'color': BLUE, 'width': 2.0},
+    )  # fmt: skip
+    return laid_out(figure, 360, xaxis_title='mm', yaxis_title='mm', yaxis_scaleanchor='x')
+
+
+def curves_section(plan: PlanFiles, segments: kinds.PathSegments) -> str:
+    view = curves_of(plan, segments)
+    if view is None:
+        return ''
+    pair = f'<div>{drawing(bounds_figure(view))}</div><div>{drawing(close_figure(view))}</div>'
+    return section('Dense blocks as curves', view.text, f'<div class="pair">{pair}</div>')
+
+
+FILE = 'segments.npz'
+
+
+def read_segments(directory: Path) -> kinds.PathSegments | None:
+    file = directory / FILE
+    if not file.is_file():
+        return None
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            return kinds.PathSegments.of_columns(archive)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as fault:
+        raise InterpError(f'{file}: cannot be read ({fault}); plan again') from fault
+
+
+def lengths(segments: kinds.PathSegments, height: float) -> FloatArray:
+    shapes, beside = axes.shapes_of(segments), axes.beside_of(segments)
+    motion = np.where(segments.interpolation == POSES, axes.FOLLOWING, axes.LINEAR)
+    rows = zip(segments.kind, motion, shapes, beside, segments.length, strict=True)
+    halves = ((0.0, 0.5), (0.5, 1.0))
+    return np.array([
+        sum(axes.arc_length(kind, how, shape, own, height, length, *half) for half in halves)
+        for kind, how, shape, own, length in rows
+    ])  # fmt: skip
+
 
 MOST = 8
 SAMPLES = 60  #: Samples of each half of a corner for its figures.
@@ -67,7 +194,7 @@ class CornerView:
         )
 
 
-def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
+def views_of(plan: PlanFiles, segments: kinds.PathSegments) -> list[CornerView]:
     ends = np.cumsum(lengths(segments, plan.flank_height))
     total = float(plan.path['s'][-1] - plan.path['s'][0])
     rows = segments.block
@@ -81,11 +208,11 @@ def views_of(plan: PlanFiles, segments: PathSegments) -> list[CornerView]:
 
 
 def worst_corners(
-    plan: PlanFiles, segments: PathSegments, starts: FloatArray, ends: FloatArray
+    plan: PlanFiles, segments: kinds.PathSegments, starts: FloatArray, ends: FloatArray
 ) -> IntArray:
     """Select corners, alternately by the use of the tolerance and by the feed."""
     # A corner in machine axes has no top curve to be drawn.
-    corners = np.flatnonzero((segments.kind == CORNER) & (segments.interpolation == POSES))
+    corners = np.flatnonzero((segments.kind == kinds.CORNER) & (segments.interpolation == POSES))
     use = (segments.deviation[corners] / _tolerances(plan, segments, corners)).max(axis=1)
     slow = np.array([_speeds(plan, starts[i], ends[i])[0] for i in corners])
     # Most corners use all of their tolerance; the slower one comes first among equals.
@@ -95,7 +222,7 @@ def worst_corners(
     return np.sort(np.array(list(dict.fromkeys(order))[:MOST], dtype=np.int64))
 
 
-def _tolerances(plan: PlanFiles, segments: PathSegments, rows: IntArray) -> FloatArray:
+def _tolerances(plan: PlanFiles, segments: kinds.PathSegments, rows: IntArray) -> FloatArray:
     both = np.stack(vertex_tolerances(plan), axis=1)
     found: FloatArray = np.maximum(both[segments.block[rows, 0]], 1e-12)
     return found
@@ -115,7 +242,7 @@ def _grid_rows(plan: PlanFiles, start: float, end: float) -> tuple[int, int]:
 
 
 def _view(
-    plan: PlanFiles, segments: PathSegments, row: int, start: float, end: float
+    plan: PlanFiles, segments: kinds.PathSegments, row: int, start: float, end: float
 ) -> CornerView:
     one = segments[row : row + 1]
     bottom, polygon = one.bottom[:, :5], one.top[:, :5]
@@ -147,7 +274,7 @@ def _view(
 
 def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return parameters of a corner, each break twice, and parameters inside their pieces."""
-    breaks = corner_breaks(parametrization)
+    breaks = kinds.corner_breaks(parametrization)
     u, inside = [], []
     for low, high in pairwise(breaks):
         count = max(3, int(2 * SAMPLES * (high - low)))
@@ -157,14 +284,14 @@ def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _third_derivatives(
-    one: PathSegments, u: FloatArray, inside: FloatArray
+    one: kinds.PathSegments, u: FloatArray, inside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return path length [m] and |o_sss| along a corner [1/m3, B2013, Eq. 11], shapes (K,)."""
     turn, speed = np.empty(len(u)), np.empty(len(u))
     curves = one.bottom[0], one.top[0], one.connection[0], one.parametrization[0]
     for k, (v, piece) in enumerate(zip(u, inside, strict=True)):
-        tip, axis = corner_jets(*curves, v, piece)
-        rate = speed_of(tip)
+        tip, axis = kinds.corner_jets(*curves, v, piece)
+        rate = axes.speed_of(tip)
         speed[k] = rate[0]
         turn[k] = np.linalg.norm([jet.by_arc_length.py_func(tuple(a), rate)[3] for a in axis])
     step = np.diff(u)
@@ -173,12 +300,12 @@ def _third_derivatives(
 
 
 def _with_lines(
-    segments: PathSegments, row: int, corner: tuple[FloatArray, FloatArray], reach: float
+    segments: kinds.PathSegments, row: int, corner: tuple[FloatArray, FloatArray], reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Add the constant third derivatives of the lines on both sides of a corner."""
     way, turn = corner
     for side, at in ((-1, row - 1), (1, row + 1)):
-        if not 0 <= at < len(segments) or segments.kind[at] != LINE:
+        if not 0 <= at < len(segments) or segments.kind[at] != kinds.LINE:
             continue
         length = float(segments.length[at])
         beside = (float(norm(segments.rotation[at])) / length) ** 3 if length > 0.0 else 0.0

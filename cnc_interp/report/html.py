@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import FloatArray, InterpError
+from cnc_interp.core.small_files import write_whole
 
 BESIDE = Path(__file__).parent  #: The texts of the pages that are no Python.
 STYLE = BESIDE.joinpath('style.css').read_text(encoding='utf-8')
@@ -86,6 +87,12 @@ def document(title: str, body: str, style: str = '') -> str:
         f'data-size="{len(whole)}">{letters(whole)}</script>'
         f'<script>{UNPACK.replace("CONTROLS", CONTROLS)}</script></body></html>\n'
     )
+
+
+def write(file: Path, title: str, body: str, style: str = '') -> None:
+    """Write a page that needs no network; raises as ``document``."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(file, document(title, body, style))
 
 
 INK, GRID = '#22303c', '#e6eaee'

@@ -80,9 +80,8 @@ def write_identified(
         name, told = machine.axis_names[axis], escape(_residual(machine, each))
         sections.append(html.section(name, told, table + figures))
     title = f'Drives of {machine.name}'
-    out.parent.mkdir(parents=True, exist_ok=True)
     body = f'<h1>{escape(title)}</h1><p>Fitted to a recorded run; intervals of 95 %.</p>'
-    out.write_text(html.document(title, body + ''.join(sections)), encoding='utf-8')
+    html.write(out, title, body + ''.join(sections))
 
 
 def _time_figure(machine: Machine, found: IdentifiedAxis, period: float) -> Any:
@@ -212,10 +211,8 @@ def write_fitted(runs: Sequence[Run], found: Fitted, out: Path) -> None:
             'Feed that the control told, and feed of the plan, which begins with each stretch.',
             html.drawing(_feeds(run, motion)),
         ))  # fmt: skip
-    out.parent.mkdir(parents=True, exist_ok=True)
     title = 'Run times of a machine'
-    body = f'<h1>{title}</h1>' + ''.join(sections)
-    out.write_text(html.document(title, body), encoding='utf-8')
+    html.write(out, title, f'<h1>{title}</h1>' + ''.join(sections))
 
 
 def _feeds(run: Run, motion: Any) -> Any:
@@ -240,6 +237,4 @@ def _feeds(run: Run, motion: Any) -> Any:
             motion.speed[rows] / MM_PER_MIN, 'planned',
             {'color': html.ORANGE, 'width': 1.2, 'dash': 'dot'}, number == 0, mode='lines',
         )  # fmt: skip
-    figure.update_xaxes(title_text='time [s]')
-    figure.update_yaxes(title_text='feed [mm/min]')
-    return html.laid_out(figure, 420)
+    return html.laid_out(figure, 420, xaxis_title='time [s]', yaxis_title='feed [mm/min]')

@@ -11,7 +11,7 @@ from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.program_shapes import ProgramShapes, measure
-from cnc_interp.proof.programmed_splines import with_chords
+from cnc_interp.proof.programmed_path import with_chords
 from cnc_interp.run.setpoints import BEFORE, limit_shares, torque_shares
 
 KINDS = ('velocity', 'acceleration', 'jerk')

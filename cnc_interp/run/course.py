@@ -192,7 +192,8 @@ class Leg:
         self.slices: deque[PlannedPiece] = deque()
         self.wait: Wait | None = None
         self.moves = False
-        self.number_of_zero: int | None = None  # number in the stream of the sample at time 0
+        #: Number in the stream of the sample at time 0, once one is taken.
+        self.number_of_zero, self.sampled = 0, False
 
     def push(self, path: AxisPath) -> None:
         for piece in self.planner.push(path):
@@ -216,7 +217,6 @@ class Leg:
 
     def state_at(self, number: int, piece: PlannedPiece) -> tuple[float, float, float]:
         """Return s, s_dot and s_ddot at a sample, in the slice that has it [m, m/s, m/s2]."""
-        assert self.number_of_zero is not None
         time = (number - self.number_of_zero) * self.period
         s, v, a, _ = (float(x[0]) for x in piece.law.evaluate(np.array([time])))
         rests = time >= piece.law.end_time - SAME_TIME and v < STILL  # after the last slice

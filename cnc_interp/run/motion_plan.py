@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,38 +38,21 @@ class OperatorSettings:
     spindle: float = 1.0
 
 
-@dataclass(frozen=True)
-class PlanContext:
-    limits: AxisLimits  #: Limits of the axes.
-    period: float  #: Interpolation period [s].
-    chunk_size: int  #: Most setpoints in a chunk.
-    #: Returns the source line of a block; single block stops where it changes.
-    line_of: Callable[[int], int]
-    course: Course = field(default_factory=Course)  #: The path of the run.
-    #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
-    pause_blocks: dict[int, Wait] = field(default_factory=dict)
-    tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
-    functions: FunctionQueue = field(default_factory=FunctionQueue)  #: What the program switches.
-
-    def tool_on(self, path: AxisPath) -> ToolLimit | None:
-        return self.tool if path.cell_block[0] > 0 else None
-
-
 class MotionPlan:
     def __init__(
-        self, context: PlanContext, settings: OperatorSettings, todo: deque[AxisPath | Wait],
+        self, stream: MotionStream, settings: OperatorSettings, todo: deque[AxisPath | Wait],
         number: int = 0, leg: Leg | None = None, way_down: PlannedPiece | None = None,
         before: MotionPlan | None = None, rests: Setpoints | None = None,
     ):  # fmt: skip
         self.settings = settings
-        self._context, self._todo, self._way_down = context, todo, way_down
+        self._stream, self._todo, self._way_down = stream, todo, way_down
         self._legs: deque[Leg] = deque([] if leg is None else [leg])
         stays = () if before is None else before._history
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
-        self._cutter = ChunkCutter(context.chunk_size, number, context.functions)
+        self._cutter = ChunkCutter(stream.chunk_size, number, stream.functions)
         joins_at = None if leg is None else number
-        table = context.limits.limit_table
-        self._search = StopSearch(context.course, table, context.period, joins_at)
+        table = stream.limits.limit_table
+        self._search = StopSearch(stream.course, table, stream.period, joins_at)
         self._last = rests  # the last setpoint
         self._block_before = -1
 
@@ -108,13 +91,13 @@ class MotionPlan:
             self._open_leg().finish(item)
             return
         self._block_before = int(item.cell_block[-1])
-        leg = self._open_leg(self._context.tool_on(item))
+        leg = self._open_leg(self._stream.tool_on(item))
         leg.push(slowed(item, self._scaled, self._way_down))
 
     def _scaled(self, path: AxisPath) -> FloatArray:
         """Return the feed of each cell of a part under the overrides, shape (N - 1,) [m/s]."""
         settings = self.settings
-        feed = path.cell_feed * self._context.functions.feed_share(
+        feed = path.cell_feed * self._stream.functions.feed_share(
             path.cell_block, settings.override, settings.spindle
         )
         rapids = np.isinf(path.cell_feed)
@@ -124,13 +107,13 @@ class MotionPlan:
         if (share < 1.0).any():
             # |q_s| v <= V: the fastest axis runs at a share of its largest velocity.
             ends = path.cell_left[1, rapids], path.cell_right[1, rapids]
-            use = np.abs(ends).max(axis=0) / self._context.limits.max_velocity
+            use = np.abs(ends).max(axis=0) / self._stream.limits.max_velocity
             feed[rapids] = np.where(share < 1.0, share / use.max(axis=1), np.inf)
         return feed
 
     def _open_leg(self, tool: ToolLimit | None = None) -> Leg:
         if not self._legs or self._legs[-1].wait is not None:
-            self._legs.append(Leg(self._context.limits, self._context.period, tool=tool))
+            self._legs.append(Leg(self._stream.limits, self._stream.period, tool=tool))
         return self._legs[-1]
 
     def _until_pause(self, part: AxisPath) -> AxisPath | Wait:
@@ -152,14 +135,14 @@ class MotionPlan:
         undivided = -math.inf  # no leg is cut before this place: the motion cannot stop earlier
         if self._way_down is not None:
             undivided = float(self._way_down.path.s[-1]) * (1 + 1e-12) + 1e-9
-        line_of = self._context.line_of
+        line_of = self._stream.line_of
         for k in changes.tolist():
             if part.s[k] < undivided:
                 continue
             block, following = int(before[k]), int(part.cell_block[k])
             moves = k > 0 or (bool(self._legs) and self._legs[-1].wait is None)
             single = self.settings.single_block and line_of(block) != line_of(following)
-            wait = self._context.pause_blocks.get(block)
+            wait = self._stream.pause_blocks.get(block)
             if single and wait in (None, Wait.FUNCTION):
                 wait = Wait.SINGLE_BLOCK
             if moves and wait is not None:
@@ -168,8 +151,9 @@ class MotionPlan:
 
     def sample(self) -> list[Chunk]:
         leg, cutter = self._legs[0], self._cutter
-        if leg.number_of_zero is None:
-            leg.number_of_zero = cutter.next_number - leg.interpolator.next_number
+        if not leg.sampled:
+            zero = cutter.next_number - leg.interpolator.next_number
+            leg.number_of_zero, leg.sampled = zero, True
         if leg.slices:
             piece = leg.slices.popleft()
             self._history.append((leg, piece))
@@ -182,7 +166,7 @@ class MotionPlan:
             self._legs.popleft()
             last = leg.interpolator.finish() if leg.moves else self._last
             if leg.wait is Wait.APPROACH:
-                last = self._context.course.first_rest()
+                last = self._stream.course.first_rest()
             if last is not None and (leg.moves or leg.wait in (Wait.END, Wait.APPROACH)):
                 self._append(last)
                 cutter.end_leg(leg.wait)
@@ -196,8 +180,7 @@ class MotionPlan:
     def state_at(self, number: int) -> tuple[Leg, tuple[float, float, float]] | None:
         """Return leg and (s, s_dot, s_ddot) at a setpoint; None where it is forgotten."""
         for leg, piece in reversed(self._history):
-            assert leg.number_of_zero is not None
-            time = (number - leg.number_of_zero) * self._context.period
+            time = (number - leg.number_of_zero) * self._stream.period
             if time >= piece.law.time[0] - 1e-9:
                 return leg, leg.state_at(number, piece)
         return None
@@ -207,11 +190,10 @@ class MotionPlan:
         if found is None:
             return None
         leg, state = found
-        assert leg.number_of_zero is not None
-        begin = (number - leg.number_of_zero) * self._context.period
+        begin = (number - leg.number_of_zero) * self._stream.period
         sampled = [piece for of_leg, piece in self._history if of_leg is leg]
-        ahead = self._context.course.ahead(state[0])
-        return way_down([*sampled, *leg.slices], begin, ahead, self._context.limits.limit_table)
+        ahead = self._stream.course.ahead(state[0])
+        return way_down([*sampled, *leg.slices], begin, ahead, self._stream.limits.limit_table)
 
 
 class MotionStream:
@@ -222,17 +204,18 @@ class MotionStream:
         line_of: Callable[[int], int] = int, settings: OperatorSettings | None = None,
         tool: ToolLimit | None = None, signals: Signals = NO_SIGNALS,
     ):  # fmt: skip
-        functions = FunctionQueue(signals)
-        given = limits, period, chunk_size, line_of
-        self._context = PlanContext(*given, tool=tool, functions=functions)
-        self.course, self.functions = self._context.course, self._context.functions
-        self.current = MotionPlan(self._context, settings or OperatorSettings(), deque())
+        self.limits, self.period, self.chunk_size, self.tool = limits, period, chunk_size, tool
+        self.line_of = line_of  #: Source line of a block; single block stops where it changes.
+        self.course, self.functions = Course(), FunctionQueue(signals)
+        #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.
+        self.pause_blocks: dict[int, Wait] = {}
+        self.current = MotionPlan(self, settings or OperatorSettings(), deque())
+
+    def tool_on(self, path: AxisPath) -> ToolLimit | None:
+        return self.tool if path.cell_block[0] > 0 else None
 
     def push(self, path: AxisPath) -> None:
         self.current.extend(self.course.push(path))
-
-    def pause_after(self, blocks: dict[int, Wait]) -> None:
-        self._context.pause_blocks.update(blocks)
 
     def end_leg(self, wait: Wait) -> None:
         self.course.items.append(wait)
@@ -252,27 +235,26 @@ class MotionStream:
             todo = finely(self.course.after(s))
             rest = self.course.rest_at(s)
             before, first = self.current, number + 1
-            return MotionPlan(self._context, settings, todo, first, before=before, rests=rest)
+            return MotionPlan(self, settings, todo, first, before=before, rests=rest)
         stop, rests = self.current.way_down(number), settings.override <= 0.0
         if stop is None or (float(stop.law.duration.sum()) < BRIEF and not rests):
             return None
-        assert leg.number_of_zero is not None
-        begun, period = number - leg.number_of_zero + 1, self._context.period
+        begun, period = number - leg.number_of_zero + 1, self.period
         if not rests:
-            tool = self._context.tool_on(stop.path)
-            new = Leg(self._context.limits, period, begun, (v, a), tool)
+            tool = self.tool_on(stop.path)
+            new = Leg(self.limits, period, begun, (v, a), tool)
             todo = finely(self.course.after(s))
-            plan = MotionPlan(self._context, settings, todo, number + 1, new, stop, self.current)
+            plan = MotionPlan(self, settings, todo, number + 1, new, stop, self.current)
             with suppress(PlanningError):
                 while plan.can_plan and not plan.can_sample:
                     plan.plan()
                 if not new.planner.stuck:
                     return plan
         # Stop; then go on from rest, where no law with the new feed was found from the motion.
-        new = Leg(self._context.limits, period, begun, (v, a))
+        new = Leg(self.limits, period, begun, (v, a))
         new.drive(stop, Wait.OVERRIDE if rests else Wait.NOTHING)
         todo = finely(self.course.after(float(stop.path.s[-1])))
-        return MotionPlan(self._context, settings, todo, number + 1, new, before=self.current)
+        return MotionPlan(self, settings, todo, number + 1, new, before=self.current)
 
     def adopt(self, revision: MotionPlan) -> MotionPlan:
         before, self.current = self.current, revision
@@ -285,4 +267,4 @@ class MotionStream:
             s = float(way.s[0])
         todo = self.course.after(s)
         rest = self.course.rest_at(s)
-        self.current = MotionPlan(self._context, settings, todo, rests=rest)
+        self.current = MotionPlan(self, settings, todo, rests=rest)

@@ -155,7 +155,7 @@ class PlanWriter:
         samples, self._samples = Setpoints.concatenate(self._samples), []
         self.figures.setpoints(samples)
         columns = samples.columns()
-        del columns['jerk']  # the proof takes the jerk from the positions
+        del columns['jerk'], columns['line']  # the proof has positions and blocks
         self._archives['setpoints'].append(columns)
 
     def finish(

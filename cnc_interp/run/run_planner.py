@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
 from cnc_interp.feedrate.limit_use import limits_at
+from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.functions import Functions
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
-from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Setpoints, Wait
+from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Wait
 from cnc_interp.run.start_place import approach, approach_inside
+from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
-
-if TYPE_CHECKING:
-    from cnc_interp.feedrate.tool_limit import ToolLimit
 
 ON_PATH = 1e-8  #: Largest distance of a machine that stands on the path [m, rad].
 #: Number of stored source lines above which those of executed blocks are dropped.
@@ -44,22 +44,21 @@ class RunPlanner:
     """
 
     def __init__(
-        self, transform: Transform, flank_height: float, period: float, chunk_time: float,
-        stands: FloatArray, continue_at: float = math.nan,
-        settings: OperatorSettings | None = None, retract: float = 0.0,
-        plunge_feed: float = math.inf, tool: ToolLimit | None = None, asks: bool = False,
+        self, transform: Transform, choices: Settings, chunk_time: float, stands: FloatArray,
+        continue_at: float = math.nan, settings: OperatorSettings | None = None,
+        asks: bool = False,
     ):  # fmt: skip
-        self._transform, self._flank_height, self._stands = transform, flank_height, stands
-        self._builder = AxisPathBuilder(transform, flank_height, period)
-        limits = limits_at(transform.machine, period)
-        chunk_size = max(1, round(chunk_time / period))
-        signals = transform.machine.signals
-        lines = self.line_of
-        self.stream = MotionStream(limits, period, chunk_size, lines, settings, tool, signals)
+        self._transform, self._choices, self._stands = transform, choices, stands
+        machine, period = transform.machine, choices.interpolation_period
+        self._builder = AxisPathBuilder(transform, choices.flank_height, period)
+        self.stream = MotionStream(
+            limits_at(machine, period), period, max(1, round(chunk_time / period)), self.line_of,
+            settings, wanted_tool(machine, choices), machine.signals,
+        )  # fmt: skip
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
-        self._retract, self._plunge_feed, self._asks = retract, plunge_feed, asks
+        self._asks = asks
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -69,7 +68,7 @@ class RunPlanner:
         """Take segments, blocks after which M0 or M1 waits, functions; InterpError: line, axis."""
         self._note_lines(segments)
         waits = functions.waits(self._transform.machine.signals)
-        self.stream.pause_after(dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses)
+        self.stream.pause_blocks |= dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses
         self.stream.functions.push(functions)
         path = self._builder.push(segments)
         if path is None:
@@ -105,10 +104,11 @@ class RunPlanner:
 
     def _way(self, stands: FloatArray, there: FloatArray, inside: bool) -> AxisPath | None:
         """Make the way from rest to a place, inside the program or at its top."""
-        transform, height = self._transform, self._flank_height
+        choices, height = self._choices, self._choices.flank_height
         if not inside:
-            return approach(transform, height, stands, there)
-        return approach_inside(transform, height, stands, there, self._retract, self._plunge_feed)
+            return approach(self._transform, height, stands, there)
+        how = choices.retract, choices.plunge_feed
+        return approach_inside(self._transform, height, stands, there, *how)
 
     def finish(self) -> None:
         """End the path; raises PlanningError if the place to go on from lies after the end."""
@@ -169,5 +169,9 @@ class RunPlanner:
     def line_of(self, block: int) -> int:
         return self._lines.get(block, 0)
 
-    def lines_of(self, samples: Setpoints) -> list[int]:
-        return [self._lines.get(block, 0) for block in samples.block.tolist()]
+    def with_lines(self, chunk: Chunk) -> Chunk:
+        samples, tail = (
+            replace(part, line=np.array([*map(self.line_of, part.block.tolist())], dtype=np.int64))
+            for part in (chunk.samples, chunk.tail)
+        )
+        return replace(chunk, samples=samples, tail=tail)

@@ -31,6 +31,7 @@ class Setpoints(Table):
     jerk: FloatArray = column('axes')
     block: IntArray = column()  #: Row of the block being executed.
     s: FloatArray = column()  #: Path position [m].
+    line: IntArray = column(default=0)  #: Line of the source; 0 where it is not known yet.
 
     @staticmethod
     def at_rest(time: float, position: FloatArray, block: IntArray, s: FloatArray) -> Setpoints:

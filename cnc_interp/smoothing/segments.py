@@ -8,8 +8,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, jet
-from cnc_interp.core.bezier import bezier_jet, quintic_jet
-from cnc_interp.core.bspline import corner_spline_jet
+from cnc_interp.core.bspline import bezier_jet, corner_spline_jet, quintic_jet
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.program.blocks import POSES

@@ -13,8 +13,7 @@ from cnc_interp.machine.playback import Executed, Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.wire.chunk_messages import setpoint_fields
-from cnc_interp.wire.path_messages import act_message, packed
+from cnc_interp.wire.path_messages import act_message, packed, setpoint_fields
 from cnc_interp.wire.run_messages import NUMBERS
 
 
@@ -33,7 +32,8 @@ def executed_setpoints(
 ) -> list[tuple[msg.SetpointChunk, msg.AxisFeedback]]:
     """Return the setpoints executed since the last call, and feedback; numbered through a run."""
     stretches = [playback.executed.popleft() for _ in range(len(playback.executed))]
-    switched = [playback.switched.popleft() for _ in range(len(playback.switched))]
+    queue = playback.switching.switched
+    switched = [queue.popleft() for _ in range(len(queue))]
     plans = groupby(stretches, key=lambda executed: executed.run_id)
     found = [_executed_of_plan(list(executed), period) for _, executed in plans]
     signals, axes = playback.axes.machine.signals, len(playback.axes.machine.axis_names)
@@ -67,16 +67,14 @@ def _executed_of_plan(
     executed: list[Executed], period: float
 ) -> tuple[msg.SetpointChunk, msg.AxisFeedback]:
     first = executed[0]
-    samples = Setpoints.concatenate([stretch.rows.samples for stretch in executed])
+    samples = Setpoints.concatenate([stretch.rows for stretch in executed])
     common = {
         **vars(first.run_id), 'first_sample': first.number, 'period': period,
         'axis_count': samples.position.shape[1],
     }  # fmt: skip
     actual = np.concatenate([stretch.actual for stretch in executed])
     setpoints = msg.SetpointChunk(
-        **common, **setpoint_fields(samples),
-        line_numbers=[line for stretch in executed for line in stretch.rows.lines],
-        end_of_program=executed[-1].ends,
+        **common, **setpoint_fields(samples), end_of_program=executed[-1].ends,
     )  # fmt: skip
     return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
@@ -86,7 +84,7 @@ OF_RUN = (
     'waits_for', 'reason', 'resting', 'may_resume', 'plan_over', 'start_wanted', 'completed',
 )  # fmt: skip
 OF_PLAYBACK = (
-    'single_block', 'functions', 'approach_samples', 'largest_contour_error', 'starvations',
+    'single_block', 'approach_samples', 'largest_contour_error', 'starvations',
 )  # fmt: skip
 
 
@@ -99,6 +97,7 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
     message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
         **{name: getattr(playback, name) for name in OF_PLAYBACK}, **vars(playback.run_id),
+        functions=playback.switching.functions,
         state=NUMBERS[run.state], interpolation_period=period, samples=playback.played,
         sequence=last.block if last else 0, line_number=last.line if last else 0,
         path_position=last.s if last else 0.0, resume_positions=playback.away.tolist(),

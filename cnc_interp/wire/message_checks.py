@@ -14,11 +14,11 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
-from cnc_interp.wire.chunk_messages import OF_AXES
 from cnc_interp.wire.path_messages import (
     CONNECTION_POINTS,
     CURVES,
     LINE_CURVE,
+    OF_AXES,
     SPAN_DEGREE,
     check_functions,
 )
@@ -194,8 +194,8 @@ def check_chunk(
         values = getattr(message, f'tail_{field}')
         _check_rows(f'{name}: tail_{field}', values, tail * axis_count)
     _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
-    if (len(message.line_numbers), len(message.tail_line_numbers)) != (n, tail):
-        raise StreamError(f'{name}: each setpoint needs a line number')
+    if len(message.tail_line_numbers) != tail:
+        raise StreamError(f'{name}: each setpoint of the tail needs a line number')
     check_functions(name, message.functions, machine.signals)
     if message.wait > SetpointChunk.FUNCTION or message.end_of_program != (
         message.wait == SetpointChunk.END
@@ -232,6 +232,8 @@ def check_setpoints(message: SetpointChunk, axis_count: int) -> None:
     name, n = f'setpoints from {message.first_sample}', len(message.sequences)
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
+    if len(message.line_numbers) != n:
+        raise StreamError(f'{name}: each setpoint needs a line number')
     for field in OF_AXES:
         _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
     _check_rows(f'{name}: path_positions', message.path_positions, n)

@@ -1,4 +1,4 @@
-"""Blocks, functions and path segments <-> ROS messages, bit for bit; see ``message_checks``."""
+"""Blocks, functions, segments and setpoints <-> messages, bit for bit; see ``message_checks``."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import BSpline, Function, G1Block, G1BlockBatch, PathSegment
+from cnc_interp_msgs.msg import (
+    BSpline,
+    Function,
+    G1Block,
+    G1BlockBatch,
+    PathSegment,
+    SetpointChunk,
+)
 
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.functions import Functions
-from cnc_interp.run.run_state import RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
+from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
+from cnc_interp.wire.run_messages import run_id_of
 
 CUBIC_KNOTS = array('d', [0.0, 0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0])
 LINEAR_KNOTS = array('d', [0.0, 0.0, 1.0, 1.0])
@@ -210,3 +219,89 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
             raise StreamError(f'{name}: {text} does not; give all nodes the same machine')
         if fault := output.fault_of(message.value):
             raise StreamError(f'{name}: function {message.number}: {fault}')
+
+
+#: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
+SETPOINT_FIELDS = {
+    'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
+    'jerks': 'jerk', 'path_positions': 's',
+}  # fmt: skip
+NO_SIGNALS = Signals()
+OF_AXES = tuple(SETPOINT_FIELDS)[:4]  #: Those that have a value for each axis.
+
+
+def chunk_message(
+    chunk: Chunk, run_id: RunId, first: int, period: float, joins: bool = False,
+    signals: Signals = NO_SIGNALS,
+) -> SetpointChunk:  # fmt: skip
+    """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
+    samples = chunk.samples
+    return SetpointChunk(
+        **vars(run_id), joins=joins, first_sample=first, period=period,
+        axis_count=samples.position.shape[1], wait=int(chunk.wait),
+        end_of_program=chunk.wait is Wait.END,
+        functions=function_messages(chunk.functions, chunk.first_function, signals),
+        **setpoint_fields(samples), **setpoint_fields(chunk.tail, 'tail_'),
+    )  # fmt: skip
+
+
+def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:
+    found: dict[str, Any] = {
+        prefix + field: packed(getattr(rows, name)) for field, name in SETPOINT_FIELDS.items()
+    }
+    found[f'{prefix}sequences'] = array('Q', rows.block.astype(np.uint64).tobytes())
+    found[f'{prefix}line_numbers'] = array('I', rows.line.astype(np.uint32).tobytes())
+    return found
+
+
+def setpoints_from(message: SetpointChunk) -> Setpoints:
+    return _setpoints(message, '', message.first_sample)
+
+
+def chunk_from(message: SetpointChunk) -> Chunk:
+    samples = setpoints_from(message)
+    tail = _setpoints(message, 'tail_', message.first_sample + len(samples))
+    first = message.functions[0].number if message.functions else 0
+    functions = functions_from(message.functions)
+    return Chunk(samples, tail, Wait(message.wait), functions, first)
+
+
+def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:
+    blocks = np.frombuffer(getattr(message, f'{prefix}sequences'), dtype=np.uint64)
+    n = len(blocks)
+    columns = {
+        name: np.frombuffer(getattr(message, prefix + field)).reshape(n, message.axis_count)
+        if field in OF_AXES
+        else np.array(getattr(message, prefix + field))
+        for field, name in SETPOINT_FIELDS.items()
+    }
+    time = (first + np.arange(n)) * message.period
+    line = np.array(getattr(message, f'{prefix}line_numbers'), dtype=np.int64)
+    return Setpoints(time=time, block=blocks.astype(np.int64), line=line, **columns)
+
+
+class JoinGate:
+    """Keeps the first chunks of a plan that joins until there are enough of them."""
+
+    def __init__(self, enough: int):
+        self._enough = enough
+        self._run_id = NO_RUN
+        self._kept: list[SetpointChunk] = []
+        self._count = self._next = 0
+
+    def passed(self, chunk: SetpointChunk, current: RunId, limit: int) -> list[SetpointChunk]:
+        """Return the chunks that may pass; ``limit``: first setpoint that must not be sent."""
+        run_id, first, count = run_id_of(chunk), chunk.first_sample, len(chunk.sequences)
+        if run_id == current or not (chunk.joins or run_id == self._run_id):
+            return [chunk]
+        if chunk.joins:
+            self._run_id, self._kept, self._count, self._next = run_id, [], 0, first
+        if first != self._next:
+            return []
+        self._kept.append(chunk)
+        self._count, self._next = self._count + count, first + count
+        rests = chunk.wait != SetpointChunk.NOTHING
+        if self._count < self._enough and self._next < limit and not rests:
+            return []
+        kept, self._kept, self._run_id = self._kept, [], NO_RUN
+        return kept

@@ -216,7 +216,7 @@ def test_single_block_rests_where_the_block_changes():
 
 def test_after_a_block_with_a_pause_it_waits():
     path, stream = path_of('zigzag'), MotionStream(MACHINE, T)
-    stream.pause_after({4: Wait.OPTIONAL_STOP})
+    stream.pause_blocks[4] = Wait.OPTIONAL_STOP
     stream.push(path)
     stream.end_leg(Wait.END)
     chunks = drain(stream)

@@ -13,7 +13,7 @@ live = node_processes._live
 def live_with_fault(node, arguments, environment, log):
     """What a child process runs."""
     if node == 'feedrate_node':
-        from cnc_interp.run.planning_session import PlanningSession
+        from cnc_interp.nodes.planning_session import PlanningSession
 
         asked, step = Path(environment[ASKED]), PlanningSession.step
 

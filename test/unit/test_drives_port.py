@@ -6,7 +6,13 @@ import numpy as np
 from numba import carray, cfunc, types
 
 from cnc_interp.core.native import pointer
-from cnc_interp.machine.drives import AxisFeedback, DriveFaultError, Drives
+from cnc_interp.machine.drives import (
+    AxisFeedback,
+    CycleDrives,
+    DelayedDrives,
+    DriveFaultError,
+    Drives,
+)
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -20,19 +26,15 @@ MACHINE = Machine.load('xyzac')
 START, TARGET = np.array([0.01, 0.0, 0.0, 0.0, 0.5]), np.array([0.03, 0.01, 0.0, 0.1, 0.0])
 
 
-class RecordingDrives:
+class RecordingDrives(DelayedDrives):
     """Ideal axes that stand somewhere and write down what they are told."""
 
-    lag, wired, calm, ahead = 0.0, False, 0.0, 0.0
     outputs = inputs = np.zeros(0)
-    alarm = ''
+    position = None
 
     def __init__(self, position, fails_at=None, alarms_at=None):
         self.position, self.fails_at, self.alarms_at = position, fails_at, alarms_at
         self.told, self.on, self.stops = [], False, []
-
-    def exchange(self, seconds):
-        pass
 
     def switch_on(self):
         self.on, self.alarm = True, ''
@@ -76,7 +78,7 @@ def play(drives):
     playback.switch_on()
     playback.begin(RunId('p'))
     for chunk in planned:
-        playback.push(chunk, [1] * len(chunk.samples), [1] * len(chunk.tail))
+        playback.push(chunk)
     for _ in range(sum(len(chunk.samples) for chunk in planned) + 5):
         playback.step()
     return playback, planned
@@ -138,7 +140,7 @@ def test_a_setpoint_outside_the_travel_never_reaches_the_drives():
     playback.begin(RunId('p'))
     position = np.tile([2.0, 0, 0, 0, 0], (len(first.samples), 1))
     outside = replace(first, samples=replace(first.samples, position=position), wait=Wait.END)
-    playback.push(outside, [1] * len(position), [1] * len(first.tail))
+    playback.push(outside)
     for _ in range(5):
         playback.step()
     assert playback.state.reason is Reason.SETPOINT_REFUSED
@@ -158,14 +160,14 @@ def fails_after_120(memory, setpoint, feedback, n):
     return 7 if count[0] > 120.0 else 0
 
 
-class CompiledDrives(RecordingDrives):
+class CompiledDrives(CycleDrives):
     """Ideal axes with a step of their own that fails."""
 
-    step, follow = int(fails_after_120.address), None
+    outputs = inputs = np.zeros(0)
+    position, step = None, int(fails_after_120.address)
 
     def __init__(self, position):
-        super().__init__(position)
-        self.memory = np.zeros(1)
+        self.position, self.memory = position, np.zeros(1)
 
     def fault(self, number):
         return f'C: error {number}'

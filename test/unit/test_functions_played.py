@@ -31,6 +31,7 @@ from cnc_interp.wire.path_messages import (
 )
 
 T = 1e-3
+CHOICES = Settings(flank_height=0.03, retract=0.0, plunge_feed=16.0)
 MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))
 NAMES = [signal.name for signal in MACHINE.signals.wires]
 ANSWERED = 'G21 G90\nT3 M6\nS5000 M3\nM8\nG0 X0 Y0 Z0\nG1 X10 F3000\nM9 X20\nM5\nX30\nM30\n'
@@ -59,7 +60,7 @@ class Bench:
 
     def begin_planner(self, stands, place, done=0):
         transform = Transform.of(self.machine)
-        self.planner = RunPlanner(transform, 0.03, T, 0.01, stands, place, self.settings)
+        self.planner = RunPlanner(transform, CHOICES, 0.01, stands, place, self.settings)
         self.planner.stream.functions.done = done
         pauses = {
             int(row): Wait.PROGRAM_STOP for row in np.flatnonzero(self.blocks.program_stop == 1)
@@ -76,14 +77,14 @@ class Bench:
             if not self.waiting:
                 return
             chunk = self.waiting.popleft()
-            play.push(chunk, [0] * len(chunk.samples), [0] * len(chunk.tail))
+            play.push(chunk)
 
     def step(self):
         play = self.play
         if play.state.plan_over and play.state.state in (State.HELD, State.STARVED):
             self.plans += 1
             place = 0.0 if play.last is None else play.last.s
-            self.planner.stream.functions.done = play.functions
+            self.planner.stream.functions.done = play.switching.functions
             self.planner.resume(place, play.axes.setpoints[-1], self.settings)
             self.waiting.clear()
             play.begin_plan(RunId('p', plan=self.plans))
@@ -91,7 +92,7 @@ class Bench:
         before, play = self.outputs, self.play
         play.step()
         self.outputs, self.periods = self.drives.outputs.copy(), self.periods + 1
-        moved = play.executed[-1].rows.samples if play.executed else None
+        moved = play.executed[-1].rows if play.executed else None
         self.blocks_played.append(-1 if moved is None else int(moved.block[-1]))
         for k in np.flatnonzero(self.drives.outputs != before):
             self.set.append((self.blocks_played[-1], NAMES[k], self.drives.outputs[k]))
@@ -105,13 +106,13 @@ class Bench:
 
     def told(self):
         """Return number and setpoint of the functions that were executed."""
-        return [(act.number, sample) for _, act, sample in self.play.switched]
+        return [(act.number, sample) for _, act, sample in self.play.switching.switched]
 
     def prove(self):
         """Demand that all came out, once, in order, with the first setpoint of their block."""
         told = self.told()
         assert [number for number, _ in told] == list(range(len(self.functions)))
-        block = np.concatenate([e.rows.samples.block for e in self.play.executed])
+        block = np.concatenate([e.rows.block for e in self.play.executed])
         wanted = np.searchsorted(np.maximum.accumulate(block), self.functions.block)
         assert [sample for _, sample in told] == wanted.tolist()
 
@@ -171,8 +172,7 @@ def test_a_revision_of_the_override_keeps_the_functions():
             bench.planner.stream.adopt(revision.plan)
             bench.plans += 1
             run_id = RunId('p', plan=bench.plans)
-            lines = [0] * len(chunk.samples), [0] * len(chunk.tail)
-            play.join(run_id, number + 1, chunk, *lines)
+            play.join(run_id, number + 1, chunk)
             bench.waiting = deque(others)
             joined += 1
     assert joined > 3
@@ -181,7 +181,7 @@ def test_a_revision_of_the_override_keeps_the_functions():
 
 def test_a_planner_that_is_killed_loses_no_function_and_what_it_left_on_goes_off():
     bench = Bench(MANY.replace('S101', 'M8 S101').replace('S116', 'M3 S116', 1))
-    while bench.play.functions < 12:
+    while bench.play.switching.functions < 12:
         bench.step()
     feed, bench.feed = bench.feed, lambda: None  # no setpoints come any more
     while bench.play.state.state is not State.STARVED:
@@ -192,7 +192,7 @@ def test_a_planner_that_is_killed_loses_no_function_and_what_it_left_on_goes_off
         bench.play.step()
     assert bench.drives.outputs[flood] == 0.0
     play = bench.play
-    bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.functions)
+    bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.switching.functions)
     play.begin_plan(RunId('p', attempt=1))
     bench.feed = feed
     while bench.play.state.state is not State.RUNNING:
@@ -313,14 +313,12 @@ def test_functions_that_cannot_be_are_refused():
     while plan.can_plan or plan.can_sample:
         found += bench.planner.work(plan, True, -np.inf)
     first = next(chunk for chunk in found if len(chunk.functions))
-    lines = [0] * len(first.samples), [0] * len(first.tail)
     with pytest.raises(StreamError, match='functions 0 to 4 are missing'):
-        bench.play.push(replace(first, first_function=5), *lines)
+        bench.play.push(replace(first, first_function=5))
     inside = next(c for c in found if c.samples.block[-1] > c.samples.block[0])
     late = replace(first.functions, block=np.full(len(first.functions), inside.samples.block[-1]))
-    lines = [0] * len(inside.samples), [0] * len(inside.tail)
     with pytest.raises(StreamError, match='must stand where the path rests'):
-        bench.play.push(replace(inside, functions=late, first_function=0), *lines)
+        bench.play.push(replace(inside, functions=late, first_function=0))
 
 
 def test_functions_survive_the_wire_and_unsound_ones_are_refused():
@@ -367,15 +365,14 @@ def test_of_ten_thousand_functions_none_is_lost_doubled_or_early_whatever_the_op
                 chunk, *others = revision.chunks
                 bench.planner.stream.adopt(revision.plan)
                 bench.plans, bench.settings, joined = bench.plans + 1, settings, joined + 1
-                given = [0] * len(chunk.samples), [0] * len(chunk.tail)
-                play.join(RunId('p', play.run_id.attempt, bench.plans), number + 1, chunk, *given)
+                play.join(RunId('p', play.run_id.attempt, bench.plans), number + 1, chunk)
                 bench.waiting = deque(others)
         elif running and turn == 3900:
             bench.feed, lost = lambda: None, lost + 1
         if play.state.state is State.HELD:
             play.start()
         if bench.feed is not feed and play.state.state is State.STARVED:
-            bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.functions)
+            bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.switching.functions)
             bench.feed, bench.plans = feed, 0
             play.begin_plan(RunId('p', play.run_id.attempt + 1))
     assert min(held, joined, lost) > 3, (held, joined, lost)

@@ -342,7 +342,7 @@ def test_it_is_refused_with_drives_off_and_beside_a_program():
     chunk = motion.piece(100)
     bench.play.make_room(RunId('p'))
     bench.play.begin_plan(RunId('p'))
-    bench.play.push(chunk, [1] * len(chunk.samples), [1] * len(chunk.tail))
+    bench.play.push(chunk)
     with pytest.raises(StreamError, match='about to start'):
         bench.beat(X=0.1)
     bench.play.reset()
@@ -419,9 +419,9 @@ def again(bench, plan):
     bench.play.begin_plan(RunId('p', plan=plan))
     while not motion.over:
         chunk = motion.piece(10)
-        block, lines = np.ones_like(chunk.samples.block), [1] * len(chunk.samples)
+        block = np.ones_like(chunk.samples.block)
         samples = replace(chunk.samples, block=block, s=0.5 + chunk.samples.s)
-        bench.play.push(replace(chunk, samples=samples), lines, [1] * len(chunk.tail))
+        bench.play.push(replace(chunk, samples=samples))
 
 
 def test_away_from_a_hold_the_run_stays_and_goes_on_with_another_plan():

@@ -7,7 +7,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from cnc_interp_msgs.msg import SetpointChunk
 
 from cnc_interp.run.run_state import RunId
-from cnc_interp.wire.chunk_messages import JoinGate
+from cnc_interp.wire.path_messages import JoinGate
 
 NOW, NEXT, AFTER = RunId('p'), RunId('p', plan=1), RunId('p', plan=2)
 FAR = 10_000

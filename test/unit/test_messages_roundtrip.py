@@ -24,7 +24,6 @@ from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER
-from cnc_interp.wire import chunk_messages
 from cnc_interp.wire import message_checks as soundness
 from cnc_interp.wire import path_messages as messages
 from cnc_interp.wire.run_messages import add_executed, run_id_of
@@ -195,19 +194,18 @@ def setpoints(n=10, axes=5):
     rng = np.random.default_rng(2)
     table = [rng.normal(size=(n, axes)) for _ in range(4)]
     block = np.sort(rng.integers(0, 2**40, n))
-    return Setpoints(np.arange(n) * 0.001, *table, block, np.sort(rng.normal(size=n)))
+    s, line = np.sort(rng.normal(size=n)), np.arange(n)
+    return Setpoints(np.arange(n) * 0.001, *table, block, s, line)
 
 
 @pytest.mark.parametrize('axes', [3, 5])
 def test_setpoints_keep_every_bit(axes):
     sent = Chunk(setpoints(axes=axes), setpoints(7, axes), Wait.SINGLE_BLOCK)
-    message = chunk_messages.chunk_message(
-        sent, list(range(10)), list(range(7)), RunId('p', 1, 3), 20, 0.001
-    )
+    message = messages.chunk_message(sent, RunId('p', 1, 3), 20, 0.001)
     (received,) = over_the_wire([message])
-    back = chunk_messages.chunk_from(received)
+    back = messages.chunk_from(received)
     for name in ('samples', 'tail'):
-        for field in ('position', 'velocity', 'acceleration', 'jerk', 'block', 's'):
+        for field in ('position', 'velocity', 'acceleration', 'jerk', 'block', 's', 'line'):
             there, here = (getattr(getattr(c, name), field) for c in (back, sent))
             assert there.tobytes() == here.tobytes(), (name, field)
     assert back.wait is Wait.SINGLE_BLOCK
@@ -223,7 +221,7 @@ def sound(kind):
             np.arange(10) * 0.001, *np.zeros((4, 10, 5)), np.ones(10, dtype=int), np.zeros(10)
         )
         chunk = Chunk(still, still[:7], Wait.NOTHING)
-        return chunk_messages.chunk_message(chunk, [0] * 10, [0] * 7, P, 0, 0.001)
+        return messages.chunk_message(chunk, P, 0, 0.001)
     if kind is MachineState:
         still = [0.0] * 5
         return MachineState(positions=still, commanded_positions=still, interpolation_period=0.001)

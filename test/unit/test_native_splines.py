@@ -18,7 +18,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.proof.programmed_splines import _rows_reached, with_chords
+from cnc_interp.proof.programmed_path import _rows_reached, with_chords
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.native.joining import Jets, connected, line_jets, span_jets

@@ -6,7 +6,7 @@ import pytest
 from cnc_interp import axis_motion, plan_path
 from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
-from cnc_interp.kinematics.path_from_arrays import axis_path_from
+from cnc_interp.library import axis_path_from
 from cnc_interp.machine_model.machine import Machine
 
 MACHINE = Machine.load('xyzac')

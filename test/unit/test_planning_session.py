@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from cnc_interp.core import PlanningError, Refusal
-from cnc_interp.run import planning_session
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.planning_session import (
+from cnc_interp.nodes import planning_session
+from cnc_interp.nodes.planning_session import (
     LEAD,
     LONGER,
     MARGIN,
@@ -21,6 +20,7 @@ from cnc_interp.run.planning_session import (
     PlanningSession,
     Received,
 )
+from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import NO_RUN, RunId, State

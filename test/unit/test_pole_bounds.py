@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tiers import examples
 
-from cnc_interp.core.bezier import (
+from cnc_interp.core.bspline import (
     bezier_values,
     derivative_bounds,
     largest,

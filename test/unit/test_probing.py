@@ -11,8 +11,7 @@ pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with .
 from test_functions_played import MACHINE, NAMES, Bench
 
 from cnc_interp.core import InterpError, MachineError, ProgramError
-from cnc_interp.core.ros_share import config_directory
-from cnc_interp.core.small_files import read_yaml
+from cnc_interp.core.small_files import config_directory, read_yaml
 from cnc_interp.machine.simulated_probe import COLUMNS, ProbingDrives, distance, read_surfaces
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
@@ -122,7 +121,7 @@ class Touched(Bench):
 
     @property
     def path(self):
-        return np.concatenate([e.rows.samples.position[:, 0] for e in self.play.executed])
+        return np.concatenate([e.rows.position[:, 0] for e in self.play.executed])
 
 
 def test_the_axes_stop_within_their_limits_and_the_place_is_that_of_the_contact():

@@ -19,8 +19,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import write_report
 from cnc_interp.report.corner_plots import shift
-from cnc_interp.report.corners import MOST, views_of
-from cnc_interp.report.dense_blocks import curves_of, lengths, read_segments
+from cnc_interp.report.corners import MOST, curves_of, lengths, read_segments, views_of
 from cnc_interp.smoothing.corners.connection import Curves, poses
 from cnc_interp.smoothing.segments import SPLINE
 

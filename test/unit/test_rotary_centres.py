@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cnc_interp.client.rotary_probing import fit_rotary_centres
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, with_geometry
-from cnc_interp.machine_model.rotary_centres import fit_rotary_centres
 from cnc_interp.machine_model.transform import Transform
 
 REACH, BEYOND, UM = 14e-3, -1.5e-3, 1e-6

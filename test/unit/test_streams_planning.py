@@ -1,5 +1,7 @@
 """A run that goes on from where the machine rests: at any place of its path."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tiers import few_of
@@ -21,6 +23,7 @@ from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')
 TRANSFORM = Transform.of(MACHINE)
+CHOICES = Settings(flank_height=0.03, retract=0.0, plunge_feed=16.0)
 PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A15 C30\n' + ''.join(
     f'G1 X{10 * k} Y{8 * (k % 2)} A{14 + k % 3} F3000\n' for k in range(1, 9)
 )
@@ -44,7 +47,7 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     parts = [builder.push(first), builder.push(second)]
     path, place = AxisPath.join(parts), float(parts[0].s[-1]) - before
     stands = evaluate(path, np.array([place]))[0][0]
-    planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, place)
+    planner = RunPlanner(TRANSFORM, CHOICES, 0.01, stands, place)
     planner.push(first, {})
     planner.push(second, {})
     planner.finish()
@@ -79,7 +82,7 @@ def test_a_start_inside_is_asked_for_where_the_machine_stands_there_too(place, a
     whole = segments()
     path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
     there = evaluate(path, np.array([place]))[0][0]
-    planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, there, place, asks=asks)
+    planner = RunPlanner(TRANSFORM, CHOICES, 0.01, there, place, asks=asks)
     planner.push(whole, {})
     planner.finish()
     first = []
@@ -97,8 +100,8 @@ def test_moved_away_by_hand_it_goes_back_and_on_and_again_from_the_way(place):
     whole = segments()
     path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
     planner = RunPlanner(
-        TRANSFORM, 0.03, 1e-3, 0.01, np.array([0.1, 0.0, 0.0, 0.0, 0.0]), retract=0.01,
-        plunge_feed=0.05,
+        TRANSFORM, replace(CHOICES, retract=0.01, plunge_feed=0.05), 0.01,
+        np.array([0.1, 0.0, 0.0, 0.0, 0.0]),
     )  # fmt: skip
     planner.push(whole, {})
     planner.finish()
@@ -130,7 +133,7 @@ def test_the_rapid_override_scales_rapids_and_the_approach_and_the_feed_override
         OperatorSettings, (1.0, 1.0, 0.4, 1.2), [False] * 4, (1.0, 0.25, 1.0, 0.5)
     ):
         stands = np.array([0.1, -0.3, 0.05, 0.0, 0.0])
-        planner = RunPlanner(TRANSFORM, 0.03, 1e-3, 0.01, stands, settings=settings)
+        planner = RunPlanner(TRANSFORM, CHOICES, 0.01, stands, settings=settings)
         planner.push(whole, {})
         planner.finish()
         q, s, block = sampled(planner)

@@ -84,7 +84,7 @@ def samples_to(target):
 
 def feed(play, chunks):
     for chunk in chunks:
-        play.push(chunk, [1] * len(chunk.samples), [2] * len(chunk.tail))
+        play.push(chunk)
 
 
 def setpoint_after_step(play):
@@ -350,8 +350,7 @@ def moving_with_a_stop_from(number):
 
 def join(play, number, chunks):
     first, *others = chunks
-    lines = [1] * len(first.samples), [2] * len(first.tail)
-    play.join(P1, number, first, *lines)
+    play.join(P1, number, first)
     feed(play, others)
 
 

@@ -12,8 +12,7 @@ import whole_plans
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM
-from cnc_interp.drives.error_series import error_series
-from cnc_interp.drives.tool_error import path_and_axis_errors, tool_error
+from cnc_interp.drives.tool_error import error_series, path_and_axis_errors, tool_error
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
@@ -251,9 +250,10 @@ def test_the_way_to_the_path_is_as_fast_as_without_a_limit():
     program = read_text('G21 G90\nG1 X0 Y0 F600\nX9\nM30\n', 'way.ngc', transform, Settings())
     whole = segments_of(program.blocks, transform, Settings())
     ways = []
-    for tool in (None, ToolLimit.of(TIRED, T, 1 * UM, HEIGHT)):
+    for error in (None, 1 * UM):
+        wanted = Settings(flank_height=HEIGHT, interpolation_period=T, tool_error=error)
         stands = np.array([0.05, -0.03, 0.04, 0.2, 0.0])
-        planner = RunPlanner(transform, HEIGHT, T, 0.01, stands, tool=tool)
+        planner = RunPlanner(transform, wanted, 0.01, stands)
         planner.push(whole, {})
         planner.finish()
         chunks = []

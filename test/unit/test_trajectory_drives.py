@@ -82,7 +82,7 @@ class Bench:
     def load(self):
         self.playback.begin(RunId('p'))
         for chunk in chunks():
-            self.playback.push(chunk, [1] * len(chunk.samples), [1] * len(chunk.tail))
+            self.playback.push(chunk)
 
     def lag(self):
         """Largest difference of what was commanded from what was played before [m, rad]."""

@@ -23,8 +23,7 @@ from math import comb
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, cross, dot, norm
-from cnc_interp.core.bezier import bezier_values
-from cnc_interp.core.bspline import corner_end_derivatives, corner_spline_points
+from cnc_interp.core.bspline import bezier_values, corner_end_derivatives, corner_spline_points
 
 
 @dataclass

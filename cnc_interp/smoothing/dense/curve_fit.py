@@ -6,9 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core.bezier import quintic_end_jet
-from cnc_interp.core.bspline import clamped_knots, quintic_bezier_matrices, quintic_bezier_points
+from cnc_interp.core import BoolArray, FloatArray, IntArray, bspline
 from cnc_interp.smoothing.dense import knots as spacing
 from cnc_interp.smoothing.dense.certificate import certify
 from cnc_interp.smoothing.dense.polyline import Polyline, pieces
@@ -202,8 +200,8 @@ def _fitted(
 ) -> Window:  # fmt: skip
     """Return the spans to commit, or the place where the deviation is too large."""
     height, turning, spans = curve.height, curve.turning, len(knots) - 1
-    full = clamped_knots(knots)
-    matrices = quintic_bezier_matrices(full, spans)
+    full = bspline.clamped_knots(knots)
+    matrices = bspline.quintic_bezier_matrices(full, spans)
     samples = spacing.sample_points(line, left, knots, height)
     narrow, apart = _tolerances(line, knots)
     coefficients, _ = fit(
@@ -211,7 +209,7 @@ def _fitted(
         STIFFNESS * narrow.min() / TYPICAL,
     )  # fmt: skip
     count = spans if last else COMMIT
-    points = quintic_bezier_points(coefficients, matrices, count)
+    points = bspline.quintic_bezier_points(coefficients, matrices, count)
     if last:  # exact to the last bit
         for i in range(points.shape[2]):
             points[count - 1, 5, i] = end_jet[0, i]
@@ -236,7 +234,7 @@ def _fitted(
         segment[0, 0] = 0
     if last:
         segment[-1, 1] = len(line.feed) - 1
-    end = quintic_end_jet(points[-1], knots[count] - knots[count - 1])
+    end = bspline.quintic_end_jet(points[-1], knots[count] - knots[count - 1])
     axis = line.pose[-1, 3:].copy()
     bottom, top = np.empty((n, 6, 3)), np.empty((n, 6, 3))
     origin, spent = np.empty((n, 2, 2), np.int64), np.empty((n, 3))

@@ -11,8 +11,7 @@ halved, so that only its end changes. If the path turns too sharply, the tool re
 import numpy as np
 
 from cnc_interp.core import BlockError, FloatArray, IntArray, norm
-from cnc_interp.core.bezier import divided, elevated, least_length
-from cnc_interp.core.bspline import cubic_bezier_points
+from cnc_interp.core.bspline import cubic_bezier_points, divided, elevated, least_length
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.smoothing.corners.corner_curve import Style
 from cnc_interp.smoothing.native.joining import Jets, Piece, absorbed, joins_gently, same_jets

@@ -1,60 +1,26 @@
-"""The planning of one run after the other; no ROS, no clock, no threads.
+"""The planning of one run after the other; no ROS calls, no clock, no threads.
 
 ``step`` returns what is to be done next as a task; who called it hands the result to ``finish``.
 """
+
+from __future__ import annotations
 
 import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from cnc_interp.core import FloatArray, InterpError, Refusal
-from cnc_interp.program.functions import Functions
+from cnc_interp.core import InterpError, Refusal
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_phase import LEFT, MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Wait
-from cnc_interp.smoothing.segments import PathSegments
 
-
-class ChunkSender(Protocol):
-    sent: int  #: Number after the last setpoint that was sent.
-    next_number: int  #: Number after the last setpoint that was queued.
-
-    @property
-    def unsent(self) -> int: ...
-    def begin(self, run_id: RunId) -> None: ...
-    def put(self, item: Chunk, count: int = 1) -> None: ...
-
-
-class PlanOutlet(Protocol):
-    """Where plans go: one after the other, or a plan that joins and may be taken back."""
-
-    @property
-    def sender(self) -> ChunkSender: ...
-    def join(self, run_id: RunId, first: int) -> None: ...
-    def take_back(self) -> None: ...
-
-
-class SessionPort(Protocol):
-    outlet: PlanOutlet
-
-    def make_planner(
-        self, first: Any, stands: FloatArray, continue_at: float, settings: OperatorSettings
-    ) -> RunPlanner:
-        """Make the planner of the run that begins with a segment message; see RunPlanner."""
-
-    def read(self, segments: list[Any]) -> tuple[PathSegments, dict[int, Wait], Functions]:
-        """Read segment messages; returns also blocks after which cycle_start is waited for."""
-
-    def consumed(self, count: int) -> None:
-        """Open the window of the segments."""
-
-    def refuse(self, kind: Refusal, reason: str) -> None:
-        """Inform the sender of the segments that the run is over."""
+if TYPE_CHECKING:
+    from cnc_interp.nodes.feedrate_node import FeedrateNode
 
 
 @dataclass(frozen=True)
@@ -131,7 +97,9 @@ class Kept:
 
 
 class PlanningSession:
-    def __init__(self, port: SessionPort, period: float, plan_ahead: float):
+    """``port``: whose setpoints are sent, and segments read; the node, or what stands for it."""
+
+    def __init__(self, port: FeedrateNode, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
         self.settings = OperatorSettings()
         self.activity = Activity.NONE

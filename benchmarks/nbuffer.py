@@ -21,8 +21,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import HeightStore
-from cnc_interp.cam.nbuffer import cut_needles, cut_part
-from cnc_interp.cam.needle_tiles import cut_tiles
+from cnc_interp.cam.nbuffer import cut_needles, cut_part, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.commands.cam import tile_workers

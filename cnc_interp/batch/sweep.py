@@ -24,8 +24,7 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.report import html
-from cnc_interp.report.series import axis_use
-from cnc_interp.report.time_lost import AT_LIMIT, at_limits
+from cnc_interp.report.series import AT_LIMIT, at_limits, axis_use
 
 #: Points of a generation of the search, for each option; decimals of their values.
 GENERATION, DIGITS = 5, 4

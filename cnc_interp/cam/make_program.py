@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cnc_interp.cam import summary as facts
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.gouge import Neighbours
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
 from cnc_interp.cam.nbuffer import Heights, cut_needles
 from cnc_interp.cam.needles import Needles
-from cnc_interp.cam.pole_turn import pole_turn
 from cnc_interp.cam.simulation import (
     Motion,
     Section,
@@ -27,7 +27,6 @@ from cnc_interp.cam.simulation import (
 )
 from cnc_interp.cam.spline_pass import MachinedFace, Strips, cut_back
 from cnc_interp.cam.step_file import Part
-from cnc_interp.cam.summary import describe, face_facts, facts_of, heights_in_words, results
 from cnc_interp.cam.surface import SAMPLES, Placed, Surface, SurfaceError
 from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tile_work import refuse_options, simulate_in_tiles
@@ -71,10 +70,10 @@ def make_program(options: argparse.Namespace) -> int:
     )  # fmt: skip
     program = read_program(file, Transform.of(machine), reading)
     summary = {
-        'surface': str(options.surface), **facts_of(faces), 'program': str(file),
+        'surface': str(options.surface), **facts.facts_of(faces), 'program': str(file),
         'blocks': len(program.blocks) - 1,
     }  # fmt: skip
-    beside = pole_turn(
+    beside = facts.pole_turn(
         [piece for face in faces for parts in face.parts for piece in parts],
         options.feed * MM_PER_MIN, tolerance / reading.flank_height, machine,
     )  # fmt: skip
@@ -94,12 +93,12 @@ def make_program(options: argparse.Namespace) -> int:
             motions += [planned(files, machine), _executed(files, machine, options)]
     figures = _drawn(faces, motions, cutter, summary, options)
     (out / 'summary.json').write_text(json.dumps(summary, indent=2) + '\n', encoding='utf-8')
-    text = describe(summary)
+    text = facts.describe(summary)
     from cnc_interp.cam.program_page import write_page
 
     write_page(out / 'cam.html', str(options.surface), text, figures)
     print(json.dumps(summary, indent=2) if options.json else f'{text}\nwritten        {out}')
-    for face, found in zip(faces, face_facts(summary), strict=True):
+    for face, found in zip(faces, facts.face_facts(summary), strict=True):
         highest = found.get('executed', {}).get('ridge_highest', 0.0)
         if highest > HIGHER * options.scallop * UM:
             more = options.reserve + 0.05 * np.ceil(20.0 * (highest / UM - options.scallop))
@@ -173,14 +172,14 @@ def _drawn(
     from cnc_interp.cam.program_page import path_figure, tilt_figure
 
     figures = []
-    for face, figures_of in zip(faces, face_facts(summary), strict=True):
+    for face, figures_of in zip(faces, facts.face_facts(summary), strict=True):
         name = f'Face {face.number}: ' if len(faces) > 1 else ''
         drawn = [('Passes', 'Contact lines and tool axes.', path_figure(face.paths))]
         if isinstance(face.paths, IsoScallopPaths):
             drawn.append(('Tilt', 'Tilt along the passes.', tilt_figure(face.paths)))
         for motion in motions:
             heights, section = _cut(face.surface, cutter, motion, face.across, options)
-            figures_of[motion.name] = results(heights, section)
+            figures_of[motion.name] = facts.results(heights, section)
             drawn += _height_figures(motion, heights, section, options.scallop * UM)
         figures += [(name + heading, text, figure) for heading, text, figure in drawn]
     return figures
@@ -244,13 +243,13 @@ def simulate_motion(options: argparse.Namespace) -> int:
         summary = {motion.name: simulate_in_tiles(surface, cutter, motion, section, options)}
     else:
         heights, section = _cut(surface, cutter, motion, normal, options)
-        summary = {motion.name: results(heights, section)}
+        summary = {motion.name: facts.results(heights, section)}
     if options.out:
         from cnc_interp.cam.program_page import write_page
 
         figures = _height_figures(motion, heights, section, options.scallop * UM)
-        write_page(options.out, str(options.motion), describe(summary), figures)
-    print(json.dumps(summary, indent=2) if options.json else describe(summary))
+        write_page(options.out, str(options.motion), facts.describe(summary), figures)
+    print(json.dumps(summary, indent=2) if options.json else facts.describe(summary))
     return 0
 
 
@@ -289,7 +288,7 @@ def _height_figures(
 ) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.program_page import map_figure, section_figure
 
-    words = heights_in_words(results(heights, section))
+    words = facts.heights_in_words(facts.results(heights, section))
     drawn = section_figure(section, scallop)
     return [
         (f'Surface, {motion.name}', words, map_figure(heights, scallop)),

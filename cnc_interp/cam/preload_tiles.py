@@ -5,8 +5,8 @@ import gc
 import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
+from cnc_interp.cam.nbuffer import TileTask, cut_tile
 from cnc_interp.cam.needle_cuts import TOP
-from cnc_interp.cam.needle_tiles import TileTask, cut_tile
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.shapes import Plane
 from cnc_interp.core import MM

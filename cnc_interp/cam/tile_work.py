@@ -19,7 +19,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
-from cnc_interp.cam.needle_tiles import TileProgress, TileWorkers, cut_tiles
+from cnc_interp.cam.nbuffer import TileProgress, TileWorkers, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of

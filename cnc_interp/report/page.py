@@ -19,8 +19,14 @@ from cnc_interp.proof.verify import verify
 from cnc_interp.report import html
 from cnc_interp.report.corners import read_segments, views_of
 from cnc_interp.report.html import drawing, section, tiles
-from cnc_interp.report.series import Series, extremes, series_of, tool_error_use, tool_errors
-from cnc_interp.report.time_lost import time_section
+from cnc_interp.report.series import (
+    Series,
+    extremes,
+    series_of,
+    time_section,
+    tool_error_use,
+    tool_errors,
+)
 
 #: Rows of the table: label, unit, number format, and the figure of a plan.
 ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (

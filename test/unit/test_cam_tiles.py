@@ -16,8 +16,7 @@ from cnc_interp.batch.processes import EndedCall, Loss
 from cnc_interp.cam import needle_cuts, warp_cuts
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import KINDS, TILE, Figures, HeightStore, deviations
-from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part
-from cnc_interp.cam.needle_tiles import cut_tiles
+from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part, cut_tiles
 from cnc_interp.cam.needles import PATCH, MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.surface import Placed

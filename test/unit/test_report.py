@@ -22,8 +22,7 @@ from cnc_interp.proof.verify import verify
 from cnc_interp.report import write_report
 from cnc_interp.report.html import feed_ceiling, letters
 from cnc_interp.report.plots import feed_figure, feed_span
-from cnc_interp.report.series import extremes, series_of
-from cnc_interp.report.time_lost import NO_LIMIT, time_lost
+from cnc_interp.report.series import NO_LIMIT, extremes, series_of, time_lost
 
 MACHINE = Machine.load('xyzac')
 

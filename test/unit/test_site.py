@@ -27,7 +27,7 @@ def test_site_has_all_pages_and_the_library(tmp_path):
     shown = set(re.findall(r'<h[23] id="([^"]+)"', api))
     assert {f'cnc_interp.{name}' for name in cnc_interp.__all__} <= shown
     assert {f'cnc_interp.problems.{name}' for name in problems.__all__} - shown <= {
-        'cnc_interp.problems.score'  # a module has this name, too
+        'cnc_interp.problems.paths'  # a module has this name, too
     }
-    assert 'cnc_interp.problems.score.score' in shown
+    assert 'cnc_interp.problems.paths.score' in shown
     assert 'The path of the axes and the motion law along it, in parts.' in api  # behind #:

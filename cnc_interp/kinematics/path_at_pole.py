@@ -6,6 +6,7 @@ Places on them are given by path length [m] or by segment and parameter u.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -65,6 +66,7 @@ class PathAtPole:
     near: FloatArray  #: (n, 2): Parameters between which it is at the pole; first > last if not.
     sine: FloatArray  #: (n,): Sine of the angle between tool axis and pole at the start [-].
     rates: FloatArray
+    begun: float = 0.0  #: Path length from the last stop to the first of them [m].
 
     @classmethod
     def look_at(
@@ -104,8 +106,10 @@ class PathAtPole:
     def with_poses(self, i: int) -> bool:
         return int(self.motion[i]) in (axes.RESTING, axes.FOLLOWING)
 
-    def ends_of(self, first: int, last: int, begun: float) -> FloatArray:
-        return np.cumsum(np.concatenate([[begun], self.lengths[first:last]]))
+    @cached_property
+    def ends(self) -> FloatArray:
+        """Path lengths at the ends of the segments, (n + 1,), the start first [m]."""
+        return np.cumsum(np.concatenate([[self.begun], self.lengths]))
 
     # Places ----------------------------------------------------------------------------------
 
@@ -117,9 +121,9 @@ class PathAtPole:
         kind, span = self.segments.kind[i], self.segments.parametrization[i]
         return float(polar.pole_sine(self.transform.packed, kind, self.shapes[i], span, u))
 
-    def place(self, s: float, first: int, ends: FloatArray) -> tuple[int, float]:
-        i = int(np.clip(np.searchsorted(ends, s, 'right') - 1, 0, len(ends) - 2))
-        way, i = s - float(ends[i]), first + i
+    def place(self, s: float) -> tuple[int, float]:
+        i = int(np.clip(np.searchsorted(self.ends, s, 'right') - 1, 0, len(self) - 1))
+        way = s - float(self.ends[i])
         if way <= SAME_PLACE or way >= self.lengths[i] - SAME_PLACE:
             return i, 0.0 if way <= SAME_PLACE else 1.0
         kind, length = self.segments.kind[i], self.segments.length[i]
@@ -152,9 +156,7 @@ class PathAtPole:
 
     # Stretches -------------------------------------------------------------------------------
 
-    def guides_between(
-        self, first: int, ends: FloatArray, left: PassageEnd, right: PassageEnd
-    ) -> Guides:
+    def guides_between(self, left: PassageEnd, right: PassageEnd) -> Guides:
         begin = left.segment + (left.u >= 1.0)
         end = right.segment + (right.u > 0.0)
         guides = np.tile(axes.NO_GUIDE, (end - begin, 1))
@@ -166,7 +168,7 @@ class PathAtPole:
             guides[0, axes.GUIDE_FROM] = left.u
         guides[-1, axes.GUIDE_TO] = right.u if end == right.segment + 1 else 1.0
         guides[:, axes.BRANCH_AFTER] = right.branch
-        guides[:, axes.GUIDE_BEGUN] = ends[begin - first : end - first] - left.s
+        guides[:, axes.GUIDE_BEGUN] = self.ends[begin:end] - left.s
         guides[:, axes.GUIDE_LENGTH] = length
         guides[:, axes.GUIDE] = coefficients
         rows = slice(begin, end)
@@ -191,5 +193,5 @@ class PathAtPole:
 COLUMNS = tuple(
     field.name
     for field in fields(PathAtPole)
-    if field.name not in ('transform', 'height', 'segments')
+    if field.name not in ('transform', 'height', 'segments', 'begun')
 )

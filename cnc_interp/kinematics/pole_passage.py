@@ -76,8 +76,7 @@ class PolePassages:
         path = PathAtPole.look_at(self._transform, self._height, segments, motion)
         if self._waiting is not None:
             path = self._waiting.and_more(path)
-        free = self._open
-        at, n = 0, len(path)
+        free, at, n = self._open, 0, len(path)
         stop = path.segments.stop
         while at < n:
             if not path.with_poses(at):
@@ -89,12 +88,12 @@ class PolePassages:
             while last < n and not stop[last - 1] and path.with_poses(last):
                 last += 1
             closed = last < n or bool(stop[last - 1])
-            self._open = max(free, at)
-            ready = self._pass(path, at, last, closed)
+            self._open = max(free - at, 0)
+            ready = self._pass(replace(path[at:last], begun=self._begun), closed)
             if not closed:
-                free = self._open
-                self._begins = self._begins and ready == at
-                at = ready
+                free = at + self._open
+                self._begins = self._begins and ready == 0
+                at += ready
                 break
             self._stopped, self._begins = bool(stop[last - 1]), True
             at = last
@@ -113,57 +112,55 @@ class PolePassages:
         self._turn, self._branch = float(words[self._outer]), branch_at(self._transform, words)
         self._stopped = bool(one.stop[i])
 
-    def _pass(self, path: PathAtPole, first: int, last: int, closed: bool) -> int:
-        ends = path.ends_of(first, last, self._begun)
-        total, hold = float(ends[-1]), np.inf
-        moves = bool((path.motion[first:last] == FOLLOWING).any())
-        cores = self._cores(path, first, last, ends, closed)
+    def _pass(self, path: PathAtPole, closed: bool) -> int:
+        """Decide what can be decided of a path from stop to stop; return how many segments."""
+        ends, hold = path.ends, np.inf
+        total = float(ends[-1])
+        moves = bool((path.motion == FOLLOWING).any())
+        cores = self._cores(path, closed)
         for k, core in enumerate(cores if moves else []):
-            open_s = float(ends[min(max(self._open, first), last) - first])
+            open_s = float(ends[min(self._open, len(path))])
             if core.end < open_s + SAME_PLACE and core.start < open_s - SAME_PLACE:
                 continue
             needed = core.end + (REACH if core.rests_after else 2.0 * REACH)
             if not closed and total < max(needed, core.start + 4.0 * REACH):
                 hold = core.start
                 break
-            best = self._slowest_turning(path, first, last, ends, cores[k:])
+            best = self._slowest_turning(path, cores[k:])
             if best is None:
-                self._open = path.place(core.end, first, ends)[0] + 1
+                self._open = path.place(core.end)[0] + 1
             else:
-                self._give(path, first, best)
+                self._give(path, best)
         if closed:
-            self._arrive(path, last - 1, total)
+            self._arrive(path)
             self._begun = 0.0
-            return last
+            return len(path)
         if not moves and len(cores) == 1 and cores[0].end < total and cores[0].rests_after:
             hold = total
         hold = min(hold, total) - REACH
         ready = int(np.searchsorted(ends[1:], hold, 'right'))
         self._begun = float(ends[ready])
-        return first + ready
+        return ready
 
-    def _slowest_turning(
-        self, path: PathAtPole, first: int, last: int, ends: FloatArray, cores: list[_Core]
-    ) -> _Stretch | None:
+    def _slowest_turning(self, path: PathAtPole, cores: list[_Core]) -> _Stretch | None:
         """Return the stretch over the first core, or over it and the next, that turns C least."""
         best: _Stretch | None = None
         for k, core in enumerate(cores):
             whole = replace(cores[0], end=core.end, rests_after=core.rests_after)
             if k:
                 apart = whole.end - whole.start > 2.0 * REACH or core.rests_before
-                if apart or cores[k - 1].rests_after:
-                    break
-                if self._leaves(path, first, ends, cores[k - 1], whole):
+                if apart or cores[k - 1].rests_after or self._leaves(path, cores[k - 1], whole):
                     break
             after = cores[k + 1].start if k + 1 < len(cores) else np.inf
-            found = self._longest(path, first, last, ends, whole, after)
+            found = self._longest(path, whole, after)
             if found is not None and (best is None or found.guides.turning < best.guides.turning):
                 best = found
             elif k:
                 break
         return best
 
-    def _arrive(self, path: PathAtPole, i: int, total: float) -> None:
+    def _arrive(self, path: PathAtPole) -> None:
+        i, total = len(path) - 1, float(path.ends[-1])
         guided = path.guides[i]
         given = guided[GUIDE_FROM] < 1.0 <= guided[GUIDE_TO]
         moves_on = path.lengths[i] > 0.0  # else the builder refuses it
@@ -171,11 +168,9 @@ class PolePassages:
             place = path.following(i, 1.0, total, self._branch, self._turn)
             self._turn = float(place.jet[0])
 
-    def _cores(
-        self, path: PathAtPole, first: int, last: int, ends: FloatArray, closed: bool
-    ) -> list[_Core]:
+    def _cores(self, path: PathAtPole, closed: bool) -> list[_Core]:
         found: list[_Core] = []
-        i = first
+        i, last, ends = 0, len(path), path.ends.tolist()
         while i < last:
             low, high = path.near[i]
             if low > high:
@@ -185,8 +180,8 @@ class PolePassages:
                 k = i
                 while k < last and path.motion[k] == RESTING and path.near[k, 0] <= 1.0:
                     k += 1
-                start, end = float(ends[i - first]), float(ends[k - first])
-                cut_off = i == first and not self._begins
+                start, end = ends[i], ends[k]
+                cut_off = i == 0 and not self._begins
                 if end - start > 2.0 * REACH or cut_off:
                     if found and abs(found[-1].end - start) < SAME_PLACE:
                         found[-1] = replace(found[-1], end=start, rests_after=True)
@@ -195,8 +190,7 @@ class PolePassages:
                     i = k
                     continue
             else:
-                start = float(ends[i - first]) + path.way(i, low)
-                end = float(ends[i - first]) + path.way(i, high)
+                start, end = ends[i] + path.way(i, low), ends[i] + path.way(i, high)
                 k = i + 1
             if found and start - found[-1].end < SAME_PLACE:
                 found[-1] = replace(found[-1], end=end)
@@ -205,52 +199,47 @@ class PolePassages:
             i = k
         return found
 
-    def _leaves(
-        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, whole: _Core
-    ) -> bool:
-        at = (ends[:-1] > core.end) & (ends[:-1] < whole.end)
-        rows = first + np.flatnonzero(at)
+    def _leaves(self, path: PathAtPole, core: _Core, whole: _Core) -> bool:
+        rows = (path.ends[:-1] > core.end) & (path.ends[:-1] < whole.end)
         room = path.segments.room[rows] + path.segments.deviation[rows, 1]
         return bool((path.sine[rows] * self._height > FAR * room).any())
 
-    def _longest(
-        self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core, after: float
-    ) -> _Stretch | None:
-        open_s, total = float(ends[min(max(self._open, first), last) - first]), float(ends[-1])
-        begins = self._begins and self._open <= first and core.start < SAME_PLACE
-        arrives = core.end > total - SAME_PLACE
+    def _longest(self, path: PathAtPole, core: _Core, after: float) -> _Stretch | None:
+        ends = path.ends
+        begins = self._begins and self._open == 0 and core.start < SAME_PLACE
+        arrives = core.end > float(ends[-1]) - SAME_PLACE
         if np.isfinite(after):  # between two cores, a stretch ends where a segment ends
             near = ends[(ends >= core.end - SAME_PLACE) & (ends <= after + SAME_PLACE)]
             middle = 0.5 * (core.end + after)
             after = float(near[np.abs(near - middle).argmin()]) if len(near) else core.end
-        before, beyond = self._ways(path, first, last, ends, core, open_s, after)
+        before, beyond = self._ways(path, core, after)
         if begins:
             before = 0.0
         if arrives:
             beyond = 0.0
         middle = 0.5 * (core.start + core.end)
         while True:
-            left = self._left(path, first, ends, core, before, begins)
-            right = self._right(path, first, ends, core, beyond, arrives, left)
+            left = self._left(path, core, before, begins)
+            right = self._right(path, core, beyond, arrives, left)
             left = self._set_free(path, left, right, begins)
-            guides = path.guides_between(first, ends, left, right)
+            guides = path.guides_between(left, right)
             room = path.segments.room[guides.rows] / self._height
             over = guides.bounds / np.maximum(room, 1e-12)
             worst = int(np.argmax(over))
             if over[worst] <= 1.0:
                 return _Stretch(left, right, guides, begins)
-            at_segment = guides.rows.start + worst - first
+            at_segment = guides.rows.start + worst
             at = float(ends[at_segment : at_segment + 2].mean())
             shorten = at < middle if before > SHORTEST and beyond > SHORTEST else before > SHORTEST
             if not shorten and beyond <= SHORTEST:
                 return None
             before, beyond = (before * SHORTER, beyond) if shorten else (before, beyond * SHORTER)
 
-    def _give(self, path: PathAtPole, first: int, stretch: _Stretch) -> None:
+    def _give(self, path: PathAtPole, stretch: _Stretch) -> None:
         guides = stretch.guides
         rows = guides.rows
         if stretch.begins and self._stopped and stretch.left.jet[0] != self._turn:
-            path.turn_first[first] = stretch.left.jet[0]
+            path.turn_first[0] = stretch.left.jet[0]
         path.guides[rows] = guides.values
         path.bound[rows] = np.maximum(path.bound[rows], guides.bounds)
         self._turn, self._branch = float(stretch.right.jet[0]), stretch.right.branch
@@ -258,63 +247,53 @@ class PolePassages:
         if stretch.right.forbidden:
             self.forbidden.append(int(path.segments.line_number[rows.start]))
 
-    def _ways(
-        self, path: PathAtPole, first: int, last: int, ends: FloatArray, core: _Core,
-        open_s: float, after: float,
-    ) -> tuple[float, float]:  # fmt: skip
-        widest = np.sin(WIDEST)
+    def _ways(self, path: PathAtPole, core: _Core, after: float) -> tuple[float, float]:
+        ends, last, widest = path.ends, len(path), np.sin(WIDEST)
         before, beyond = 0.0, 0.0
         if core.rests_before:
             before = REACH
         else:
-            i = path.place(core.start - 1e-12, first, ends)[0]
-            while i >= first and path.motion[i] == FOLLOWING and before < REACH:
-                before = core.start - float(ends[i - first])
+            i = path.place(core.start - 1e-12)[0]
+            while i >= 0 and path.motion[i] == FOLLOWING and before < REACH:
+                before = core.start - float(ends[i])
                 if path.sine[i] > widest:
                     break
                 i -= 1
         if core.rests_after:
             beyond = REACH
         else:
-            i = path.place(core.end + 1e-12, first, ends)[0]
+            i = path.place(core.end + 1e-12)[0]
             while i < last and path.motion[i] == FOLLOWING and beyond < REACH:
-                beyond = float(ends[i + 1 - first]) - core.end
+                beyond = float(ends[i + 1]) - core.end
                 if i + 1 < last and path.sine[i + 1] > widest:
                     break
                 i += 1
-        before = min(before, REACH, core.start - open_s)
+        before = min(before, REACH, core.start - float(ends[min(self._open, last)]))
         beyond = min(beyond, REACH, after - core.end)
         return max(before, 0.0), max(beyond, 0.0)
 
-    def _left(
-        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, before: float,
-        begins: bool,
-    ) -> PassageEnd:  # fmt: skip
+    def _left(self, path: PathAtPole, core: _Core, before: float, begins: bool) -> PassageEnd:
         resting = np.array([self._turn, 0.0, 0.0, 0.0])
         if begins:
-            return PassageEnd(first, 0.0, 0.0, resting, self._branch, 0.0)
+            return PassageEnd(0, 0.0, 0.0, resting, self._branch, 0.0)
         s = core.start - before
-        i, u = path.place(s, first, ends)
+        i, u = path.place(s)
         if core.rests_before:
             return PassageEnd(i, u, s, resting, self._branch, 0.0)
         return path.following(i, u, s, self._branch, self._turn)
 
     def _right(
-        self, path: PathAtPole, first: int, ends: FloatArray, core: _Core, beyond: float,
-        arrives: bool, left: PassageEnd,
-    ) -> PassageEnd:  # fmt: skip
+        self, path: PathAtPole, core: _Core, beyond: float, arrives: bool, left: PassageEnd
+    ) -> PassageEnd:
         """Return the last end of a stretch: on the branch that turns the outer axis less."""
         near = float(left.jet[0])
-        s = float(ends[-1]) if arrives else core.end + beyond
-        i, u = (first + len(ends) - 2, 1.0) if arrives else path.place(s, first, ends)
+        s = float(path.ends[-1]) if arrives else core.end + beyond
+        i, u = (len(path) - 1, 1.0) if arrives else path.place(s)
         stands = arrives or core.rests_after
         if stands and path.sine_at(i, u) < ON_POLE:
-            if path.sine_at(*path.place(core.start, first, ends)) > ON_POLE:
-                near = float(
-                    path.following(
-                        *path.place(core.start, first, ends), s, self._branch, near
-                    ).jet[0]
-                )
+            start = path.place(core.start)
+            if path.sine_at(*start) > ON_POLE:
+                near = float(path.following(*start, s, self._branch, near).jet[0])
             return PassageEnd(i, u, s, np.array([near, 0.0, 0.0, 0.0]), self._branch, 0.0)
         found = [path.following(i, u, s, branch, near) for branch in (self._branch, -self._branch)]
         less = min(found, key=lambda end: abs(float(end.jet[0]) - near))

@@ -1,4 +1,4 @@
-"""The paths of the problem set, each made by code, and what is known of their times."""
+"""The paths of the problem set, made by code, what is known of their times, and scores."""
 
 import csv
 from collections.abc import Callable, Iterator

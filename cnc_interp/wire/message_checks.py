@@ -12,13 +12,14 @@ from cnc_interp.core import FloatArray, SettingsError, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
+from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
 from cnc_interp.wire.path_messages import (
     CONNECTION_POINTS,
     CURVES,
     LINE_CURVE,
-    OF_AXES,
+    SETPOINT_FIELDS,
     SPAN_DEGREE,
     check_functions,
 )
@@ -188,14 +189,8 @@ def check_chunk(
         )
     if n == 0:
         raise StreamError(f'{name}: the chunk is empty; send at least one setpoint')
-    check_setpoints(message, axis_count)
-    tail = len(message.tail_sequences)
-    for field in OF_AXES:
-        values = getattr(message, f'tail_{field}')
-        _check_rows(f'{name}: tail_{field}', values, tail * axis_count)
-    _check_rows(f'{name}: tail_path_positions', message.tail_path_positions, tail)
-    if len(message.tail_line_numbers) != tail:
-        raise StreamError(f'{name}: each setpoint of the tail needs a line number')
+    for prefix in ('', 'tail_'):
+        check_setpoints(message, axis_count, prefix)
     check_functions(name, message.functions, machine.signals)
     if message.wait > SetpointChunk.FUNCTION or message.end_of_program != (
         message.wait == SetpointChunk.END
@@ -227,20 +222,18 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
             raise StreamError(f'{name}: {field} is not finite')
 
 
-def check_setpoints(message: SetpointChunk, axis_count: int) -> None:
-    """Refuse setpoints of a wrong shape or for another number of axes; not their tail."""
-    name, n = f'setpoints from {message.first_sample}', len(message.sequences)
+def check_setpoints(message: SetpointChunk, axis_count: int, prefix: str = '') -> None:
+    """Refuse setpoints, or those of the tail, of a wrong shape or another number of axes."""
+    name, n = f'setpoints from {message.first_sample}', len(getattr(message, f'{prefix}sequences'))
     if message.axis_count != axis_count:
         raise StreamError(f'{name}: {message.axis_count} axes, but the machine has {axis_count}')
-    if len(message.line_numbers) != n:
-        raise StreamError(f'{name}: each setpoint needs a line number')
-    for field in OF_AXES:
-        _check_rows(f'{name}: {field}', getattr(message, field), n * axis_count)
-    _check_rows(f'{name}: path_positions', message.path_positions, n)
+    for field, column in SETPOINT_FIELDS.items():
+        values = n * axis_count if Setpoints.declared[column].tail else n
+        _check_rows(f'{name}: {prefix}{field}', getattr(message, prefix + field), values)
 
 
 def _check_rows(name: str, values: array[float], count: int) -> None:
     if len(values) != count:
         raise StreamError(f'{name} has {len(values)} values, not {count}')
-    if not np.isfinite(np.frombuffer(values)).all():
+    if not np.isfinite(np.asarray(values)).all():
         raise StreamError(f'{name} has a value that is not finite')

@@ -224,10 +224,10 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
 #: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
 SETPOINT_FIELDS = {
     'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
-    'jerks': 'jerk', 'path_positions': 's',
+    'jerks': 'jerk', 'path_positions': 's', 'sequences': 'block', 'line_numbers': 'line',
 }  # fmt: skip
+INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Those of integers, with their types.
 NO_SIGNALS = Signals()
-OF_AXES = tuple(SETPOINT_FIELDS)[:4]  #: Those that have a value for each axis.
 
 
 def chunk_message(
@@ -246,38 +246,30 @@ def chunk_message(
 
 
 def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:
-    found: dict[str, Any] = {
-        prefix + field: packed(getattr(rows, name)) for field, name in SETPOINT_FIELDS.items()
-    }
-    found[f'{prefix}sequences'] = array('Q', rows.block.astype(np.uint64).tobytes())
-    found[f'{prefix}line_numbers'] = array('I', rows.line.astype(np.uint32).tobytes())
+    found = {}
+    for field, name in SETPOINT_FIELDS.items():
+        kind = INTEGERS.get(field, 'd')
+        found[prefix + field] = array(kind, getattr(rows, name).astype(kind).tobytes())
     return found
-
-
-def setpoints_from(message: SetpointChunk) -> Setpoints:
-    return _setpoints(message, '', message.first_sample)
 
 
 def chunk_from(message: SetpointChunk) -> Chunk:
     samples = setpoints_from(message)
-    tail = _setpoints(message, 'tail_', message.first_sample + len(samples))
+    tail = setpoints_from(message, 'tail_', len(samples))
     first = message.functions[0].number if message.functions else 0
     functions = functions_from(message.functions)
     return Chunk(samples, tail, Wait(message.wait), functions, first)
 
 
-def _setpoints(message: SetpointChunk, prefix: str, first: int) -> Setpoints:
-    blocks = np.frombuffer(getattr(message, f'{prefix}sequences'), dtype=np.uint64)
-    n = len(blocks)
-    columns = {
-        name: np.frombuffer(getattr(message, prefix + field)).reshape(n, message.axis_count)
-        if field in OF_AXES
-        else np.array(getattr(message, prefix + field))
-        for field, name in SETPOINT_FIELDS.items()
-    }
-    time = (first + np.arange(n)) * message.period
-    line = np.array(getattr(message, f'{prefix}line_numbers'), dtype=np.int64)
-    return Setpoints(time=time, block=blocks.astype(np.int64), line=line, **columns)
+def setpoints_from(message: SetpointChunk, prefix: str = '', before: int = 0) -> Setpoints:
+    """Read the setpoints, or with a prefix those of the tail, which come after so many."""
+    n, columns = len(getattr(message, f'{prefix}sequences')), {}
+    for field, name in SETPOINT_FIELDS.items():
+        declared = Setpoints.declared[name]
+        values = np.array(getattr(message, prefix + field), declared.kind)
+        columns[name] = values.reshape((n, message.axis_count) if declared.tail else n)
+    time = (message.first_sample + before + np.arange(n)) * message.period
+    return Setpoints(time=time, **columns)
 
 
 class JoinGate:

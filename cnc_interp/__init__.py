@@ -48,6 +48,8 @@ _HOMES = {
 }  # fmt: skip
 
 kernel_cache.register(os.environ)
+# Its matrices are small: threads for them would only wait, and take the processor meanwhile.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 
 if not TYPE_CHECKING:  # else any name would be one

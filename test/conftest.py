@@ -9,6 +9,8 @@ import pytest
 import tiers
 from hypothesis import HealthCheck, settings
 
+import cnc_interp as cnc_interp  # before NumPy: it chooses one thread
+
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
 ROOT = Path(__file__).parents[1]

@@ -29,6 +29,7 @@ from rclpy.qos import QoSPresetProfiles
 from rosidl_parser.definition import NamespacedType
 
 from cnc_interp.client.operator_client import OperatorClient
+from cnc_interp.client.session import domain_of_nodes
 
 ROOT = Path(__file__).parents[2]
 SETUP = (ROOT / 'setup.py').read_text()
@@ -183,6 +184,14 @@ def nodes():
     running = NodesUnderTest(namespace='/')
     yield running
     running.close()
+
+
+def test_nodes_are_sought_in_the_domain_named_or_that_of_the_environment_or_that_of_ros(
+    monkeypatch,
+):
+    for value, found in (('7', 7), ('', 0), ('x', 0)):
+        monkeypatch.setenv('ROS_DOMAIN_ID', value)
+        assert (domain_of_nodes(None), domain_of_nodes(3)) == (found, 3)
 
 
 def test_no_command_line_is_left_out():

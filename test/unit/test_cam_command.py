@@ -53,7 +53,7 @@ def surface(tmp_path):
 
 def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
     out = tmp_path / 'out'
-    arguments = ['--stepover', '2', '--run', '--spacing', '0.3', '--json', '--out', str(out)]
+    arguments = ['--stepover', '2', '--run', '--spacing', '0.5', '--json', '--out', str(out)]
     assert main(['cam', 'iso-scallop', str(surface), *arguments]) == FINE
     summary = json.loads(capsys.readouterr().out)
     assert summary['passes'] >= 6 and summary['cycle_time'] > 1.0
@@ -65,7 +65,7 @@ def test_from_a_surface_to_the_executed_surface(surface, tmp_path, capsys):
     assert main(['check', str(out / 'plan')]) == FINE
     capsys.readouterr()
     for motion in (out / 'program.mpf', out / 'plan'):
-        cut = ['--surface', str(surface), '--spacing', '0.3', '--json']
+        cut = ['--surface', str(surface), '--spacing', '0.5', '--json']
         assert main(['cam', 'simulate', str(motion), *cut]) == FINE
         (found,) = json.loads(capsys.readouterr().out).values()
         assert found['highest'] < 13e-6 and found['uncut'] == 0.0

@@ -319,6 +319,11 @@ def test_columns_of_any_form_are_read(sound, tmp_path):
     proofs = [verify_plan(write(tmp_path / 'plan', sound), MACHINE)]
     assert verify_plan(tmp_path / 'other', MACHINE).to_json() == proofs[0].to_json()
     assert proofs[0].ok
+    # What is written as the planner does stays in the file, however long; the rest is loaded.
+    plain, other = (plan_files._stored(tmp_path / name / 'setpoints.npz') for name in
+                    ('plan', 'other'))  # fmt: skip
+    assert plain.keys() == sound['setpoints'].keys() == other.keys() | {'block', 'position'}
+    assert len(other) == len(plain) - 2
 
 
 def test_the_sound_plan_is_proven_and_says_what_is_given(sound, tmp_path, capsys):

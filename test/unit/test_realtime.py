@@ -60,18 +60,22 @@ def test_a_clock_that_is_held_up_catches_up_and_counts_that_apart():
     travel = np.array([[-1.0, 1.0]])
     cycle = Cycle(1e-3, travel, np.ones(1), 4, hesitate.address, np.zeros(1))
     cycle.quit(False)
-    thread = threading.Thread(target=cycle.run)
-    began = time.monotonic()
+    began = []
+    thread = threading.Thread(target=lambda: (began.append(time.monotonic()), cycle.run()))
     thread.start()
     time.sleep(0.2)
+    # No period is lost: when the computer lets it, it has executed as many as time has passed.
+    for _ in range(500):
+        elapsed, lateness = time.monotonic() - began[0], cycle.lateness()
+        missing = elapsed / 1e-3 - lateness.count - lateness.caught_up
+        if missing < 4:
+            break
+        time.sleep(0.02)
     cycle.quit()
     thread.join()
-    elapsed = time.monotonic() - began
-    lateness = cycle.lateness()
+    assert missing < 4, 'what a busy computer delays comes later, what is lost never'
     assert lateness.caught_up >= 5
     assert lateness.largest >= 4e-3, 'it was held up while it ran, not while it slept'
-    # No period is lost: catching up, it executes as many as time has passed.
-    assert lateness.count + lateness.caught_up >= 0.9 * elapsed / 1e-3
 
 
 class StandingClock(Cycle):

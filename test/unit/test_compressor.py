@@ -19,6 +19,7 @@ from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.dense.certificate import certify
 from cnc_interp.smoothing.dense.end_lines import _borders
 from cnc_interp.smoothing.dense.polyline import Polyline
+from cnc_interp.smoothing.dense.thinning import select_vertices
 from cnc_interp.smoothing.lookahead import LookAhead
 from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import CORNER, LINE, ROTATION, SPLINE, PathSegments
@@ -289,3 +290,19 @@ def test_borders_on_the_line_at_an_end_lie_apart_and_within_it():
     place = np.array([-0.2, 0.04, 0.3, 0.34, 0.6, 0.97, 1.0])
     cuts, pieces = _borders(place, np.arange(8), 0.05)
     assert cuts.tolist() == [0.3, 0.6] and pieces.tolist() == [2, 3, 5]
+
+
+def test_dropped_rows_are_as_far_from_their_chord_as_is_told():
+    """By trying places of the chord; tip and top of a row are compared with the same place."""
+    rng, n = np.random.default_rng(3), 200
+    tip = np.cumsum(rng.uniform(0.0, 4.0 * UM, (n, 3)), axis=0)
+    both = np.hstack([tip, tip + np.cumsum(rng.normal(scale=UM, size=(n, 3)), axis=0)])
+    top, tolerance = both[:, 3:].copy(), np.full((n, 2), 40.0 * UM)
+    kept, used = select_vertices(tip, top, tolerance, np.zeros(n, dtype=bool))
+    assert 3 < len(kept) < n / 4
+    for a, b, told in zip([0, *kept], kept, used, strict=False):
+        chord = np.linspace(0.0, 1.0, 2001)[:, None] * (both[b] - both[a])
+        rest = (both[a + 1 : b] - both[a])[:, None] - chord
+        nearest = rest[np.arange(b - a - 1), (rest**2).sum(axis=2).argmin(axis=1)]
+        off = np.linalg.norm(nearest.reshape(-1, 2, 3), axis=2).max(axis=0)
+        assert told == pytest.approx(off, abs=0.1 * UM)

@@ -64,6 +64,7 @@ def test_the_model_is_found_from_noisy_feedback(tmp_path):
     # The page has every value, and the same transfer function as the truth.
     lines = '\n'.join(identified_lines(TIRED, {0: found}))
     assert 'position_gain_per_s    6' in lines and 'coulomb_N              1' in lines
+    assert 'friction not fitted' not in lines
     frequency = np.array([2.0, 10.0, 30.0])
     answers = [transfer(each, 2.0, frequency) for each in (found.drive, TRUTH)]
     assert np.abs(answers[0] / answers[1] - 1.0).max() < 0.02

@@ -47,11 +47,18 @@ PLAUSIBLE = {
 }
 
 
+def section(content: dict[str, Any], name: str, known: Collection[str]) -> dict[str, Any]:
+    """Return a section of the file, empty without it; refuse entries that it cannot hold."""
+    given = content.get(name) or {}
+    if not isinstance(given, dict):
+        raise MachineError(f'may hold {", ".join(known)}', name)
+    require_known(given, known, name)
+    return given
+
+
 def control(content: dict[str, Any]) -> dict[str, str]:
-    given = content.get('control') or {}
+    given = section(content, 'control', CONTROL)
     known = {choice.name: choice for choice in choices(Settings)}
-    if not isinstance(given, dict) or not set(given) <= set(CONTROL):
-        raise MachineError(f'may hold {", ".join(CONTROL)}', 'control')
     for key, value in given.items():
         if value not in known[key].values:
             raise MachineError(f'must be {" or ".join(known[key].values)}', f'control.{key}')
@@ -88,10 +95,7 @@ class Standstill:
 
 
 def standstill(content: dict[str, Any]) -> Standstill:
-    given = content.get('standstill') or {}
-    if not isinstance(given, dict):
-        raise MachineError(f'may hold {", ".join(STANDSTILL)}', 'standstill')
-    require_known(given, STANDSTILL, 'standstill')
+    given = section(content, 'standstill', STANDSTILL)
     return Standstill(*(
         number(given[key], f'standstill.{key}', 1e-3, 3600.0) * unit if key in given else 0.0
         for key, unit in STANDSTILL.items()
@@ -99,13 +103,8 @@ def standstill(content: dict[str, Any]) -> Standstill:
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
-    given = content.get('extra') or {}
-    if not isinstance(given, dict):
-        raise MachineError('must name axes U, V or W, each with along: X, Y or Z', 'extra')
     found = {}
-    for name, values in given.items():
-        if name not in EXTRA_LETTERS:
-            raise MachineError(f'an extra axis is U, V or W, not {name}', f'extra.{name}')
+    for name, values in section(content, 'extra', EXTRA_LETTERS).items():
         along = values.get('along') if isinstance(values, dict) else None
         if along not in ('X', 'Y', 'Z'):
             raise MachineError("must be 'X', 'Y' or 'Z'", f'extra.{name}.along')
@@ -177,12 +176,9 @@ class ReferenceSwitches:
 def homing(
     content: dict[str, Any], travel: dict[str, tuple[FloatArray, float]]
 ) -> ReferenceSwitches:
-    given = content.get('homing')
-    if given is None:
+    if content.get('homing') is None:
         return ReferenceSwitches()
-    if not isinstance(given, dict) or set(given) - {'switches', 'index', 'order', 'required'}:
-        text = 'must hold switches, index, order, and required: true or false'
-        raise MachineError(text, 'homing')
+    given = section(content, 'homing', ('switches', 'index', 'order', 'required'))
     order, required = given.get('order'), given.get('required', False)
     if not isinstance(required, bool):
         raise MachineError('must be true or false', 'homing.required')

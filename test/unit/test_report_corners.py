@@ -105,8 +105,11 @@ def test_the_page_draws_corners_and_both_runs(plans, tmp_path):
     assert not re.search(r'<(script|img|iframe)[^>]*\ssrc=|<link|@import|url\(', body)
     assert '&lt;b&gt;&amp;' in body and '<b>&' not in body  # the name of a run
     cycle = [read_plan(plans / name).summary['cycle_time'] for name in ('exact', 'paper')]
-    row = re.search(r'<th>cycle time</th><td>([\d.]+) s</td><td>([\d.]+) s</td>', body)
-    assert [float(x) for x in row.groups()] == pytest.approx(cycle, abs=2e-3)
+    cells = r'<th>cycle time</th><td>([\d.]+) s</td><td>([\d.]+) s</td><td>(.*?)</td>'
+    *times, change = re.search(cells, body).groups()
+    assert [float(x) for x in times] == pytest.approx(cycle, abs=2e-3)
+    percent = 100.0 * (cycle[1] / cycle[0] - 1.0)
+    assert change == ('=' if abs(percent) < 0.05 else f'{percent:+.1f} %')
 
 
 def test_segments_of_another_plan_are_refused(plans, tmp_path):

@@ -112,12 +112,19 @@ def pytest_xdist_make_scheduler(config, log):
     config.option.loadscopereorder = False
 
     class Files(LoadScopeScheduling):
+        @property
+        def tests_finished(self):  # those of a process that died wait for the next one
+            return not self.workqueue and super().tests_finished
+
         def _split_scope(self, nodeid):
             return scope_of(nodeid.split('::')[0])
 
         def _assign_work_unit(self, node):
             queue = self.workqueue
-            lanes = dict(zip(self.nodes, (LANES, LANES[::-1]))).get(node, ())
+            for done in [scope for scope, tests in queue.items() if all(tests.values())]:
+                del queue[done]  # of a process that died
+            living = [one for one in self.nodes if not one.shutting_down]
+            lanes = dict(zip(living, (LANES, LANES[::-1]))).get(node, ())
             fitting = [scope for lane in lanes for scope in queue if scope.startswith(lane)]
             fitting += [scope for scope in queue if not scope.startswith(LIVE)]
             if fitting:

@@ -16,8 +16,7 @@ sys.path.append(str(Path(__file__).parents[2] / 'benchmarks'))
 import hal_session
 
 from cnc_interp.commands.cli import main
-from cnc_interp.core.ros_share import config_directory
-from cnc_interp.core.small_files import read_yaml
+from cnc_interp.core.small_files import config_directory, read_yaml
 from cnc_interp.machine.hal_file import pins_of
 from cnc_interp.machine_model.machine import find_machine_file
 from cnc_interp.machine_model.signals import signals

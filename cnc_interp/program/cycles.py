@@ -165,11 +165,8 @@ class CannedCycle:
         if turns and not mover.dialect.turns_in_cycles:
             raise mover.fault('LinuxCNC takes no rotary words in a canned cycle; turn in a block '
                               'before, or choose --dialect fanuc', self.code)  # fmt: skip
-        if self.code in (*_SHIFTING, 'G88') and mover.dialect is LINUXCNC:
-            why = 'LinuxCNC has none; post it as G0 and G1 moves'
-            if self.code == 'G76':
-                why = 'it cuts threads on LinuxCNC; post its passes as G33'
-            raise mover.fault(why, self.code)
+        if self.code in ('G87', 'G88') and mover.dialect is LINUXCNC:
+            raise mover.fault('LinuxCNC has none; post it as G0 and G1 moves', self.code)
         if self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17':
             raise mover.fault('LinuxCNC taps along the wrong axis here; tap in G17, or choose '
                               '--dialect fanuc', self.code)  # fmt: skip

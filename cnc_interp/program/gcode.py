@@ -30,6 +30,7 @@ from cnc_interp.program.runs import SHORTEST, move_along
 from cnc_interp.program.source import Source, is_name, leader_lines
 from cnc_interp.program.splines import Splines
 from cnc_interp.program.target_row import AT_M0, AT_M1
+from cnc_interp.program.thread_cycle import cut_thread
 from cnc_interp.program.tilted_plane import TiltedPlane
 from cnc_interp.program.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.options import Settings
@@ -273,6 +274,8 @@ class GcodeReader:
         for letter in ('N', 'O'):
             values.pop(letter, None)
         words.g += probing.measuring(words)
+        if mover.dialect is LINUXCNC and 'G76' in words.g:
+            words.g[words.g.index('G76')] = codes.THREAD_CYCLE
         drilling = self._siemens_cycle(words)
         for key, given in words.keys:
             self._modes.key_word(key, given, words)
@@ -596,16 +599,20 @@ class GcodeReader:
     def _thread(self, code: str, words: BlockWords) -> None:
         """Process G33, G33.1 which comes back, and G32 of Fanuc: K or F is the way per turn."""
         mover, letter = self.mover, 'F' if code == 'G32' else 'K'
-        pitch = words.values.pop(letter, 0.0) * mover.unit
         if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
             raise self.fault('a thread of Fanuc; write G33 with K', code)
         if not mover.follows:
             raise self.fault('the spindle has no encoder; name the input spindle_angle in the '
                              'machine file', code)  # fmt: skip
-        if not pitch > 0.0:
-            raise self.fault(f'needs {letter}, the way per turn', code)
         mover.end_corner()
         self.splines.stop_here()
+        if code == codes.THREAD_CYCLE:
+            cut_thread(mover, words)
+            mover.motion = None
+            return
+        pitch = words.values.pop(letter, 0.0) * mover.unit
+        if not pitch > 0.0:
+            raise self.fault(f'needs {letter}, the way per turn', code)
         target = mover.frames.point(mover.target(words)[:3])
         if code == 'G32' and (way := np.abs(target - mover.point)).any():
             pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis

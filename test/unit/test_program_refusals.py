@@ -114,7 +114,7 @@ OFFSETS_AND_CYCLES = [
     ('G81 X1 Z-2 R1', 'no feedrate'),
     ('G81 G53 X1 Z-2 R1 F60', 'machine coordinates'),
     ('G81 A5 X1 Z-2 R1 F60', 'rotary words in a canned cycle'),
-    ('G76 X1 Z-2 R1 F60', 'threads on LinuxCNC'),
+    ('G76 X1 Z-2 R1 F60', 'has no encoder'),
     ('G88 X1 Z-2 R1 F60', 'LinuxCNC has none'),
     ('G54.1 P0', '1 to 300'),
     ('CYCLE81(1,2)', 'give the planes'),

@@ -104,6 +104,44 @@ def test_passes_of_a_thread_meet_at_every_speed_and_a_hold_waits_for_their_end()
     assert abs((phases[1] - phases[0] + 0.5) % 1.0 - 0.5) * LEAD < 3e-3
 
 
+#: X and Z of two passes out of those that rs274 prints for this line, and of the last one.
+PASSES = 'G18 S500 M3\nG0 X10 Z5\nG76 P1.5 Z-20 I-2 J0.4 R1.5 K1 Q29.5 H1\nG0 X20\nM2'
+OF_RS274 = {
+    1: [(10.6, 4.7737), (7.6, 4.7737), (7.6, -19.6605), (10.6, -19.6605)],
+    5: [(10.365, 4.6408), (7.365, 4.6408), (7.365, -19.7935), (10.365, -19.7935)],
+    17: [(10.0, 4.4342), (7.0, 4.4342), (7.0, -20.0), (10.0, -20.0)],
+}
+
+
+def test_the_threading_cycle_makes_the_passes_of_linuxcnc():
+    blocks = read_text(PASSES, 'p.ngc', Transform.of(MACHINE), Settings()).blocks
+    assert len(blocks.tip) == 22
+    zero = blocks.tip[0] / MM - (10.0, 0.0, 5.0)
+    for row, wanted in OF_RS274.items():
+        got = blocks.tip[row : row + 4] / MM - zero
+        assert got[:, [0, 2]] == pytest.approx(np.array(wanted), abs=1e-4)
+    assert blocks.rapid[1:5].tolist() == [True, True, False, True]
+    bench = Bench(PASSES.replace('Z-20', 'Z-8').replace('H1', ''), MACHINE)
+    assert finished(bench, most=60_000) is State.IDLE
+    off = [(angle - place)[(place > 2.0) & (place < 6.0)] for place, angle in lines(bench)]
+    phases = np.array([each.mean() for each in off]) - off[0].mean()
+    assert len(off) == 4 and max(map(np.ptp, off)) * LEAD < 6e-3
+    assert np.abs(phases - phases.round()).max() * LEAD < 3e-3  # each enters at the same angle
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'told'),
+    [
+        ('G18', 'G17', 'G18 before'), ('P1.5', 'P0', 'P above 0'), ('K1 ', '', 'needs K'),
+        ('J0.4', 'J1.4', 'below K'), ('H1', 'H1 L2 E1', 'no tapers'), ('H1', 'H1.5', 'whole'),
+        ('J0.4', 'J0.000001', 'passes'), ('H1', 'X4', 'axis words'),
+    ],
+)  # fmt: skip
+def test_what_the_threading_cycle_cannot_cut_is_refused(old, new, told):
+    with pytest.raises(ProgramError, match=told):
+        read_text(PASSES.replace(old, new), 'p.ngc', Transform.of(MACHINE), Settings())
+
+
 def test_what_the_axis_cannot_follow_stops_within_its_limits_and_says_so():
     bench, jam = Bench(TAP), []
 

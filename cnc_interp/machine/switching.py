@@ -10,7 +10,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.drives import Drives
-from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, Signals, Step
+from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, TIMED, Signals, Step
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Wait
 
@@ -199,15 +199,16 @@ class Switching:
                 self._commanded[act.step.output] = act.value
                 self._is_set, self._answered, self._waited = True, False, 0.0
                 done.append(act)
-            if not self._is_answered(act.step):
+            if not self._is_answered(act):
                 break
             self._queue.popleft()
             self._is_set = False
         return done
 
-    def _is_answered(self, step: Step) -> bool:
-        if step.wait == NO_WAIT:
-            return self._waited >= step.delay
+    def _is_answered(self, act: Act) -> bool:
+        step = act.step
+        if step.wait in (NO_WAIT, TIMED):
+            return self._waited >= (step.delay if step.wait == NO_WAIT else act.value)
         if self._answered or step.wait == ASK or self._waited < max(step.delay, LEAST_DELAY):
             return self._answered
         return bool(self._drives.inputs[abs(step.wait) - 1]) is (step.wait > 0)

@@ -29,7 +29,9 @@ SINCE = 'probe_since'  #: Input: the time from the last contact to the end of it
 #: Words that stop, call or return, which are no functions.
 NO_FUNCTIONS = ('M0', 'M1', 'M17', 'M60', 'M98', 'M99')
 HOME = 'home_'  #: Inputs of reference switches, as home_x.
-NO_WAIT, ASK = 0, -(1 << 30)  #: Values of ``Step.wait`` without an input.
+#: Values of ``Step.wait`` without an input; ``TIMED``: its value is how long it rests [s].
+NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
+DWELL = 'dwell'  #: Value of G4 [s].
 #: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
@@ -43,7 +45,7 @@ THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
 STATES: Mapping[str, str] = {
     **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
     **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
-    **dict.fromkeys(THREAD[:3], 'mm'), THREAD[3]: '',
+    **dict.fromkeys(THREAD[:3], 'mm'), THREAD[3]: '', DWELL: 's',
 }  # fmt: skip
 #: Words that set states; a name stands for a value that the reader gives.
 OF_STATES: Mapping[str, Mapping[str, float | str]] = {
@@ -97,7 +99,8 @@ class Step:
     word: str  #: Of the program, or one of ``STOPS``.
     output: int  #: Number of the output.
     value: float | str  #: What it is set to; a letter for the value of that word.
-    #: ``NO_WAIT``; k for the input k - 1 that must come on, -k for one that must go off; ``ASK``.
+    #: ``NO_WAIT``; k for the input k - 1 that must come on, -k for one that must go off; ``ASK``,
+    #: ``TIMED``.
     wait: int = NO_WAIT
     limit: float = inf  #: Longest wait [s].
     delay: float = 0.0  #: The input is looked at after so long, and the next step comes then [s].
@@ -145,8 +148,8 @@ class Signals:
         return (places[0], places[1]) if len(places) == 2 else None
 
     def waited(self, step: Step) -> str:
-        if step.wait == ASK:
-            return OPERATOR
+        if step.wait in (ASK, TIMED):
+            return OPERATOR if step.wait == ASK else 'its time'
         return ('not ' if step.wait < 0 else '') + self.inputs[abs(step.wait) - 1].name
 
     def letters(self, words: Iterable[str]) -> set[str]:
@@ -223,12 +226,15 @@ def _add_states(
     found = dict(OF_STATES)
     if ANGLE in known and {FORWARD, REVERSE} <= set(names):
         found |= {FOLLOWS: {name: name for name in THREAD}, FREE: {THREAD[3]: 0.0}}
+    found['G4'] = {DWELL: DWELL}
     wait = known.index(AT_SPEED) + 1 if AT_SPEED in known else NO_WAIT
     for word, values in found.items():
         if word not in words:
             first = len(steps)
             steps += [Step(word, names.index(name), value) for name, value in values.items()]
             words[word] = range(first, len(steps))
+    k = words['G4'][0]
+    steps[k] = replace(steps[k], wait=TIMED)
     if FOLLOWS in words:
         k = words[FOLLOWS][-1]
         steps[k] = replace(steps[k], wait=wait, limit=LONGEST_START, ends=True)

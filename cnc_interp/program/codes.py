@@ -109,6 +109,7 @@ REFUSED_G: dict[str, str] = {
 NOT_YET = 'before the first motion nothing waits'
 WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
+ANY_DWELL = 'P is seconds or ms; its time is not kept, choose --dialect or write X'
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}
 END_M = {'M2', 'M30'}

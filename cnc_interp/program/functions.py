@@ -75,7 +75,7 @@ class Functions(Table):
                 turning = 0.0
             change = turning - before
             rests[k] = times.start * change if change > 0.0 else -times.stop * change
-            rests[k] += times.tool_change * (word == 'M6')
+            rests[k] += times.tool_change * (word == 'M6') + float(value) * (word == 'G4')
         return rests
 
     def from_row(self, row: int, signals: Signals) -> Functions:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 
 import numpy as np
 
-from cnc_interp.core import INCH, MM, FloatArray, ProgramError
+from cnc_interp.core import INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import codes, cycles, probing, scan
@@ -297,6 +297,8 @@ class GcodeReader:
             if not changes:
                 raise self.fault('T is written twice in one block; keep one of them', 'T')
             self._chosen_tool = round(min(abs(words.second_tool), 1e6))
+        dwell = 'PXFSU' if 'G4' in words.g else ''
+        times = {letter: values.pop(letter) for letter in dwell if letter in values}
         unit = mover.unit
         self._settings(words)
         self._set_speed(words)
@@ -317,7 +319,7 @@ class GcodeReader:
             raise self.fault('polar coordinates are on; write G15 before', min(other))
         calling = self.flow.call_of(words)
         if 'G4' in taking:
-            self._dwell(words)
+            self._dwell(words, times)
         elif self._plane.takes(taking):
             self._plane.execute(taking[0], words)
         elif taking and taking[0] in codes.THREADS:
@@ -650,11 +652,23 @@ class GcodeReader:
         self.targets = self.mover.targets
         self.stand_at(stands)
 
-    def _dwell(self, words: BlockWords) -> None:
+    def _dwell(self, words: BlockWords, given: Mapping[str, float]) -> None:
         self.mover.end_corner()
-        for letter in 'PXFSU':
-            words.values.pop(letter, None)
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
-        self.notice('G4', codes.DWELL)
         self.splines.stop_here()
+        seconds = self._seconds(given, '.' in words.texts.get('P', ''))
+        if 'G4' not in self._signals.words:
+            self.notice('G4', codes.DWELL)
+        elif seconds is None:
+            self.notice('G4', codes.ANY_DWELL)
+        self._act(acting(self._signals, ['G4'], {signals.DWELL: seconds or 0.0}, self.fault)[0])
+
+    def _seconds(self, given: Mapping[str, float], pointed: bool) -> float | None:
+        """Return the time of G4 [s]: X, U, F count seconds, S turns, P what the control means."""
+        letter, dialect = next(iter(given), ''), self.mover.dialect
+        if letter == 'S':
+            return given['S'] / max(self.mover.spindle_speed, 1.0) * MINUTE
+        if letter != 'P' or pointed or dialect is LINUXCNC:
+            return given.get(letter, 0.0)
+        return given['P'] / 1e3 if dialect is FANUC else None

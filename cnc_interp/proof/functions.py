@@ -17,7 +17,11 @@ from cnc_interp.proof.verdict import DIFFERENCES, Ledger
 SHALLOW = 0.5  #: A tapped hole may be less deep by so many turns [rev].
 MISSING = -1  #: In place of the setpoint of a function that did not come out.
 _COMMENT = re.compile(r'\([^()]*\)|;.*')
-_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(31|38\.[2-5]|9[67])(?![\d.])')
+_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(0?4|31|38\.[2-5]|9[67])(?![\d.])')
+
+
+#: Functions of G codes that are not those of a probe toward the part.
+_OF_G = {'38.4': AWAY, '38.5': AWAY, '96': '', '97': '', '': '', '4': 'G4', '04': 'G4'}
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
@@ -74,11 +78,11 @@ def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
         for letter, value, code in found:
             word = f'M{float(value):g}' if letter == 'M' else letter
             if code or (by_surface and letter == 'S'):
-                word = {'38.4': AWAY, '38.5': AWAY, '96': '', '97': '', '': ''}.get(code, TOWARD)
+                word = _OF_G.get(code, TOWARD)
             if word == 'M72':
                 restoring.add(number)
             if word in machine.signals.words:
-                read[number, word, float(value) if letter in 'ST' else 0.0] += 1
+                read[number, word, float(value) if letter in ('S', 'T') else 0.0] += 1
     planned = Counter(_words(plan.functions, machine.signals))
     return [
         f'line {line} of the program: {word} stands there {read[key]} times, in the plan '

@@ -128,6 +128,33 @@ def test_a_speed_that_was_changed_later_is_set_before_the_spindle_starts() -> No
     assert before[-1] == 'spindle_forward on' and 'tool_number 5' not in before
 
 
+@pytest.mark.parametrize(
+    ('name', 'word', 'seconds'),
+    [
+        ('p.ngc', 'P0.5', 0.5), ('p.ngc', 'P2', 2.0), ('p.nc', 'X1.5', 1.5), ('p.nc', 'P2.5', 2.5),
+        ('p.nc', 'P500', 0.0), ('fanuc.nc', 'P500', 0.5), ('fanuc.nc', 'U2.', 2.0),
+        ('p.mpf', 'F3', 3.0), ('p.mpf', 'S30', 2.0), ('p.nc', '', 0.0),
+    ],
+)  # fmt: skip
+def test_a_dwell_is_a_function_of_its_time(name: str, word: str, seconds: float) -> None:
+    dialect = 'fanuc' if name.startswith('fanuc') else None
+    text = f'S900 M3\nG0 X0 Y0 Z0\nG1 X5 F1000\nG4 {word}\nX9\nM2'
+    settings = Settings(dialect=dialect) if dialect else Settings()
+    source = Source.of_text(text, name)
+    stream = ProgramStream(source, Transform.of(MACHINE), settings)
+    blocks = stream.read().blocks
+    found, steps = stream.functions, MACHINE.signals.steps
+    (k,) = [k for k, step in enumerate(found.step.tolist()) if steps[step].word == 'G4']
+    assert (found.block[k], found.value[k]) == (2, seconds) and blocks.exact_stop[1]
+    assert 'spindle_speed' not in [
+        MACHINE.signals.outputs[steps[s].output].name for s in found.step[found.block == 2]
+    ]
+    told = any('its time is not kept' in notice for notice in stream.notices)
+    assert told is (word == 'P500' and not dialect)
+    rests = found.standstill(MACHINE.signals, Standstill())
+    assert rests[k] == seconds
+
+
 def test_what_a_subprogram_restores_is_switched_again() -> None:
     text = (
         'O1 sub\nM73\nM9 S700\nM4\nM7\nG1 X10\nO1 endsub\n'
@@ -206,12 +233,21 @@ def test_a_machine_file_that_cannot_be_meant_is_refused(changed: object, told: s
 
 
 def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None:
-    text = PROGRAM
+    text = PROGRAM.replace('S9000\n', 'S9000\nG4 P1\n')
     source = Source.of_text(text, 'part.ngc')
     stream = ProgramStream(source, Transform.of(MACHINE), Settings())
     plan_to_files(stream, MACHINE, tmp_path)
     summary = json.loads((tmp_path / 'summary.json').read_text())
-    assert summary['functions'] == {'M6': 1, 'S': 2, 'M3': 2, 'M8': 1, 'M9': 1, 'M5': 1, 'M30': 1}
+    assert summary['functions'] == {
+        'G4': 1,
+        'M6': 1,
+        'S': 2,
+        'M3': 2,
+        'M8': 1,
+        'M9': 1,
+        'M5': 1,
+        'M30': 1,
+    }
     plan = read_plan(tmp_path)
     assert verify(plan, MACHINE).ok and compare_words(plan, MACHINE, text) == []
     assert len(compare_words(plan, MACHINE, text.replace('S9000', 'S9001'))) == 2

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.core import StreamError
+from cnc_interp.core import MM, StreamError
 from cnc_interp.machine.playback import LOST, Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine.switching import Act
@@ -115,6 +115,22 @@ class Bench:
         block = np.concatenate([e.rows.block for e in self.play.executed])
         wanted = np.searchsorted(np.maximum.accumulate(block), self.functions.block)
         assert [sample for _, sample in told] == wanted.tolist()
+
+
+@pytest.mark.parametrize('holds', [False, True])
+def test_the_path_rests_for_the_time_of_a_dwell(holds):
+    bench, rests = Bench('G0 X0 Y0 Z0\nG1 X2 F3000\nG4 P0.3\nX4\nM2'), 0
+    while not bench.play.state.completed:
+        bench.step()
+        rests += bench.play.state.reason is Reason.FUNCTION
+        if holds and rests == 100:
+            bench.play.hold()
+            holds = False
+        elif bench.play.state.state is State.HELD:
+            bench.play.start()
+        assert bench.periods < 5000
+    assert 298 <= rests <= 302
+    assert bench.play.axes.setpoints[-1][0] == pytest.approx(4 * MM, abs=1e-9)
 
 
 def test_functions_come_with_the_first_setpoint_of_their_block():

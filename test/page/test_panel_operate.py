@@ -105,9 +105,10 @@ def test_the_task_list(panel, part):
     legs = {'1 retract', '2 position', '3 plunge'}
     shown = '[...document.querySelectorAll(".scene div")].map(label => label.textContent)'
     tab.wait(lambda: legs <= set(tab.run(shown)))
+    panel.set_override.publish(Float64(data=0.2))  # so that a slow browser can hold it
+    panel.spin_until(lambda: panel.override == 0.2)
     panel.states.clear()
     panel.press_key(tab, 'cycle start', lambda: any(state.sequence for state in panel.states))
-    panel.set_override.publish(Float64(data=0.05))  # so that a slow browser can hold it
     on_path = [state.path_position for state in panel.states if state.sequence]
     assert min(on_path) >= run.start_at - 1e-9
 

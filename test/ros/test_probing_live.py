@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -90,6 +91,46 @@ def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
     assert main(['check', str(run.bag), '--json']) == 0
     parts = json.loads(capsys.readouterr().out)['parts']
     assert len(parts) == len(contacts) + 2 and all(part['ok'] for part in parts)
+
+
+#: From an empty table to the end: probe, zero, mill with coolant, dwell, change the tool, tap.
+FIRST_PART = """G21 G90
+T3 M6
+G0 X20 Y0 Z15
+G38.2 Z-20 F600
+G10 L20 P1 Z0
+G0 Z8
+S900 M3 M8
+G1 Z-1 F600
+X25
+G4 P0.5
+M9
+G0 Z8
+M5
+T4 M6
+S900 M3
+G84 X20 Z-6 R3 F1350
+G80
+G0 Z8
+M2
+"""
+
+
+@pytest.mark.thorough
+def test_a_first_part_is_touched_milled_tapped_and_proven(run, tmp_path, capsys):
+    bag = tmp_path / 'bag'
+    done = run(FIRST_PART, '--record', str(bag))
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert main(['check', str(bag), '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert len(found['parts']) == 2 and all(part['ok'] for part in found['parts'])
+    names = [signal.name for signal in Machine.load('vmc').signals.wires]
+    with Bag(bag) as recorded:
+        told = [list(m.output_values) for m in recorded.read('machine_signals')]
+    tools = [row[names.index('tool_number')] for row in told]
+    assert [k for k, _ in groupby(tools) if k] == [3.0, 4.0]
+    turns = [row[names.index('spindle_reverse')] for row in told]
+    assert [k for k, _ in groupby(turns)] == [0.0, 1.0, 0.0]
 
 
 @pytest.mark.thorough

@@ -658,11 +658,14 @@ class GcodeReader:
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
         self.splines.stop_here()
         seconds = self._seconds(given, '.' in words.texts.get('P', ''))
-        if 'G4' not in self._signals.words:
-            self.notice('G4', codes.DWELL)
-        elif seconds is None:
+        if seconds is None and 'G4' in self._signals.words:
             self.notice('G4', codes.ANY_DWELL)
-        self._act(acting(self._signals, ['G4'], {signals.DWELL: seconds or 0.0}, self.fault)[0])
+        self._rest_for('G4', seconds or 0.0)
+
+    def _rest_for(self, code: str, seconds: float) -> None:
+        if 'G4' not in self._signals.words:
+            self.notice(code, codes.DWELL)
+        self._act(acting(self._signals, ['G4'], {signals.DWELL: seconds}, self.fault)[0])
 
     def _seconds(self, given: Mapping[str, float], pointed: bool) -> float | None:
         """Return the time of G4 [s]: X, U, F count seconds, S turns, P what the control means."""

@@ -400,8 +400,9 @@ class HeidenhainReader(GcodeReader):
                 raise self.fault('mirroring and scaling are not supported', f'CYCL DEF {number}')
         elif number == 9 or number in (32, 13, 12):
             if number == 9 and part != '0':
-                self.notice('CYCL DEF 9', codes.DWELL)
                 self.mover.targets.stop_here()
+                found = re.search(r'([\d.]+)\s*$', rest)
+                self._rest_for('CYCL DEF 9', float(found[1]) if found else 0.0)
             elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
                 self._modes.tolerances('CYCL DEF 32', float(match[1]) or None, None)
         elif number in _SETTING:

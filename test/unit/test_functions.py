@@ -155,6 +155,18 @@ def test_a_dwell_is_a_function_of_its_time(name: str, word: str, seconds: float)
     assert rests[k] == seconds
 
 
+def test_a_dwell_of_heidenhain_rests_for_its_time() -> None:
+    text = (
+        'BEGIN PGM P MM\nL X+0 Y+0 Z+0 R0 FMAX\nL X+5 F1000\nCYCL DEF 9.0 DWELL\n'
+        'CYCL DEF 9.1 DWELL 1.5\nL X+9\nEND PGM P MM\n'
+    )
+    source = Source.of_text(text, 'p.h')
+    stream = ProgramStream(source, Transform.of(MACHINE), Settings())
+    blocks, found = stream.read().blocks, stream.functions
+    assert blocks.exact_stop[1] and (found.block[0], found.value[0]) == (2, 1.5)
+    assert MACHINE.signals.steps[found.step[0]].word == 'G4'
+
+
 def test_what_a_subprogram_restores_is_switched_again() -> None:
     text = (
         'O1 sub\nM73\nM9 S700\nM4\nM7\nG1 X10\nO1 endsub\n'

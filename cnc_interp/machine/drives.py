@@ -7,6 +7,7 @@ what the cycle has played, and execute it after a delay (``trajectory_drives.py`
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,7 @@ class AxisFeedback(NamedTuple):
     answered: FloatArray  #: (K, n_axes): The command that the actual one answers [m, rad].
 
 
-class Drives:
+class Drives(ABC):
     """The drives of all axes. Setpoints were checked before against travel and limits."""
 
     lag = 0.0  #: How much later than their setpoints the axes are there, about [s].
@@ -53,9 +54,9 @@ class Drives:
     inputs: FloatArray  #: The inputs of the machine file, as they were reported last.
 
     @property
+    @abstractmethod
     def position(self) -> FloatArray:
         """Where the axes stand or settle at rest, also before ``switch_on`` [m, rad]."""
-        raise NotImplementedError
 
     def exchange(self, seconds: float) -> None:
         """Take over outputs and inputs, some time after the call before."""
@@ -97,13 +98,15 @@ class HomedDrives(CycleDrives):
     """Drives that know where their axes are only after these have found reference switches."""
 
     @property
+    @abstractmethod
     def released(self) -> FloatArray:
         """Where each axis was when its watched input went off, an index exactly [m, rad]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def watch(self, axis: int, number: int) -> None:
         """Watch an input for an axis; until it goes off, ``released`` is NaN."""
 
+    @abstractmethod
     def shift(self, by: FloatArray) -> None:
         """Add to the positions of the axes, which rest and stay where they are [m, rad]."""
 
@@ -113,6 +116,6 @@ class DelayedDrives(Drives):
 
     alarm = ''  #: Why the machine must stop on its path; empty if all is well.
 
+    @abstractmethod
     def follow(self, played: AxisRows, stop: AxisRows) -> AxisFeedback:
         """Take the setpoints of some periods, and report what the axes did meanwhile."""
-        raise NotImplementedError

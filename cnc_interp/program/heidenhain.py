@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
-from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES, Corner
 from cnc_interp.program.cursor import Loop
 from cnc_interp.program.cycles import Hole, go_along, make_hole, pecks_of

@@ -1,7 +1,6 @@
 """A first part over HAL: tools, spindle, coolant, probe and a tapped hole at its pins, proven."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,12 +12,10 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 sys.path.append(str(Path(__file__).parents[2] / 'benchmarks'))
 
 import hal_session
-import yaml
-from test_hal_spindle import AHEAD, AT, MILLING, PITCH, RAMP, SIGNALS, WIRED
+from test_hal_spindle import AT, PITCH, RAMP, SIGNALS, WIRED, recorded_run
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.commands.cli import main
-from cnc_interp.machine_model.machine import find_machine_file
 
 pytestmark = pytest.mark.thorough
 
@@ -66,18 +63,7 @@ def hal():
 
 
 def test_all_functions_come_out_in_order_and_in_place(hal, tmp_path, capsys):
-    file, program, bag = (tmp_path / name for name in ('m.yaml', 'part.ngc', 'bag'))
-    file.write_text(
-        find_machine_file('xyzac').read_text()
-        + yaml.safe_dump({'signals': MILLING}, sort_keys=False)
-    )
-    program.write_text(PROGRAM)
-    words = ['run', str(program), '--machine', str(file), '--drives', f'hal,hal_depth={AHEAD}']
-    done = subprocess.run(
-        [sys.executable, '-m', 'cnc_interp', *words, '--record', str(bag), '--json'],
-        capture_output=True, text=True, timeout=280,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
+    bag = recorded_run(PROGRAM, tmp_path)
     periods = hal.periods()
     names = [signal.name for signal in SIGNALS.wires]
     out = {name: periods.outputs[:, k] for k, name in enumerate(names)}

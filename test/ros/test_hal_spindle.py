@@ -94,19 +94,25 @@ def hal():
         yield session
 
 
-def test_threads_and_a_tapped_hole_follow_the_encoder_at_the_pins(hal, tmp_path, capsys):
-    file, program, bag = (tmp_path / name for name in ('m.yaml', 'threads.ngc', 'bag'))
+def recorded_run(text, folder):
+    """Run a program over HAL on a machine with this spindle; return its bag."""
+    file, program, bag = (folder / name for name in ('m.yaml', 'part.ngc', 'bag'))
     file.write_text(
         find_machine_file('xyzac').read_text()
         + yaml.safe_dump({'signals': MILLING}, sort_keys=False)
     )
-    program.write_text(PROGRAM)
+    program.write_text(text)
     words = ['run', str(program), '--machine', str(file), '--drives', f'hal,hal_depth={AHEAD}']
     done = subprocess.run(
         [sys.executable, '-m', 'cnc_interp', *words, '--record', str(bag), '--json'],
         capture_output=True, text=True, timeout=280,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
+    return bag
+
+
+def test_threads_and_a_tapped_hole_follow_the_encoder_at_the_pins(hal, tmp_path, capsys):
+    bag = recorded_run(PROGRAM, tmp_path)
     periods, worst = hal.periods(), 0.0
     z, turns = periods.commanded[:, 2], periods.more[:, 0]
     moved = np.flatnonzero(np.diff(z))

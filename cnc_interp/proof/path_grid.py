@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import MM, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.axis_limits import limits_at
@@ -19,6 +19,9 @@ SAME_SPEED, SMALL_SPEED = 1e-3, 1e-6
 # First and second derivatives that jump by less are continuous [1, 1/m, or rad/m, rad/m2].
 JUMPS = {1: 1e-6, 2: 1e-2}
 TURNS = 1e6  #: A path that is longer than its tip's way by this factor turns at rest [-].
+#: A chord of directions over the way of the tip that counts the turn as path; the feed of the tip
+#: itself is proven at the setpoints [1/m].
+SWIVEL = 10.0 / MM
 ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
 
@@ -105,7 +108,8 @@ def _written_feeds(plan: PlanFiles, rows: IntArray) -> tuple[IntArray, FloatArra
     blocks = plan.blocks
     length = np.linalg.norm(np.diff(blocks['tip'], axis=0, prepend=blocks['tip'][:1]), axis=1)
     free = blocks['rapid'] | np.isfinite(blocks['duration']) | (blocks['interpolation'] != 0)
-    free |= (length <= NO_LENGTH) | np.isnan(blocks['feed'])
+    turn = np.linalg.norm(np.diff(blocks['axis'], axis=0, prepend=blocks['axis'][:1]), axis=1)
+    free |= (length <= NO_LENGTH) | (turn > SWIVEL * length) | np.isnan(blocks['feed'])
     feed = np.where(free, np.inf, blocks['feed'])
     named = np.unique(rows)
     first = np.maximum(np.r_[named[:1], named[:-1]], 1)

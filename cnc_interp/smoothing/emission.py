@@ -77,7 +77,10 @@ class Emission:
         swept = np.where(
             programmed, np.sqrt((np.diff(rotary, axis=1)[:, 0] ** 2).sum(axis=1)), legs.turn[:last]
         )
-        length = np.where(resting, self._resting_way(np.arange(last), swept), end - start)
+        longer = self._longer(np.arange(last))
+        length = np.where(
+            resting, self._resting_way(np.arange(last), swept), longer * (end - start)
+        )
         line = rows.count[1 : last + 1] == 0
         kept = np.flatnonzero(
             line & np.where(resting, length > 0.0, end - start > 1e-12 * legs.length[:last])
@@ -160,6 +163,16 @@ class Emission:
         turned = self.style.height * swept
         return np.where(moved.any(axis=1), np.sqrt(turned**2 + (moved**2).sum(axis=1)), turned)
 
+    def _longer(self, rows: IntArray) -> FloatArray:
+        """Return path length over the way of the tip: 1, or that at flank height where it swivels.
+
+        By the way of the tip, rotary axes would turn by up to 1e8 rad/m, and the last digit of a
+        place on the path would be a jump.
+        """
+        legs, swivels = self.legs, self.legs.swivels[rows]
+        turned = self.style.height * legs.turn[rows]
+        return np.maximum(turned / np.where(swivels, legs.length[rows], np.inf), 1.0)
+
     def _extra_on_lines(self, last: int, start: FloatArray, end: FloatArray) -> FloatArray:
         blocks, legs = self.rows.blocks, self.legs
         found = np.zeros((last, kinds.POINTS, blocks.extra.shape[1]))
@@ -199,9 +212,10 @@ class Emission:
         duration = blocks.duration[rows + 1]
         timed = np.isfinite(duration)
         resting = legs.resting[rows]
-        length = np.where(resting, self._resting_way(rows, swept), legs.length[rows])
+        longer = self._longer(rows)
+        length = np.where(resting, self._resting_way(rows, swept), longer * legs.length[rows])
         alone = resting & ~(legs.extra_step[rows].any(axis=1) & (swept == 0.0))
-        programmed = np.where(alone, np.inf, blocks.feedrate[rows + 1])
+        programmed = np.where(alone, np.inf, longer * blocks.feedrate[rows + 1])
         return np.where(timed, length / np.where(timed, duration, 1.0), programmed)
 
     def _corners(self, rows: IntArray) -> PathSegments:

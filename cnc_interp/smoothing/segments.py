@@ -62,7 +62,8 @@ class PathSegments(Table):
     #: Control values of the rotary axes on the basis of ``bottom`` [rad]. In poses only the first
     #: two are used: the programmed positions at both ends of the block. NaN if there are none.
     rotary: FloatArray = column(POINTS, 2, default=np.nan)
-    #: Length of a line; flank height times angle of a rotation; NaN for curves [m].
+    #: Length of a line; flank height times angle of a rotation, also where the tip hardly moves;
+    #: NaN for curves [m].
     length: FloatArray = column(default=np.nan)
     stop: BoolArray = column(default=False)  #: Whether the tool rests at the end of the segment.
     #: Control values of k extra axes on the basis of ``bottom`` [m]: a fourth coordinate of the

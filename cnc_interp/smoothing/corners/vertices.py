@@ -62,6 +62,11 @@ class Legs:
         )  # fmt: skip
 
     @property
+    def swivels(self) -> BoolArray:
+        """Return in which blocks the tip hardly moves while the tool turns, shape (n,)."""
+        return np.asarray(~self.resting & (self.turn > SWIVEL * self.length))
+
+    @property
     def still(self) -> BoolArray:
         """Return in which blocks of poses only the tip moves, shape (n,)."""
         still = ~self.resting & (self.turn == 0.0) & ~self.extra_step.any(axis=1)
@@ -87,7 +92,7 @@ def classify(rows: Rows, legs: Legs, flank_height: float, machine: MachineTraits
     blocks, curve = rows.blocks, rows.count > 0
     kind = np.full(len(blocks), STOP)
     before, after = slice(None, -1), slice(1, None)
-    still = legs.resting | (legs.turn > SWIVEL * legs.length)
+    still = legs.resting | legs.swivels
     resting = still[before] | still[after]
     cosine = dot(legs.direction[before], legs.direction[after])
     turning = (legs.turn[before] > 0.0) | (legs.turn[after] > 0.0)

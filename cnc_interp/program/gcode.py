@@ -59,6 +59,7 @@ class GcodeReader:
         self.targets = self.mover.targets
         self.mover.dialect = dialect
         self.mover.motion = dialect.starts_with
+        self.mover.centres_open &= dialect is not LINUXCNC
         self.splines = Splines(self.mover)
         self.fault, self.notice = self.mover.fault, self.mover.notice
         self._cycle: CannedCycle | None = None
@@ -144,6 +145,8 @@ class GcodeReader:
             raise self.fault('the program ends without M2, M30 or %; add M2')
         if refused:
             raise refused.error()
+        if self.mover.lone_arc:
+            raise self.mover.lone_arc
         self.splines.end()
         self.mover.end_corner()
         if targets.empty and targets.switches:  # a program that moves nothing
@@ -394,6 +397,7 @@ class GcodeReader:
                     raise self.fault(f'{other} is in the same block; keep one of them', code)
                 set_here[attribute] = code
                 setattr(mover, attribute, value)
+                mover.centres_open &= attribute != 'centre_absolute'
                 if attribute == 'motion':
                     self._cycle = None
                     self.splines.end()

@@ -420,14 +420,24 @@ class Mover(ModalState):
         plane = self._plane_told(target, offset, bool(absolute.any()))
         arcs = self._arcs_to(target, offset, absolute, plane, radius, turns)
         kind = int(arcs.fault[0])
-        if kind == 3 and not absolute.any():
-            if self._fits(target, offset, absolute=True):
-                kind = 8
-            elif self._fits(target, -offset):
-                kind = 9
+        as_centre = kind == 3 and self._fits(target, offset, absolute=True)
+        back = kind == 3 and self.centre_sense > 0.0 and self._fits(target, -offset)
+        if not absolute.any():
+            kind = 8 if as_centre else 9 if back else kind
         if kind:
             amount = f' (by {arcs.mismatch[0] / self.unit:.4g})' if kind in (3, 4) else ''
-            raise self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
+            fault = self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
+            if kind < 8 or not self.centres_open or (as_centre and back):
+                raise fault
+            self.centres_open, self.centre_absolute = False, as_centre
+            self.centre_sense = 1.0 if as_centre else -1.0
+            self.notice('I J K', codes.CENTRES_TOLD[kind])
+            arc, self.lone_arc = self._arc(target, words), fault
+            return arc
+        if np.isfinite(offset).any():
+            self.centres_open = False
+            if self.lone_arc and not self._fits(target, offset if absolute.any() else -offset):
+                self.lone_arc = None
         if arcs.mismatch[0] > TOLD:
             self.notice('arcs', 'the distance from the centre differs at their ends by up to '
                         f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '

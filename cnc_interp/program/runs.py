@@ -138,6 +138,8 @@ def _arcs(
     mover: Mover, motion: FloatArray, on_arc: NDArray[np.bool_], program: FloatArray,
     values: FloatArray, rows: FloatArray, moves: NDArray[np.bool_],
 ) -> bool:  # fmt: skip
+    if mover.lone_arc is not None:
+        return False
     before = np.vstack([mover.here(), program[:-1]])
     unit, sense = mover.unit, 1.0 if mover.centre_absolute else mover.centre_sense
     arcs = arcs_of(
@@ -148,6 +150,7 @@ def _arcs(
     if arcs.fault.any() or (arcs.mismatch > TOLD).any():
         return False
     mover.last_centre = values[on_arc][-1:, scan.I : scan.K + 1] * (unit * sense)
+    mover.centres_open &= not np.isfinite(values[on_arc][:, scan.I : scan.K + 1]).any()
     mover.last_radius = float(values[on_arc, scan.R][-1] * unit)
     which = on_arc[moves]
     rows[which, col.CENTRE] = mover.frames.point(arcs.centre)

@@ -236,6 +236,9 @@ class _State:
         a, b, _ = self.plane
         if 'R' not in words:
             away = np.array([words.get('IJK'[k], 0.0) * self.unit for k in (a, b)])
+            gap = abs(np.linalg.norm(start[[a, b]] + away - end[[a, b]]) - np.linalg.norm(away))
+            if gap > max(0.1 * MM, 0.01 * float(np.linalg.norm(away))):
+                raise self.refuse('an arc whose I J K are not the way from its start')
             return np.asarray(start[[a, b]] + away)
         chord = end[[a, b]] - start[[a, b]]
         radius, half = words['R'] * self.unit, 0.5 * float(np.linalg.norm(chord))

@@ -372,6 +372,9 @@ class _FollowPlaces(_Comparison):
         if rests and np.array_equal(move.rotary, before.rotary):
             self.tiny += 1
             return self.row
+        here = [] if move.sweep else self.near(move, self.row - 1, 2).tolist()
+        if here == [True, False]:  # shorter than a digit, and its row is none of this line
+            return self.row
         stop, some = int(self.stops[self.row]) if self.row < len(self.stops) else self.row, 4
         while self.row < stop:
             some = min(some, stop - self.row)

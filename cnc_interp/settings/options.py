@@ -54,7 +54,7 @@ class Settings:
     arc_centres: str = kinds.one_of(
         ('auto', 'start', 'absolute', 'reversed'), READING,
         'I J K of arcs: way from the start to the centre, place of the centre, or way from the '
-        'centre to the start; auto: that of the machine, else from the start',
+        'centre to the start; auto: that of the machine, else what all arcs fit',
     )  # fmt: skip
     units: str = kinds.one_of(
         ('auto', 'mm', 'inch'), READING,

@@ -126,7 +126,7 @@ def compensated(
     ]  # fmt: skip
     setup = JobSetup(tools={1: Tool(0.0, radius * MM)})
     settings = Settings(contour_tolerance=tolerance * MM)
-    blocks = read_text('\n'.join(lines), 'contour.ngc', XYZ, settings, setup).blocks
+    blocks = read_text('\n'.join(lines), 'contour.nc', XYZ, settings, setup).blocks
     rows = np.flatnonzero((blocks.line_number >= 4) & (blocks.line_number < 5 + len(edges)))
     return (blocks.tip[rows, 0] + 1j * blocks.tip[rows, 1]) / MM
 

@@ -154,6 +154,7 @@ class _Printed:
         self.turn = np.eye(6)  # of the work offset
         self.here = np.zeros(6)
         self.tolerance, self.worded, self.lengthened = float('nan'), False, False
+        self.number = float('nan')  # of the tolerance, as printed
 
     def take(self, name: str, text: str) -> ReadMove | None:
         numbers = [float(word) for word in _NUMBER.findall(text)]
@@ -184,8 +185,9 @@ class _Printed:
             self.lengthened = self.lengthened or bool(self.offsets['TOOL'].any())
         elif name == 'CHANGE_TOOL' and self.lengthened:
             raise LinuxCNCError("LinuxCNC's rs274 forgets a length at a tool change before motion")
-        elif name == 'SET_MOTION_CONTROL_MODE' and numbers:
-            self.tolerance = numbers[0] * self.unit or float('nan')
+        elif name == 'SET_MOTION_CONTROL_MODE' and numbers and numbers[0] != self.number:
+            # After a cycle the same number comes again, whatever the unit is by then.
+            self.number, self.tolerance = numbers[0], numbers[0] * self.unit or float('nan')
         elif name == 'SET_XY_ROTATION':
             c, s = np.cos(numbers[0] * DEG), np.sin(numbers[0] * DEG)
             self.turn[:2, :2] = (c, -s), (s, c)

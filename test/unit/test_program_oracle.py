@@ -73,6 +73,7 @@ SNIPPETS = {
     # Offsets and centres that are printed in inches are known to 0.00254 mm.
     'inch offsets': 'G20\nG10 L2 P1 X0.98426\nG0 X1\nG21\nG91 G1 Y1 F100\nG90 G1 X3',
     'inch turns': 'G0 X0 Y0 Z5\nG20\nG1 X0 F20\nG2 I0.403 J0\nG0 X-0.8585 Y-0.4',
+    'kept tolerance': 'G20 G64 P0.01 F9\nG1 X1\nG21\nG98 G81 X2 Z-2 R2\nG80\nG1 X9 F9',
     'steep helix': 'G20 F33\nG91 G1 X0.12345\nG2 I0.35905 J0.00005 Z25.05',
     'rotary': 'G0 A10 C20\nG1 X5 A20\nG91 C30\nG90 G1 A0 C0 X0',
 }  # fmt: skip

@@ -8,6 +8,7 @@ formulas of this script. It shares no code with the reader of programs.
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -145,8 +146,8 @@ def compared(edges: list[Edge], code: str, radius: float, tolerance: float) -> t
     return float(np.abs(gap).max()), float(missed.max())
 
 
-def contours() -> None:
-    """Print the table of contours."""
+def contours(count: int) -> None:
+    """Print the table of contours, with so many random ones."""
     square = [complex(x, y) for x, y in ((0, 0), (60, 0), (60, 40), (0, 40))]
     shapes = {
         'rectangle': polygon(square),
@@ -163,19 +164,32 @@ def contours() -> None:
             except ProgramError as why:
                 errors = [f'refused: {why.message.split(";")[0]}', '']
             print(f'| {name} | {code}, {radius:g} | {errors[0]} | {errors[1]} |')
+    random_contours(count, on_grid=False)
+    random_contours(count, on_grid=True)
+
+
+def random_contours(count: int, on_grid: bool) -> None:
+    """Print a row of random contours; on a grid of the radius edges are as long as it."""
     rng, worst, refused, wrong = np.random.default_rng(23), [0.0, 0.0], 0, 0
-    for number in range(300):
+    for number in range(count):
         corners, radius = random_corners(rng), float(rng.uniform(0.5, 6.0))
-        edges = polygon(corners) if number % 2 else rounded(corners, 0.8)
+        if on_grid:
+            corners = [radius * complex(round(z.real / radius), round(z.imag / radius))
+                       for z in corners]  # fmt: skip
+            corners = [z for i, z in enumerate(corners) if z not in corners[:i]]
+        arc = radius * rng.choice([0.5, 1.0, 1.0 + 1e-9, 1.1]) if on_grid else 0.8
+        edges = polygon(corners) if number % 2 else rounded(corners, arc)
+        edges = [edge for edge in edges if abs(edge.end - edge.start) > 1e-9]
         code = 'G41' if number % 3 else 'G42'
         try:
             worst = list(np.maximum(worst, compared(edges, code, radius, 0.02)))
         except ProgramError:
             refused += 1
-            wrong += fits(edges, code, radius)
-    print(f'| 300 random ones, {refused} of them refused | G41, G42, 0.5 to 6 | {worst[0]:.1e} | '
+            wrong += not on_grid and fits(edges, code, radius)
+    kind = 'on a grid of the radius' if on_grid else 'random ones'
+    print(f'| {count} {kind}, {refused} of them refused | G41, G42, 0.5 to 6 | {worst[0]:.1e} | '
           f'{worst[1]:.1e} |')  # fmt: skip
-    print(f'\nRefused although the cutter can touch all edges: {wrong}.')
+    print(f'\nRefused although the cutter can touch all edges: {wrong}.' * (not on_grid))
 
 
 def fits(edges: list[Edge], code: str, radius: float) -> bool:
@@ -283,5 +297,7 @@ def normals() -> None:
 
 
 if __name__ == '__main__':
-    contours()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--count', type=int, default=300, help='random contours of each kind')
+    contours(parser.parse_args().count)
     normals()

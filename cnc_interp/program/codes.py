@@ -95,6 +95,7 @@ SPLINE_LETTERS = frozenset('XYZIJ')  #: With these letters, a code of ``LOOK_AHE
 
 _LINEAR = 'post the program with linear moves'
 _FRAME = 'changing the coordinate system is not supported this way; post in one workpiece frame'
+TURNING = ('G70', 'G71', 'G72', 'G73')  #: Cycles of a lathe if they have P Q or U.
 REFUSED_G: dict[str, str] = {
     **dict.fromkeys(('G5', 'G5.1', 'G5.2', 'G5.3'), f'spline moves are not supported; {_LINEAR}'),
     'G7': 'diameter programming is not supported; post with radii',

@@ -55,7 +55,7 @@ _FORMS = {
     'heidenhain': re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.I),
     'cl': re.compile(r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|'
                      r'UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)', re.I),
-    'gcode': re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+.\d]|:\d|O\d)', re.I),
+    'gcode': re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+]?\.?\d|:\d|O\d)', re.I),
 }  # fmt: skip
 
 
@@ -63,10 +63,22 @@ def _head(source: Source) -> str:
     return source.lines(source.start).decode('utf-8', 'replace')
 
 
-def form_of(source: Source) -> str:
+def _told_form(source: Source) -> str:
     for line in _head(source).splitlines()[:_HEAD_LINES]:
         if form := next((form for form, begins in _FORMS.items() if begins.match(line)), ''):
             return form
+    return ''
+
+
+def is_program(source: Source) -> bool:
+    """Tell whether a line begins as one of a program does, or has words of one control only."""
+    text = _head(source)
+    return bool(_told_form(source)) or any(sign.search(text) for _, sign in _SIGNS)
+
+
+def form_of(source: Source) -> str:
+    if form := _told_form(source):
+        return form
     return 'cl' if Path(source.name).suffix.lower() in CL_SUFFIXES else 'gcode'
 
 

@@ -391,6 +391,11 @@ class GcodeReader:
                 self.notice(code, 'no effect, the path is always smoothed within the tolerances')
             elif code in codes.REFUSED_G:
                 raise self.fault(codes.REFUSED_G[code], code)
+            elif code in codes.TURNING and (
+                ({'P', 'Q'} <= words.values.keys() and 'Z' not in words.values)
+                or ('U' in words.values and 'U' not in mover.extra_letters)
+            ):
+                raise self.fault('a cycle of a lathe; lathe programs are not read', code)
             elif code in codes.SETTINGS:
                 attribute, value = codes.SETTINGS[code]
                 if other := set_here.get(attribute):

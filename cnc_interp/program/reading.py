@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cnc_interp.core import FloatArray, ProgramError
+from cnc_interp.core import FloatArray, ProgramError, RefusedLinesError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import control_profiles as profiles
 from cnc_interp.program.active_modes import ActiveModes, ModesOfBlocks
@@ -14,13 +14,15 @@ from cnc_interp.program.functions import Functions
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain import HeidenhainReader
 from cnc_interp.program.job import JobSetup
-from cnc_interp.program.notices import Notices
+from cnc_interp.program.notices import NAMED_ALONE, Notices
 from cnc_interp.program.probing import Probe
 from cnc_interp.program.source import Source
 from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.settings.options import Settings
 
+_NO_PROGRAM = ('no line of it begins like G-code, CL data or Heidenhain plain text; give a part '
+               'program')  # fmt: skip
 MDI = 'MDI'  #: Name of a line by hand in messages.
 
 
@@ -68,6 +70,10 @@ class ProgramStream:
     def __iter__(self) -> Iterator[Blocks]:
         try:
             yield from self._reader.blocks()
+        except RefusedLinesError as refused:
+            if len(refused.errors) > NAMED_ALONE and not profiles.is_program(self._source):
+                raise ProgramError(_NO_PROGRAM, self.source) from None
+            raise
         finally:
             if self.probe is None:
                 self._source.close()

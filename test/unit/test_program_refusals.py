@@ -26,6 +26,8 @@ SYNTAX = [
     ('G0 X' + '9' * 400, 'X inf', '100,000 mm'),
     ('G0 Y-100001', 'Y -100001', '100,000 mm'),
     ('FROBNICATE', 'FROBNICATE', 'unknown word'),
+    ('G71 U2 R1', 'G71', 'lathe'),
+    ('G71 P10 Q20 W0.1', 'G71', 'lathe'),
     ('TRAOOF', 'TRAOOF', 'is it TRAFOOF'),
     ('G0 X1 I2', 'I2', 'no meaning'),
     ('G2 X1 I0.5 Q2 F9', 'Q2', 'no meaning'),

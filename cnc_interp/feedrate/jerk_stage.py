@@ -314,17 +314,18 @@ class StretchProblem:
 
         If the ends of such a cell did not use their full limit, it first falls to the use there.
         """
-        inside, ends = self.use
-        over = inside > self.accepted[:, :, None]
-        reached = np.clip(ends, 0.5 * self.scale, self.scale)
-        factor = self.factor[:, None, None]
-        less = self.aim[:, :, None] / np.where(over, 1 + factor * (inside - 1), 1.0)
-        self.factor[over.any(axis=(1, 2))] *= HARDER
-        lowered = np.where(over, reached * less, self.scale)
-        near = bool((lowered > WARM_START_PART * self.scale).all())
-        self.changed |= (lowered < self.scale).any(axis=(1, 2))
-        self.scale = lowered
-        return near
+        over = self.use[0] > self.accepted[:, :, None]
+        cells = np.flatnonzero(over.any(axis=(1, 2)))
+        over, (inside, ends), scale = over[cells], self.use[:, cells], self.scale[cells]
+        reached, factor = np.clip(ends, 0.5 * scale, scale), self.factor[cells, None, None]
+        less = self.aim[cells, :, None] / np.where(over, 1 + factor * (inside - 1), 1.0)
+        # Below 1, an excess over what is accepted turns a grown factor round: limits would rise.
+        less = np.where(less < self.accepted[cells, :, None], less, 1 - factor * SLACK[:, None])
+        self.factor[cells] *= HARDER
+        lowered = np.where(over, reached * less, scale)
+        self.changed[cells] |= (lowered < scale).any(axis=(1, 2))
+        self.scale[cells] = lowered
+        return bool((lowered > WARM_START_PART * scale).all())
 
     def keep_reserve(self, stretch: Stretch) -> bool:
         """Lower the limits where a law cannot brake, so that a short stop exists from it."""

@@ -149,6 +149,25 @@ def evaluate(
     return jets[0], jets[1], jets[2], jets[3]
 
 
+@numba.njit(cache=True, nogil=True)
+def _between(
+    s: FloatArray, cell_right: FloatArray, tip: FloatArray, axis: FloatArray, at: IntArray,
+    new: BoolArray, way: FloatArray, left: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """Return right ends of cells, tips and axes; points lie ``way`` after old ones ``at``."""
+    right, tips, axes = np.empty_like(left), np.empty((len(at), 3)), np.empty((len(at), 3))
+    for i, p in enumerate(at):
+        if i > 0:
+            right[:, i - 1] = cell_right[:, at[i - 1]]
+        tips[i], axes[i] = tip[p], axis[p]
+        if new[i]:
+            right[:, i - 1] = left[:, i]
+            for rows, old in ((tips, tip), (axes, axis)):
+                rows[i] = (old[p + 1] - old[p]) / (s[p + 1] - s[p]) * way[i] + old[p]
+            axes[i] /= np.sqrt((axes[i] ** 2).sum())
+    return right, tips, axes
+
+
 def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
     """Make path positions [m] grid points without changing q(s); tips and tool axes by chords."""
     inside = (s_new > path.s[0]) & (s_new < path.s[-1])
@@ -157,16 +176,10 @@ def refine(path: AxisPath, s_new: FloatArray) -> AxisPath:
         return path
     at = np.searchsorted(path.s, s, 'right') - 1
     cell, new = at[:-1], s > path.s[at]
-    way = s[:-1] - path.s[cell]
-    left = evaluate_cells(path.s, path.cell_left, path.cell_right, way, cell)
-    right = np.roll(left, -1, axis=1)
-    right[:, ~new[1:]] = path.cell_right
-    tip, axis = path.tip[at], path.axis[at]
-    before, after, part = at[new], at[new] + 1, way[new[:-1], None]
-    whole = (path.s[after] - path.s[before])[:, None]
-    for rows, old in ((tip, path.tip), (axis, path.axis)):
-        rows[new] = (old[after] - old[before]) / whole * part + old[before]
-    axis[new] /= np.sqrt((axis[new] ** 2).sum(axis=1))[:, None]
+    way = s - path.s[at]
+    left = evaluate_cells(path.s, path.cell_left, path.cell_right, way[:-1], cell)
+    old = path.s, path.cell_right, path.tip, path.axis
+    right, tip, axis = _between(*old, at, new, way, left)
     feed, block = path.cell_feed[cell], path.cell_block[cell]
     return AxisPath(s, left, right, tip, axis, feed, block, path.stop[at] & ~new)
 

@@ -211,6 +211,20 @@ def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
     assert best.law.end_time < piece.law.end_time < 1.5 * best.law.end_time
 
 
+def test_a_limit_falls_with_every_correction():
+    """Also where what is left of the excess is less than the slack."""
+    stretch = object.__new__(jerk_stage.StretchProblem)
+    stretch.scale = np.full((1, 4, 1), 0.999)
+    stretch.aim, stretch.accepted = jerk_stage.AIM[None], jerk_stage.ACCEPTED[None]
+    stretch.factor, stretch.changed = np.full(1, jerk_stage.EXCESS_FACTOR), np.zeros(1, dtype=bool)
+    for _ in range(PlanOptions.passes):
+        before = stretch.scale.copy()
+        within = jerk_stage.ACCEPTED + 0.1 * jerk_stage.SLACK
+        stretch.use = np.stack([np.broadcast_to(within[:, None], (1, 4, 1)), before])
+        stretch.lower_limits()
+        assert (stretch.scale < before).all()
+
+
 def test_a_law_that_has_not_converged_is_told(monkeypatch):
     solve = jerk_stage.solve_cells
     monkeypatch.setattr(jerk_stage, 'solve_cells', lambda *rest: max(solve(*rest), STALLED))

@@ -1,21 +1,24 @@
 """
 Every public program: read, compared with LinuxCNC's interpreter, planned and proven; a table.
 
-    python benchmarks/programs.py [--only NAME ...]
+    python benchmarks/programs.py [--only NAME ...] [--beside CHECKOUT ...]
 
 One process per program, its plan files in a temporary folder, its figures in ``out/programs``; the
 table ``programs_table.md`` of docs/measured is made of all figures that are there.
-Programs whose motion is long are proven in parts of about ten minutes.
+Programs whose motion is long are proven in parts of about ten minutes. ``--beside``: `plan` of
+other states of the code and of this one in turn, one worker each; as the last columns.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -36,11 +39,18 @@ from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings
 
+Row = tuple[str, list[str]]
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ROOT.parent / 'shared' / 'programs'
 TABLE, RESULTS = ROOT / 'docs' / 'measured' / 'programs_table.md', ROOT / 'out' / 'programs'
+BESIDE = ROOT / 'out' / 'programs_beside.json'  #: Figures of other states of the code.
 #: A part of a program takes about this long [s], if its feed were reached.
 PART = 600.0
+#: Longest time for one plan of ``--beside`` [s], and the most lines of a program for it.
+PATIENCE, MOST_LINES = 300.0, 50_000
+CORNERS = ROOT.parent / 'shared' / 'cases' / 'corners'
+#: Blocks of the spirals of ``shared/cases/dense``, and how many [mm].
+SPIRAL, SPIRALS = CORNERS.parent / 'dense' / 'spiral.py', {'0.02': 20_000, '0.2': 10_000}
 
 
 @dataclass(frozen=True)
@@ -65,7 +75,8 @@ CASES = {
     'hust-yelun-cl': Case('xyzac', feed=1000.0, remark='--feed 1000'),
     'linuxcnc-cds': Case(),
     'linuxcnc-impeller-xyzac': Case('xyzac'),
-    'linuxcnc-stellabee': Case(),
+    'linuxcnc-lhchips4': Case(feed=3000.0, remark='--feed 3000'),
+    'linuxcnc-stellabee': Case(remark='20,000 lines'),
     'mach-pulley-r-arcs': Case(),
     'nist-box-op5': Case(
         'vmc',
@@ -86,9 +97,9 @@ def program_file(name: str) -> Path:
     return next(path for path in sorted((PROGRAMS / name).iterdir()) if path.name != 'SOURCE')
 
 
-def commit() -> str:
+def commit(checkout: Path = ROOT) -> str:
     """Return the state of the code."""
-    command = ['git', '-C', str(ROOT), 'rev-parse', '--short', 'HEAD']
+    command = ['git', '-C', str(checkout), 'rev-parse', '--short', 'HEAD']
     found = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     return found or 'no repository'
 
@@ -188,50 +199,112 @@ def agreement(name: str) -> str:
         return '-'
     machine, partly = ORACLE_PROGRAMS[name]
     found = judged(program_file(name), machine, partly)
-    agree = f'{found.motions:,} motions, {found.arcs:,} arcs agree'
+    agree = f'{found.motions:,}, {found.arcs:,}'
     return f'differs: {found.faults[0]}' if found.faults else agree
 
 
 def table_of(results: dict[str, dict[str, Any]]) -> str:
     """Write the table."""
     ran = [r for r in results.values() if 'refused' not in r and not r['failures']]
+    beside = json.loads(BESIDE.read_text(encoding='utf-8')) if BESIDE.exists() else {}
     lines = [
         '# The public programs',
         '',
-        f'{len(ran)} of {len(CASES)} programs run with every sample proven. Made by '
+        f'{len(ran)} of {len(results)} programs run with every sample proven. Made by '
         '`python benchmarks/programs.py`;',
         'what is refused, and why, is in [programs.md](../operate/programs.md).',
         '',
-        'LinuxCNC: motions in which its interpreter and ours agree; "-": it does not read this.',
+        'LinuxCNC: motions, arcs in which its interpreter and ours agree.',
         '',
         made_at(results),
         '',
-        '| program | lines | machine | blocks | LinuxCNC | motion [s] | check |',
-        '|---|--:|---|--:|---|--:|---|',
+        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": refused, or not in '
+        f'{PATIENCE:.0f} s.',
+        '',
+        '| program | machine | LinuxCNC | motion [s] | CPU [s] | wall [s] | memory [MB] |',
+        '|---|---|---|---|---|---|---|',
     ]
-    return '\n'.join([*lines, *(row_of(name, results.get(name)) for name in sorted(CASES))]) + '\n'
+    for name in sorted(CASES):
+        lines.append(row_of(name, results.get(name), beside.pop(name, [])))
+    lines += [f'| {name} | | | {" | ".join(told)} |' for name, told in beside.items()]
+    return '\n'.join(lines) + '\n'
 
 
-def row_of(name: str, result: dict[str, Any] | None) -> str:
+def row_of(name: str, result: dict[str, Any] | None, beside: list[str]) -> str:
     """Write the table's row of a program."""
-    case = CASES[name]
-    if result is None:
-        return f'| {name} | | not run yet | | | | |'
-    if 'refused' in result:
-        refused = f'refused at {result["refused"]}'
-        return f'| {name} | {result["lines"]:,} | {refused} | | - | | |'
+    case, result = CASES[name], result or {'oracle': '', 'cycle_time': np.nan, 'failures': []}
     machine = ', '.join(filter(None, (case.machine, case.remark)))
-    return (
-        f'| {name} | {result["lines"]:,} | {machine} | {result["blocks"]:,} '
-        f'| {result["oracle"]} | {result["cycle_time"]:,.1f} '
-        f'| {"; ".join(result["failures"][:1]) or "proven"} |'
-    )
+    if 'refused' in result:
+        return f'| {name} | refused at {result["refused"]} | | | | | |'
+    told = ' | '.join(beside or [f'{result["cycle_time"]:.1f}', '', '', ''])
+    faults = ''.join(f'; {text}' for text in result['failures'][:1])
+    return f'| {name} | {machine}{faults} | {result["oracle"]} | {told} |'
+
+
+def timed(file: Path, arguments: list[str], checkout: Path) -> list[float]:
+    """Return motion [s], processor time [s], wall time [s] and memory [MB] of `plan`; or none."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = ['timeout', str(PATIENCE), sys.executable, '-m', 'cnc_interp', 'plan', str(file)]
+        command += ['--out', folder, *arguments]
+        if (checkout / 'cnc_interp' / 'commands').exists():  # else it is older than the option
+            command += ['--workers', '1']
+        own = {} if checkout == ROOT else {'NUMBA_CACHE_DIR': f'{checkout}/kernels'}
+        environment = os.environ | {'PYTHONPATH': str(checkout)} | own
+        quiet = subprocess.DEVNULL
+        begin = time.perf_counter()
+        process = subprocess.Popen(
+            command, cwd=checkout, env=environment, stdout=quiet, stderr=quiet
+        )
+        _, status, used = os.wait4(process.pid, 0)
+        wall, process.returncode = time.perf_counter() - begin, status
+        if status:
+            return []
+        summary = json.loads((Path(folder) / 'summary.json').read_text(encoding='utf-8'))
+    spent = used.ru_utime + used.ru_stime
+    return [summary['cycle_time'], spent, wall, used.ru_maxrss / 1024.0]
+
+
+def beside(
+    checkouts: list[Path], only: list[str], folder: Path
+) -> Iterator[tuple[str, list[str]]]:
+    """Plan with one state of the code after the other; yield names and the last columns."""
+    jobs: dict[str, list[tuple[Path, list[str]]]] = {}
+    for length, blocks in SPIRALS.items():
+        file = folder / f'spiral_{length}.ngc'
+        subprocess.run([sys.executable, SPIRAL, length, str(blocks), file], check=True)
+        jobs[f'spiral, {blocks:,} of {length} mm'] = [(file, ['--machine', 'xyz'])]
+    jobs[f'{CORNERS.name}, all'] = [(file, []) for file in sorted(CORNERS.glob('*.apt'))]
+    for name in only:
+        case, file = CASES[name], program_file(name)
+        lines = file.read_bytes().splitlines(keepends=True)
+        if len(lines) > MOST_LINES:
+            file = folder / file.name  # the first of them
+            file.write_bytes(b''.join(lines[:20_000]))
+        arguments = ['--machine', case.machine]
+        arguments += [] if case.feed is None else ['--feed', str(case.feed)]
+        if case.setup.work_offsets:
+            setup = folder / f'{name}.yaml'
+            setup.write_text(f'work_offsets: {case.setup.work_offsets}', encoding='utf-8')
+            arguments += ['--setup', str(setup)]
+        jobs[name] = [(file, arguments)]
+    for name, files in jobs.items():
+        found = [[timed(*file, state) for file in files] for state in checkouts]
+        rows = [np.sum(row, axis=0) if all(row) else np.full(4, np.nan) for row in found]
+        for row, state in zip(rows, found, strict=True):
+            row[3] = max((figures[3] for figures in state if figures), default=np.nan)
+        columns = zip(*rows, strict=True)
+        texts = (
+            '/'.join('-' if np.isnan(value) else f'{value:.{digits}f}' for value in column)
+            for column, digits in zip(columns, (1, 1, 1, 0), strict=True)
+        )
+        yield name, list(texts)
 
 
 def main() -> None:
     """Run the programs, each in a process of its own, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--only', choices=sorted(CASES), nargs='+', default=sorted(CASES))
+    parser.add_argument('--beside', type=Path, nargs='+', help='checkouts of other states')
     parser.add_argument('--here', choices=sorted(CASES), help='run one in this process')
     options = parser.parse_args()
     RESULTS.mkdir(parents=True, exist_ok=True)
@@ -239,11 +312,20 @@ def main() -> None:
         text = json.dumps(run_one(options.here), indent=2)
         (RESULTS / f'{options.here}.json').write_text(text + '\n', encoding='utf-8')
         return
+    if options.beside:
+        with tempfile.TemporaryDirectory() as folder:
+            checkouts = [*(path.resolve() for path in options.beside), ROOT]
+            told: dict[str, Any] = {'states': ', '.join(map(commit, checkouts))}
+            for name, columns in beside(checkouts, options.only, Path(folder)):
+                told[name] = columns
+                BESIDE.write_text(json.dumps(told, indent=2) + '\n', encoding='utf-8')
+                print(name, *columns, flush=True)
+        return
     for name in options.only:
         subprocess.run([sys.executable, __file__, '--here', name], check=True)
         found = sorted(RESULTS.glob('*.json'))
         results = {file.stem: json.loads(file.read_text(encoding='utf-8')) for file in found}
-        print(row_of(name, results[name]), flush=True)
+        print(row_of(name, results[name], []), flush=True)
         TABLE.write_text(table_of(results), encoding='utf-8')
 
 

@@ -192,6 +192,8 @@ class ClReader:
             self._go(*(place + level * axis))
             if stop:
                 self.targets.stop_here(stop)
+            if stop and hole.dwell:
+                self._switch('DWELL', str(hole.dwell))
         self.feedrate, self.rapid = kept, False
 
     def _go(self, x: float, y: float, z: float) -> None:
@@ -276,7 +278,7 @@ class ClReader:
             self._heading = self._frames.direction(heading)
         elif major == 'CYCLE' and minor not in (*cl_words.OFF, 'INIT', 'CLEAR'):
             self._cycle = cl_words.cycle_of(minor, self.unit, self._fault)
-            if self._cycle.rests:
+            if self._cycle.rests and 'G4' not in self._signals.words:
                 self._notice(major, codes.DWELL)
         elif major == 'CYCLE':
             self._cycle = None

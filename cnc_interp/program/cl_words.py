@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
+from cnc_interp.machine_model.signals import DWELL
 from cnc_interp.program import codes
 from cnc_interp.program.cycles import Hole, pecks_of
 from cnc_interp.program.frames import rotation
@@ -28,7 +29,7 @@ HARMLESS = {
 }  # fmt: skip
 INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM system.
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
-OUTPUTS = {'COOLNT', 'LOADTL', 'SPINDL', 'TOOLNO'}
+OUTPUTS = {'COOLNT', 'DELAY', 'DWELL', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
     'STOP': (AT_M0, codes.STOP_M['M0']), 'OPSTOP': (AT_M1, codes.STOP_M['M1']),
@@ -67,6 +68,8 @@ def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
         return (['M5'], {}) if minor in OFF else ([*given, turns], given)
     if major == 'COOLNT':
         return (['M9'] if minor in OFF else ['M7' if 'MIST' in fields else 'M8']), {}
+    if major in ('DELAY', 'DWELL') and numbers and 'REV' not in fields:
+        return ['G4'], {DWELL: numbers[0]}
     return (['T', 'M6'], {'T': numbers[0]}) if major == 'LOADTL' and numbers else ([], {})
 
 
@@ -109,7 +112,8 @@ def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError])
         )  # fmt: skip
     return Hole(
         clear, -depth, max(abs(found.get('retract', 0.0)) * unit, clear), pecks, gap=_NEAR,
-        rests=found.get('dwell', 0.0) > 0.0, out=clear if kind in _FEED_OUT else None,
+        rests=found.get('dwell', 0.0) > 0.0, dwell=found.get('dwell', 0.0),
+        out=clear if kind in _FEED_OUT else None,
         feed=found.get('feed', 0.0) * feed_unit / MINUTE,
     )  # fmt: skip
 

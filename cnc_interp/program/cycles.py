@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
+from cnc_interp.machine_model import signals
+from cnc_interp.program import codes
 from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.codes import DWELL
 from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.modal_state import FARTHEST
 from cnc_interp.program.motion import Mover
@@ -37,6 +38,7 @@ class Hole:
     gap: float = 0.0
     feeds_back: bool = False  #: Whether it comes back from each peck by feed.
     rests: bool = False
+    dwell: float = 0.0  #: How long it rests at the bottom, on machines that can [s].
     waits: bool = False  #: Whether an operator retracts the tool.
     out: float | None = None  #: Level up to which it comes back by feed; None: in a rapid.
     shift: FloatArray | None = None  #: (3,): How the tool moves aside at the bottom [m].
@@ -102,8 +104,8 @@ def make_hole(
         mover.feedrate = kept
         go_along(mover, place, axis, hole.clear, feed_given)
         return
-    signals = mover.geometry.machine.signals
-    turns = hole.reverse if {'M3', 'M4'} <= signals.words.keys() else ''
+    known = mover.geometry.machine.signals.words.keys()
+    turns = hole.reverse if {'M3', 'M4'} <= known else ''
     beside = place.copy()
     beside[:3] += np.zeros(3) if hole.shift is None else hole.shift
     for level, kind, aside, stop in hole.strokes():
@@ -111,10 +113,21 @@ def make_hole(
         go_along(mover, beside if aside else place, axis, level, feed_given, kind == RAPID)
         if stop:
             mover.targets.stop_here(stop)
+        if stop and hole.dwell:
+            mover.act('G4', {signals.DWELL: hole.dwell})
         if turns and kind != RAPID:
             mover.targets.stop_here()
             mover.act(turns if level < hole.retract else _OTHER[turns], {})
     mover.feedrate = kept
+
+
+def dwell_of(mover: Mover, code: str, time: float, text: str = '.') -> float:
+    """Return the time of a dwell [s]; without a point P counts as the control has it."""
+    fanuc, sure = mover.dialect is FANUC, '.' in text or mover.dialect in (FANUC, LINUXCNC)
+    kept = 'G4' in mover.geometry.machine.signals.words
+    if time and not (kept and sure):
+        mover.notice(code, codes.ANY_DWELL if kept else codes.DWELL)
+    return time * (1e-3 if fanuc and '.' not in text else 1.0) if sure else 0.0
 
 
 #: Clearance above the last peck, and retract distance of G73, by unit [m].
@@ -133,6 +146,7 @@ class CannedCycle:
     def __init__(self, code: str, start: float):
         self.code, self.start = code, start
         self._sticky: dict[str, float] = {}
+        self._texts: dict[str, str] = {}
 
     def drill(self, mover: Mover, words: BlockWords, feed_given: bool) -> None:
         axis = PLANES[mover.plane][2]
@@ -143,6 +157,7 @@ class CannedCycle:
         for letter in kept:
             if letter in values:
                 self._sticky[letter] = values.pop(letter)
+                self._texts[letter] = words.texts.get(letter, '')
         repeats = values.pop('L', None)
         repeats = values.pop('K', 1.0) if repeats is None else repeats
         if not 0.0 <= repeats <= _MOST_REPEATS:
@@ -193,10 +208,9 @@ class CannedCycle:
         hole = Hole(
             retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
             _CLEARANCE[mover.unit], self.code in TAPPING, self.code in _RESTING,
-            self.code == 'G88', out, self._shift(mover), reverse=_REVERSES.get(self.code, ''),
+            self._dwell(mover), self.code == 'G88', out, self._shift(mover),
+            reverse=_REVERSES.get(self.code, ''),
         )  # fmt: skip
-        if self.code in _RESTING and self._sticky.get('P'):
-            mover.notice(self.code, DWELL)
         if self.code == 'G88':
             mover.notice('G88', 'waits at the bottom; the retract after cycle start is a rapid')
         start = place
@@ -215,6 +229,10 @@ class CannedCycle:
         if start is not place:
             go_along(mover, place, axis, retract, feed_given)
         make_hole(mover, hole, place, axis, feed_given)
+
+    def _dwell(self, mover: Mover) -> float:
+        time = self._sticky.get('P', 0.0) if self.code in _RESTING else 0.0
+        return dwell_of(mover, self.code, time, self._texts.get('P', ''))
 
     def _shift(self, mover: Mover) -> FloatArray | None:
         """Return how G76 and G87 move the tool aside, shape (3,) [m]; None: not at all."""
@@ -284,9 +302,10 @@ class SiemensCycle:
                 shift[place] = self._value(index) * unit
         if self.name in _SIEMENS_TAPPING:
             mover.tell_tapping(self.name)
-        rests = self.name in ('CYCLE82', 'CYCLE86', 'CYCLE88', 'CYCLE89') or self._value(5) > 0.0
-        if rests and self._value(5):
-            mover.notice(self.name, DWELL)
+        time = 0.0 if self.name == 'CYCLE81' else self._value(8 if self.name == 'CYCLE83' else 5)
+        if time < 0.0:  # turns of the spindle
+            time *= -MINUTE / max(mover.spindle_speed, 1.0)
+        rests = self.name in ('CYCLE82', 'CYCLE86', 'CYCLE88', 'CYCLE89') or time > 0.0
         waits = self.name in ('CYCLE87', 'CYCLE88')
         breaks = self.name == 'CYCLE83' and not self._value(11)
         distance = self._value(14) * unit or _BREAK
@@ -298,7 +317,8 @@ class SiemensCycle:
             go_along(mover, here, axis, along, feed_given=True)
         hole = Hole(
             retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
-            waits=waits, out=retract if self.name in _SIEMENS_FEED_OUT else None, shift=shift,
+            dwell=dwell_of(mover, self.name, time), waits=waits, shift=shift,
+            out=retract if self.name in _SIEMENS_FEED_OUT else None,
             feed=self._feed(), feed_out=self._feed_out(), reverse=self._reverse,
         )  # fmt: skip
         make_hole(mover, hole, here, axis)

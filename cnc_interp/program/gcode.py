@@ -666,21 +666,12 @@ class GcodeReader:
         if {'X', 'Y', 'Z', *self.mover.rotary_letters} & set(words.values):
             raise self.fault('a dwell and a motion in one block; write two lines', 'G4')
         self.splines.stop_here()
-        seconds = self._seconds(given, '.' in words.texts.get('P', ''))
-        if seconds is None and 'G4' in self._signals.words:
-            self.notice('G4', codes.ANY_DWELL)
-        self._rest_for('G4', seconds or 0.0)
-
-    def _rest_for(self, code: str, seconds: float) -> None:
-        if 'G4' not in self._signals.words:
-            self.notice(code, codes.DWELL)
-        self._act(acting(self._signals, ['G4'], {signals.DWELL: seconds}, self.fault)[0])
-
-    def _seconds(self, given: Mapping[str, float], pointed: bool) -> float | None:
-        """Return the time of G4 [s]: X, U, F count seconds, S turns, P what the control means."""
-        letter, dialect = next(iter(given), ''), self.mover.dialect
+        letter = next(iter(given), '')
+        seconds = given.get(letter, 0.0)  # X, U, F; S: turns
         if letter == 'S':
-            return given['S'] / max(self.mover.spindle_speed, 1.0) * MINUTE
-        if letter != 'P' or pointed or dialect is LINUXCNC:
-            return given.get(letter, 0.0)
-        return given['P'] / 1e3 if dialect is FANUC else None
+            seconds *= MINUTE / max(self.mover.spindle_speed, 1.0)
+        self._rest_for('G4', seconds, words.texts.get('P', '') if letter == 'P' else '.')
+
+    def _rest_for(self, code: str, time: float, text: str = '.') -> None:
+        seconds = cycles.dwell_of(self.mover, code, time, text)
+        self._act(acting(self._signals, ['G4'], {signals.DWELL: seconds}, self.fault)[0])

@@ -10,7 +10,7 @@ import numpy as np
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
 from cnc_interp.program.arcs import PLANES, Corner
 from cnc_interp.program.cursor import Loop
-from cnc_interp.program.cycles import Hole, go_along, make_hole, pecks_of
+from cnc_interp.program.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
 from cnc_interp.program.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.heidenhain_frames import HeidenhainFrames
@@ -463,6 +463,7 @@ class HeidenhainReader(GcodeReader):
         hole = Hole(
             retract, bottom, clear, pecks, breaks,
             of('Q256') * unit or _BREAK if breaks else _NEAR, rests=of('Q211') > 0.0 or taps,
+            dwell=dwell_of(mover, f'CYCL DEF {self.cycle}', of('Q211')),
             out=retract if taps or reams else None, feed=feed,
             feed_out=of('Q208') * unit / MINUTE if reams else None,
             reverse=('M3' if of('Q239') < 0.0 else 'M4') if taps else '',

@@ -155,6 +155,46 @@ def test_a_dwell_is_a_function_of_its_time(name: str, word: str, seconds: float)
     assert rests[k] == seconds
 
 
+@pytest.mark.parametrize(
+    ('name', 'cycle', 'seconds'),
+    [
+        ('p.ngc', 'G98 G82 X5 Z-2 R1 P0.5 F900', 0.5), ('p.ngc', 'G98 G81 X5 Z-2 R1 F900', 0.0),
+        ('fanuc.nc', 'O1234\nG0\nG89 X5 Z-2 R1 P500 F900', 0.5),
+        ('p.nc', 'G82 X5 Z-2 R1 P500 F900', None), ('p.nc', 'G82 X5 Z-2 R1 P1.5 F900', 1.5),
+        ('p.mpf', 'F900\nCYCLE82(5,0,1,-2,,0.7)', 0.7),
+        ('p.mpf', 'F900\nCYCLE85(5,0,1,-2,,-30,90,90)', 2.0),
+        ('p.mpf', 'F900\nCYCLE83(5,0,1,-2,,-1,,0,0.4)', 0.4),
+        ('p.mpf', 'F900\nCYCLE83(5,0,1,-2,,-1)', 0.0),
+        (
+            'p.h', 'CYCL DEF 200\nQ200=1\nQ201=-2\nQ206=900\nQ202=5\nQ203=0\nQ204=5\nQ211=0.3\n'
+            'L X+5 FMAX M99', 0.3,
+        ),
+        ('p.apt', 'CYCLE/DRILL,FEDTO,2,MMPM,900,RAPTO,1,DWELL,0.6\nGOTO/5,0,0\nCYCLE/OFF', 0.6),
+        ('p.apt', 'FEDRAT/900\nGOTO/5,0,-2\nDELAY/0.8', 0.8),
+    ],
+)  # fmt: skip
+def test_a_cycle_rests_at_the_bottom_for_its_dwell(
+    name: str, cycle: str, seconds: float | None
+) -> None:
+    begin = {'h': 'BEGIN PGM P MM\nTOOL CALL 1 Z S900\nL X+0 Y+0 Z+9 R0 FMAX\n',
+             'apt': 'UNITS/MM\nRAPID\nGOTO/0,0,9\n'}  # fmt: skip
+    end = {'h': '\nL X+9 R0 FMAX\nEND PGM P MM', 'apt': '\nRAPID\nGOTO/9,0,9\nFINI'}
+    kind = name.split('.')[-1]
+    text = begin.get(kind, 'S900 M3\nG0 X0 Y0 Z9\n') + cycle + end.get(kind, '\nG80\nG0 X9\nM2')
+    stream = ProgramStream(Source.of_text(text, name), Transform.of(MACHINE), Settings())
+    blocks, found = stream.read().blocks, stream.functions
+    rests = found.standstill(MACHINE.signals, Standstill())
+    words = [MACHINE.signals.steps[step].word for step in found.step.tolist()]
+    dwells = [k for k, word in enumerate(words) if word == 'G4']
+    assert len(dwells) == bool(seconds)
+    for k in dwells:
+        before = found.block[k] - 1
+        assert rests[k] == pytest.approx(seconds) and blocks.exact_stop[before]
+        assert blocks.tip[before, 2] == pytest.approx(-2e-3)
+    told = any('time is not kept' in notice for notice in stream.notices)
+    assert told is (seconds is None)
+
+
 def test_a_dwell_of_heidenhain_rests_for_its_time() -> None:
     text = (
         'BEGIN PGM P MM\nL X+0 Y+0 Z+0 R0 FMAX\nL X+5 F1000\nCYCL DEF 9.0 DWELL\n'

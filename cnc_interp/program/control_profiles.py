@@ -49,6 +49,10 @@ _SIGNS = tuple((dialect, re.compile(words, re.I | re.M)) for dialect, words in _
 _COMMENT = re.compile(r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a-z ][^()\n]*\)|'
                       r';(?!\s*(?:PY|\$PATH))[^\n]*', re.I)  # fmt: skip
 
+#: Lines with words of all controls only. A sign stands for each, so lines keep their numbers.
+_COMMON = re.compile(
+    r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]++)[ \t\r]*+)++$', re.M
+)
 _HEAD_LINES = 2000
 #: What the first line with words begins with, in each form.
 _FORMS = {
@@ -93,7 +97,7 @@ def dialect_of(source: Source, chosen: str) -> tuple[Dialect, str]:
     """Return the profile of a text of G-code, and why: by choice, its words, or its suffix."""
     if chosen != 'auto':
         return PROFILES[chosen], 'as chosen'
-    text = _COMMENT.sub(' ', _head(source))
+    text = _COMMON.sub('-', _COMMENT.sub(' ', _head(source)))
     found = [(dialect, sign.search(text)) for dialect, sign in _SIGNS]
     told = {
         dialect: f'{" ".join(match[0].split())} in line {1 + text.count(chr(10), 0, match.end())}'

@@ -495,6 +495,8 @@ class GcodeReader:
         self._states = states
         found = [word for word in found if word in self._signals.words]
         found += sorted(words.m, key=lambda code: codes.FIRST_M.get(code, len(codes.FIRST_M)))
+        if not found:
+            return [], []
         tool = self._tool if 'M6' in words.m else self._chosen_tool
         given = {**values, 'S': mover.spindle_speed, 'T': float(tool)}
         given |= zip(signals.SURFACE, states[1], strict=False)

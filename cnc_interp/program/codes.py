@@ -111,10 +111,10 @@ NOT_YET = 'before the first motion nothing waits'
 WAITS_FIRST = 'the machine waits for cycle start before it goes to the start of the path'
 DWELL = 'exact stop; the dwell time is not kept'
 ANY_DWELL = 'P is seconds or ms; its time is not kept, choose --dialect or write X'
-#: What the first arcs tell that fit in one way only, by keys of ``arcs.FAULTS``.
+#: What arcs tell that fit in one way only, by keys of ``arcs.FAULTS``.
 CENTRES_TOLD = {
-    8: 'the place of the centre: no arc fits as the way from its start; --arc-centres absolute',
-    9: 'from the centre to the start: no arc fits as the reverse; --arc-centres reversed',
+    8: 'taken as the place of the centre, the arcs fit only so; as --arc-centres absolute',
+    9: 'taken from the centre to the start, the arcs fit only so; as --arc-centres reversed',
 }
 _WAITS = 'waits for cycle start; a plan stops there and continues'
 STOP_M = {'M0': _WAITS, 'M1': f'with optional stop on: {_WAITS}', 'M60': _WAITS}

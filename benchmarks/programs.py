@@ -32,6 +32,7 @@ from linuxcnc_oracle import judged
 from whole_plans import plan_program, summary_of, write_plan
 
 from cnc_interp.core import MM_PER_MIN, InterpError, ProgramError
+from cnc_interp.kernel_cache import LOCATORS
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
@@ -76,7 +77,7 @@ CASES = {
     'linuxcnc-cds': Case(),
     'linuxcnc-impeller-xyzac': Case('xyzac'),
     'linuxcnc-lhchips4': Case(feed=3000.0, remark='--feed 3000'),
-    'linuxcnc-stellabee': Case(remark='20,000 lines'),
+    'linuxcnc-stellabee': Case(),
     'mach-pulley-r-arcs': Case(),
     'nist-box-op5': Case(
         'vmc',
@@ -218,8 +219,8 @@ def table_of(results: dict[str, dict[str, Any]]) -> str:
         '',
         made_at(results),
         '',
-        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": refused, or not in '
-        f'{PATIENCE:.0f} s.',
+        f'`plan --workers 1` at {beside.pop("states", "")}, in turn; "-": refused, or more than '
+        f'{PATIENCE:.0f} s; of more than {MOST_LINES:,} lines the first 20,000.',
         '',
         '| program | machine | LinuxCNC | motion [s] | CPU [s] | wall [s] | memory [MB] |',
         '|---|---|---|---|---|---|---|',
@@ -248,8 +249,10 @@ def timed(file: Path, arguments: list[str], checkout: Path) -> list[float]:
         command += ['--out', folder, *arguments]
         if (checkout / 'cnc_interp' / 'commands').exists():  # else it is older than the option
             command += ['--workers', '1']
-        own = {} if checkout == ROOT else {'NUMBA_CACHE_DIR': f'{checkout}/kernels'}
-        environment = os.environ | {'PYTHONPATH': str(checkout)} | own
+        environment = os.environ | {'PYTHONPATH': str(checkout)}
+        del environment[LOCATORS]  # of this state of the code
+        if checkout != ROOT:
+            environment['NUMBA_CACHE_DIR'] = str(checkout / 'kernels')
         quiet = subprocess.DEVNULL
         begin = time.perf_counter()
         process = subprocess.Popen(
@@ -269,11 +272,6 @@ def beside(
 ) -> Iterator[tuple[str, list[str]]]:
     """Plan with one state of the code after the other; yield names and the last columns."""
     jobs: dict[str, list[tuple[Path, list[str]]]] = {}
-    for length, blocks in SPIRALS.items():
-        file = folder / f'spiral_{length}.ngc'
-        subprocess.run([sys.executable, SPIRAL, length, str(blocks), file], check=True)
-        jobs[f'spiral, {blocks:,} of {length} mm'] = [(file, ['--machine', 'xyz'])]
-    jobs[f'{CORNERS.name}, all'] = [(file, []) for file in sorted(CORNERS.glob('*.apt'))]
     for name in only:
         case, file = CASES[name], program_file(name)
         lines = file.read_bytes().splitlines(keepends=True)
@@ -287,6 +285,12 @@ def beside(
             setup.write_text(f'work_offsets: {case.setup.work_offsets}', encoding='utf-8')
             arguments += ['--setup', str(setup)]
         jobs[name] = [(file, arguments)]
+    if len(only) == len(CASES):
+        for length, blocks in SPIRALS.items():
+            file = folder / f'spiral_{length}.ngc'
+            subprocess.run([sys.executable, SPIRAL, length, str(blocks), file], check=True)
+            jobs[f'spiral, {blocks:,} of {length} mm'] = [(file, ['--machine', 'xyz'])]
+        jobs[f'{CORNERS.name}, all'] = [(file, []) for file in sorted(CORNERS.glob('*.apt'))]
     for name, files in jobs.items():
         found = [[timed(*file, state) for file in files] for state in checkouts]
         rows = [np.sum(row, axis=0) if all(row) else np.full(4, np.nan) for row in found]
@@ -315,7 +319,8 @@ def main() -> None:
     if options.beside:
         with tempfile.TemporaryDirectory() as folder:
             checkouts = [*(path.resolve() for path in options.beside), ROOT]
-            told: dict[str, Any] = {'states': ', '.join(map(commit, checkouts))}
+            told = json.loads(BESIDE.read_text(encoding='utf-8')) if BESIDE.exists() else {}
+            told['states'] = ', '.join(map(commit, checkouts))
             for name, columns in beside(checkouts, options.only, Path(folder)):
                 told[name] = columns
                 BESIDE.write_text(json.dumps(told, indent=2) + '\n', encoding='utf-8')

@@ -2,29 +2,42 @@
 Holds, override changes, kills and bad messages at random moments, with real processes.
 
 ``PYTHONPATH=.:test/ros python benchmarks/operation.py --reactions 20 --holds 200 --overrides 200
---kills 50 --messages 1000``; the same at small count is in ``test/ros``. After every run all
+--kills 50 --messages 1000 --foreign 1000``; the same at small count is in ``test/ros``. After every run all
 setpoints that the machine executed are proven: limits by differences, path by its own evaluation,
 end of the program reached, blocks sent = executed. A reaction time counts from the command to the
 first setpoint that differs from the motion before it.
+
+``--foreign``: another node says again what the nodes said, with one value changed and the right
+checksum. What was executed keeps the limits; a run that says that it succeeded came to its end.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import math
 import os
 import signal
 import sys
 import time
+from collections import Counter
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import MachineState
-from operated import Bench, T, waves
+from cnc_interp_msgs.action import RunProgram
+from cnc_interp_msgs.msg import (
+    G1BlockBatch, MachineState, PathSegmentBatch, SetpointChunk, StreamStatus,
+)  # fmt: skip
+from limit_use import limit_use
+from operated import LIMITS, Bench, T, path_of, waves
 from rclpy.time import Time
 from relay import ARGUMENTS, Relay
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
+
+from cnc_interp.nodes import qos
+from cnc_interp.nodes.peers import second_publisher
+from cnc_interp.nodes.streams import sealed
 
 #: Blocks of the program in which things happen, twice; its corners and turns take a minute.
 WAVES = 120
@@ -244,6 +257,107 @@ def messages(count: int, seed: int) -> None:
         trial.close()
 
 
+class Stranger:
+    """A node that says again what it heard, with one value changed."""
+
+    KINDS = {
+        'block_batches': G1BlockBatch, 'segments': PathSegmentBatch, 'setpoints': SetpointChunk,
+        'stream_status': StreamStatus, 'machine_state': MachineState,
+    }  # fmt: skip
+
+    def __init__(self, bench: Bench, random: np.random.Generator):
+        self.bench, self.random = bench, random
+        profile = {'stream_status': qos.STATUS, 'machine_state': qos.STATE}
+        self.heard = {
+            topic: bench.listen(topic, kind, profile.get(topic, qos.STREAM))
+            for topic, kind in self.KINDS.items()
+        }
+        self.publishers = {
+            topic: bench.node.create_publisher(kind, topic, profile.get(topic, qos.STREAM))
+            for topic, kind in self.KINDS.items()
+        }
+
+    def speak(self) -> str:
+        """Send one message; return which, and what was changed."""
+        heard = [topic for topic, messages in self.heard.items() if messages]
+        topic = str(self.random.choice(heard))
+        message = copy.deepcopy(self.heard[topic][-1])
+        changed = self.change(message)
+        sealed_kind = hasattr(message, 'checksum')
+        self.publishers[topic].publish(sealed(message) if sealed_kind else message)
+        return f'{topic} {changed}'
+
+    def change(self, message: Any) -> str:
+        """Change one value of a message, or of one inside."""
+        fields = message.get_fields_and_field_types()
+        names = [name for name in fields if name not in ('checksum', 'header')]
+        name = str(self.random.choice(names))
+        value = getattr(message, name)
+        if hasattr(value, 'get_fields_and_field_types'):
+            return f'{name}.{self.change(value)}'
+        if isinstance(value, str):
+            setattr(message, name, value + 'x')
+        elif isinstance(value, bool):
+            setattr(message, name, not value)
+        elif isinstance(value, int):
+            setattr(message, name, max(0, value + int(self.random.choice([-100, -1, 1, 100]))) % 256)
+        elif isinstance(value, float):
+            setattr(message, name, self.other(value))
+        elif len(value) > 0:
+            at = int(self.random.integers(len(value)))
+            if hasattr(value[at], 'get_fields_and_field_types'):
+                return f'{name}[{at}].{self.change(value[at])}'
+            if isinstance(value[at], str):
+                value[at] += 'x'
+            else:
+                value[at] = type(value[at])(self.other(float(value[at])))
+        return name
+
+    def other(self, value: float) -> float:
+        """Return another number: near, far, of the other sign or none."""
+        return float(self.random.choice([value + 1e-4, value + 1.0, -value, 2.0 * value]))
+
+    def leave(self) -> None:
+        """Go, so that the next program may begin."""
+        node = self.bench.node
+        for publisher in self.publishers.values():
+            node.destroy_publisher(publisher)
+        self.bench.spin_until(lambda: not second_publisher(node))
+
+
+def foreign(count: int, seed: int) -> None:
+    """Speak as the nodes do in the middle of runs until so many foreign messages were sent."""
+    trial = Trial(seed)
+    bench, done, runs = trial.bench, 0, 0
+    ends: Counter[str] = Counter()
+    try:
+        while done < count:
+            handle = bench.begin(waves(12))
+            bench.spin_until(lambda: not bench.state.completed)
+            stranger = Stranger(bench, trial.random)
+            wanted, said = handle.get_result_async(), list[str]()
+            while done < count and not wanted.done():
+                said.append(stranger.speak())
+                done += 1
+                trial.pause(0.2)
+            stranger.leave()
+            bench.spin_until(wanted.done)
+            result = wanted.result().result
+            ends[result.message[:60]] += 1
+            bench.spin_until(lambda: bench.peers.at_rest)
+            told = bench.told(bench.loaded[-1].program_id)
+            q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
+            assert limit_use(q, LIMITS) <= 1.001, said
+            if result.code == RunProgram.Result.SUCCEEDED:  # it came too late to be seen
+                assert np.abs(q[-1] - path_of(bench.text).q[-1]).max() < 1e-12, said
+            bench.tidy()
+            runs += 1
+            say('foreign messages', done, runs, 0)
+    finally:
+        trial.close()
+    print(*ends.items(), sep='\n')
+
+
 def say(what: str, done: int, runs: int, starved: int) -> None:
     """Tell how far it has come."""
     print(f'{what:<24}{done} in {runs} proven runs, {starved} times starved', flush=True)
@@ -252,7 +366,7 @@ def say(what: str, done: int, runs: int, starved: int) -> None:
 def main() -> int:
     """Run what is asked for."""
     asked = argparse.ArgumentParser(description=__doc__)
-    for name in ('holds', 'overrides', 'kills', 'messages', 'reactions'):
+    for name in ('holds', 'overrides', 'kills', 'messages', 'foreign', 'reactions'):
         asked.add_argument(f'--{name}', type=int, default=0)
     asked.add_argument('--seed', type=int, default=1)
     options = asked.parse_args()
@@ -270,6 +384,8 @@ def main() -> int:
             trial.close()
     if options.messages:
         messages(options.messages, options.seed)
+    if options.foreign:
+        foreign(options.foreign, options.seed)
     return 0
 
 

@@ -34,7 +34,7 @@ def speed_bounds(
     """Return six bounds of the motion in each cell, (n, 6), from its two ends and its middle.
 
     Speed by feed and axis velocities, speed by Eq. 10, largest tangential acceleration and jerk;
-    then the first one with the velocity limits at the left and at the right end.
+    then the first one at the left and at the right end alone.
     """
     n, n_axes = len(h), left.shape[2]
     out = np.empty((n, 6))
@@ -47,7 +47,10 @@ def speed_bounds(
         for k in range(n_axes):
             septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
             q1, q_s, q_ss, q_sss = septic_jet(c, 0.5, h[i])
-            q_s = max(abs(left[1, i, k]), abs(right[1, i, k]), abs(q_s))
+            begin, middle, end = abs(left[1, i, k]), abs(q_s), abs(right[1, i, k])
+            if middle > max(begin, end):
+                begin = end = middle
+            q_s = max(begin, end)
             q_ss = max(abs(left[2, i, k]), abs(right[2, i, k]), abs(q_ss))
             q_sss = max(abs(left[3, i, k]), abs(right[3, i, k]), abs(q_sss))
             q0, q2 = left[0, i, k], right[0, i, k]
@@ -56,8 +59,8 @@ def speed_bounds(
             largest_j = _lowest(table, by_place.JERK, k, q0, q1, q2)
             if q_s > 0.0:
                 fast = min(fast, _lowest(table, by_place.VELOCITY, k, q0, q1, q2) / q_s)
-                first = min(first, by_place.limit_at(table, by_place.VELOCITY, k, q0) / q_s)
-                last = min(last, by_place.limit_at(table, by_place.VELOCITY, k, q2) / q_s)
+                first = min(first, by_place.limit_at(table, by_place.VELOCITY, k, q0) / begin)
+                last = min(last, by_place.limit_at(table, by_place.VELOCITY, k, q2) / end)
                 acceleration = min(acceleration, largest_a / q_s)
                 jerk = min(jerk, largest_j / q_s)
             if q_ss > 0.0:

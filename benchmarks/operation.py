@@ -2,10 +2,10 @@
 Holds, override changes, kills and bad messages at random moments, with real processes.
 
 ``PYTHONPATH=.:test/ros python benchmarks/operation.py --reactions 20 --holds 200 --overrides 200
---kills 50 --messages 1000 --foreign 1000``; the same at small count is in ``test/ros``. After every run all
-setpoints that the machine executed are proven: limits by differences, path by its own evaluation,
-end of the program reached, blocks sent = executed. A reaction time counts from the command to the
-first setpoint that differs from the motion before it.
+--kills 50 --messages 1000 --foreign 1000``; the same at small count is in ``test/ros``. After
+every run all setpoints that the machine executed are proven: limits by differences, path by its
+own evaluation, end of the program reached, blocks sent = executed. A reaction time counts from the
+command to the first setpoint that differs from the motion before it.
 
 ``--foreign``: another node says again what the nodes said, with one value changed and the right
 checksum. What was executed keeps the limits; a run that says that it succeeded came to its end.
@@ -26,7 +26,11 @@ from typing import Any
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import (
-    G1BlockBatch, MachineState, PathSegmentBatch, SetpointChunk, StreamStatus,
+    G1BlockBatch,
+    MachineState,
+    PathSegmentBatch,
+    SetpointChunk,
+    StreamStatus,
 )  # fmt: skip
 from limit_use import limit_use
 from operated import LIMITS, Bench, T, path_of, waves
@@ -45,6 +49,12 @@ WAVES = 120
 LINE, FEED = 150, 1200
 #: Nodes that are killed and frozen: all but the machine.
 LOST = ('feedrate_node', 'lookahead_node', 'program_node')
+#: What the nodes of a run say to each other.
+SAID = {
+    'block_batches': (G1BlockBatch, qos.STREAM), 'segments': (PathSegmentBatch, qos.STREAM),
+    'setpoints': (SetpointChunk, qos.STREAM), 'stream_status': (StreamStatus, qos.STATUS),
+    'machine_state': (MachineState, qos.STATE),
+}  # fmt: skip
 
 
 def straight() -> str:
@@ -260,26 +270,22 @@ def messages(count: int, seed: int) -> None:
 class Stranger:
     """A node that says again what it heard, with one value changed."""
 
-    KINDS = {
-        'block_batches': G1BlockBatch, 'segments': PathSegmentBatch, 'setpoints': SetpointChunk,
-        'stream_status': StreamStatus, 'machine_state': MachineState,
-    }  # fmt: skip
-
     def __init__(self, bench: Bench, random: np.random.Generator):
         self.bench, self.random = bench, random
-        profile = {'stream_status': qos.STATUS, 'machine_state': qos.STATE}
-        self.heard = {
-            topic: bench.listen(topic, kind, profile.get(topic, qos.STREAM))
-            for topic, kind in self.KINDS.items()
-        }
-        self.publishers = {
-            topic: bench.node.create_publisher(kind, topic, profile.get(topic, qos.STREAM))
-            for topic, kind in self.KINDS.items()
-        }
+        self.heard = {topic: bench.listen(topic, *how) for topic, how in SAID.items()}
+        self.publishers: dict[str, Any] = {}
+
+    def come(self) -> None:
+        """Begin to speak in a run."""
+        for topic, how in SAID.items():
+            self.heard[topic].clear()
+            self.publishers[topic] = self.bench.node.create_publisher(how[0], topic, how[1])
 
     def speak(self) -> str:
         """Send one message; return which, and what was changed."""
         heard = [topic for topic, messages in self.heard.items() if messages]
+        if not heard:
+            return ''
         topic = str(self.random.choice(heard))
         message = copy.deepcopy(self.heard[topic][-1])
         changed = self.change(message)
@@ -300,7 +306,8 @@ class Stranger:
         elif isinstance(value, bool):
             setattr(message, name, not value)
         elif isinstance(value, int):
-            setattr(message, name, max(0, value + int(self.random.choice([-100, -1, 1, 100]))) % 256)
+            step = int(self.random.choice([-100, -1, 1, 100]))
+            setattr(message, name, max(0, value + step) % 256)
         elif isinstance(value, float):
             setattr(message, name, self.other(value))
         elif len(value) > 0:
@@ -309,8 +316,11 @@ class Stranger:
                 return f'{name}[{at}].{self.change(value[at])}'
             if isinstance(value[at], str):
                 value[at] += 'x'
+            elif isinstance(value[at], bool):
+                value[at] = not value[at]
             else:
-                value[at] = type(value[at])(self.other(float(value[at])))
+                number = self.other(float(value[at]))
+                value[at] = number if isinstance(value[at], float) else int(abs(number))
         return name
 
     def other(self, value: float) -> float:
@@ -329,23 +339,23 @@ def foreign(count: int, seed: int) -> None:
     """Speak as the nodes do in the middle of runs until so many foreign messages were sent."""
     trial = Trial(seed)
     bench, done, runs = trial.bench, 0, 0
+    stranger = Stranger(bench, trial.random)
     ends: Counter[str] = Counter()
     try:
         while done < count:
-            handle = bench.begin(waves(12))
+            handle = bench.begin(waves(24))
             bench.spin_until(lambda: not bench.state.completed)
-            stranger = Stranger(bench, trial.random)
+            stranger.come()
             wanted, said = handle.get_result_async(), list[str]()
-            while done < count and not wanted.done():
-                said.append(stranger.speak())
-                done += 1
+            while done + len(said) < count and not wanted.done():
                 trial.pause(0.2)
+                said += filter(None, [stranger.speak()])
+            done += len(said)
             stranger.leave()
             bench.spin_until(wanted.done)
             result = wanted.result().result
             ends[result.message[:60]] += 1
-            bench.spin_until(lambda: bench.peers.at_rest)
-            told = bench.told(bench.loaded[-1].program_id)
+            told = bench.told(bench.heard_whole())
             q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
             assert limit_use(q, LIMITS) <= 1.001, said
             if result.code == RunProgram.Result.SUCCEEDED:  # it came too late to be seen

@@ -9,7 +9,8 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics
-from cnc_interp.nodes.qos import STATE, STATUS
+from cnc_interp.nodes.qos import STATE
+from cnc_interp.nodes.streams import hear_statuses
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.message_checks import check_state
@@ -71,7 +72,7 @@ class Peers:
         self._state_seen = -math.inf
         self._status: dict[str, StreamStatus] = {}
         self._seen: dict[str, float] = {}
-        node.create_subscription(StreamStatus, 'stream_status', self._see_status, STATUS)
+        hear_statuses(node, self._see_status)
         watch_machine(node, self._see_state, axis_count, diagnostics)
 
     def _see_status(self, status: StreamStatus) -> None:
@@ -149,14 +150,10 @@ class SenderWatch:
         heartbeat: str = '',
     ):  # fmt: skip
         self._diagnostics, self._stream, self._sender = diagnostics, stream, sender
-        self._timeout, self._heartbeat = timeout, heartbeat
+        self._timeout = timeout
         self._silence, self._lost, self._part = Silence(), False, f'sender of {stream}'
         if heartbeat:
-            node.create_subscription(StreamStatus, 'stream_status', self._see_status, STATUS)
-
-    def _see_status(self, status: StreamStatus) -> None:
-        if status.stream == self._heartbeat:
-            self.hear()
+            hear_statuses(node, lambda _: self.hear(), heartbeat)
 
     def hear(self) -> None:
         self._silence.hear(time.monotonic())

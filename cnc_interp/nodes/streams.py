@@ -44,8 +44,19 @@ def opened(data: bytes, kind: Any) -> Any:
 
 
 HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
+REFUSALS = frozenset(Refusal)  #: What a receiver may say; another node says something else.
 SILENT = 1.0  #: A receiver that was not heard for so long is silent [s].
 STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
+
+
+def hear_statuses(node: Any, take: Callable[[StreamStatus], None], stream: str = '') -> None:
+    """Pass on what the receiver of a stream says, or each receiver; no other words."""
+
+    def see(status: StreamStatus) -> None:
+        if status.stream == (stream or status.stream) and status.refusal_kind in REFUSALS:
+            take(status)
+
+    node.create_subscription(StreamStatus, 'stream_status', see, STATUS)
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
@@ -193,11 +204,9 @@ class Outlet:
         self._before = self.sender
         self._encode = encode
         self._publisher = node.create_publisher(kind, topic or stream, profile)
-        node.create_subscription(StreamStatus, 'stream_status', self._acknowledge, STATUS)
+        hear_statuses(node, self._acknowledge, stream)
 
     def _acknowledge(self, status: StreamStatus) -> None:
-        if status.stream != self.stream:
-            return
         if status.refusal_kind == Refusal.TOO_LATE:
             self.turned_away = run_id_of(status) == self.sender.run_id
             return

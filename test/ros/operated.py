@@ -135,13 +135,17 @@ class Bench(NodesUnderTest):
     def until_state(self, state):
         self.spin_until(lambda: self.state.state == state)
 
-    def recorded(self):
-        """Everything the drives were told in this run, proven."""
+    def heard_whole(self):
+        """Wait until everything the drives were told in this run is heard; return its id."""
         self.spin_until(lambda: self.peers.at_rest)  # states heard late are not yet the last
         state = self.next_state()
         run, count = state.program_id, state.samples
         self.spin_until(lambda: sum(len(m.sequences) for m in self.told(run)) >= count)
-        return self.proven(run, path_of(self.text))
+        return run
+
+    def recorded(self):
+        """Everything the drives were told in this run, proven."""
+        return self.proven(self.heard_whole(), path_of(self.text))
 
     def told(self, run):
         return [m for m in self.executed if m.program_id == run]

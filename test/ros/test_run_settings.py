@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from cnc_interp_msgs.action import RunProgram
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import MachineState, StreamStatus
 from diagnostic_msgs.msg import DiagnosticArray, KeyValue
 from nodes_under_test import NodesUnderTest
 from whole_plans import plan_program
@@ -15,7 +15,8 @@ from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.replay import compute_again
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.nodes.qos import DIAGNOSTICS, STATE
+from cnc_interp.nodes.peers import second_publisher
+from cnc_interp.nodes.qos import DIAGNOSTICS, STATE, STATUS
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings, texts_of
 
@@ -76,6 +77,26 @@ def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     node.destroy_subscription(heard)
     node.destroy_publisher(forger)
     nodes.spin_until(lambda: node.count_publishers('machine_state') == 1)
+
+
+def test_an_acknowledgement_that_no_receiver_gives_is_ignored(nodes):
+    """A refusal of an unknown kind ended feedrate_node."""
+    node = nodes.node
+    goal = nodes.start(text=PROGRAM)
+    nodes.spin_until(lambda: not nodes.peers.state.completed)
+    forger = node.create_publisher(StreamStatus, 'stream_status', STATUS)
+    nodes.spin_until(lambda: forger.get_subscription_count() >= 4)
+    run, wanted = nodes.peers.state.program_id, goal.get_result_async()
+    while not wanted.done():
+        for stream in ('blocks', 'segments', 'setpoints'):
+            forger.publish(StreamStatus(program_id=run, stream=stream, refusal_kind=100))
+        nodes.spin_for(0.002)
+    nodes.children.check()
+    result = wanted.result().result
+    stranger = f'stream_status is published by {node.get_name()} too'
+    assert f'executed to the end, but {stranger}' in result.message, result.message
+    node.destroy_publisher(forger)
+    nodes.spin_until(lambda: second_publisher(node) == '')
 
 
 def test_the_choices_of_a_goal_are_those_of_its_run_and_of_its_bag(nodes, tmp_path):

@@ -111,10 +111,11 @@ class ModalState:
         self.centre_absolute = settings.arc_centres == 'absolute'
         #: -1 where I J K lead from the centre of an arc to its start.
         self.centre_sense = -1.0 if settings.arc_centres == 'reversed' else 1.0
-        #: Whether nothing has told yet what I J K mean, so that the first arc may do so; and the
-        #: refusal of that arc, which stands until a second one agrees.
+        #: Whether nothing has told yet what I J K mean, so that the first arc may do so; the
+        #: refusal of that arc stands until two more agree.
         self.centres_open = settings.arc_centres == 'auto'
         self.lone_arc: ProgramError | None = None
+        self.agreeing = 0
         #: I J K and R of the last arc [m], which some posts do not repeat.
         self.last_centre, self.last_radius = np.full((1, 3), nan), nan
         self.feed_mode, self.retract_to_start = 'G94', True

@@ -437,7 +437,9 @@ class Mover(ModalState):
         if np.isfinite(offset).any():
             self.centres_open = False
             if self.lone_arc and not self._fits(target, offset if absolute.any() else -offset):
-                self.lone_arc = None
+                self.agreeing += 1
+                if self.agreeing == 2:
+                    self.lone_arc = None
         if arcs.mismatch[0] > TOLD:
             self.notice('arcs', 'the distance from the centre differs at their ends by up to '
                         f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '

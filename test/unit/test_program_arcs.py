@@ -94,17 +94,19 @@ def test_words_of_the_centre_absolute_by_mode_and_by_function():
 
 
 def test_arcs_that_fit_in_one_way_only_tell_what_centres_are():
-    head, by_start = 'G0 X40 Y0\nG3 X30 Y10 ', 'I-10 J0 F600\nX20 Y0 I0 J-10\nX20 Y0 I10 J0\n'
+    head = 'G0 X40 Y0\nG3 X30 Y10 '
+    by_start = 'I-10 J0 F600\nX20 Y0 I0 J-10\nX20 Y0 I10 J0\nX30 Y-10 I10 J0\n'
     wanted = read(head + by_start).tip
-    reversed_ = 'I10 J0 F600\nX20 Y0 I0 J10\nX20 Y0 I-10 J0\n'
-    absolute = 'I30 J0 F600\nX20 Y0 I30 J0\nX20 Y0 I30 J0\n'
+    reversed_ = 'I10 J0 F600\nX20 Y0 I0 J10\nX20 Y0 I-10 J0\nX30 Y-10 I-10 J0\n'
+    absolute = 'I30 J0 F600\nX20 Y0 I30 J0\nX20 Y0 I30 J0\nX30 Y-10 I30 J0\n'
     for told in (reversed_, absolute):
         program = read_text(head + told, 'arc.nc', ThreeAxes())
         np.testing.assert_allclose(program.blocks.tip, wanted, atol=1e-12)
         assert 'line 2: I J K: ' in str(program.notices)
         circle = head.replace('X30 Y10 ', 'I10 J0 F9\nX30 Y10 ')
         one = head + told[: told.index('X20')]
-        for text in (circle + told, one, one + 'X20 Y0 R10\n', 'G91.1\n' + head + told):
+        two = head + told[: told.index('X30')]
+        for text in (circle + told, one, two, one + 'X20 Y0 R10\n', 'G91.1\n' + head + told):
             with pytest.raises(ProgramError, match='--arc-centres'):
                 read_text(text, 'arc.nc', ThreeAxes())
 

@@ -224,9 +224,11 @@ class Outlet:
 
     @property
     def unheard(self) -> float:
-        """How long the receiver has spoken without acknowledging what it was sent [s]."""
-        now = time.monotonic()
-        speaks = now - self.heard < SILENT
+        """How long the receiver has spoken without acknowledging what it would take [s]."""
+        now, peer = time.monotonic(), self.peer
+        closed = peer is not None and peer.window_limit <= peer.next_sequence
+        closed = closed and run_id_of(peer) == self.sender.run_id
+        speaks = now - self.heard < SILENT and not closed
         return now - max(self._speaks_since, self.sender.unanswered_since) if speaks else 0.0
 
     def join(self, run_id: RunId, first: int) -> None:

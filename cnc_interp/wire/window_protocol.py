@@ -14,7 +14,9 @@ from cnc_interp.run.run_state import NO_RUN, RunId
 
 Item = TypeVar('Item')
 REMEMBERED = 64  #: Programs whose late messages are recognised as such.
-SETTLE = 0.05  #: Time that repeated items are given to arrive, before they are repeated again [s].
+#: Time that items sent again are given to arrive; doubled each time that they do not, so that a
+#: busy computer is not made busier [s].
+SETTLE = 0.05
 MOST_PATIENT = 16.0  #: Longest time before a repetition, as a multiple of the first one.
 
 
@@ -49,7 +51,7 @@ class WindowedSender(Generic[Item]):
         self.sent = first  # number after the last item that was ever sent
         self._since = 0.0
         self.unanswered_since = math.inf  # what was sent and is not acknowledged [s]
-        self._again = -math.inf
+        self._again, self._settle = -math.inf, SETTLE
         self._patience = self.resend_after
 
     def begin(self, run_id: RunId, first: int = 0, limit: int = 0) -> None:
@@ -93,16 +95,17 @@ class WindowedSender(Generic[Item]):
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
     ) -> None:
-        """Use a status of this run's receiver; on a gap sending starts again at once."""
+        """Use a status of this run's receiver; what it misses and still takes is sent again."""
         if run_id != self.run_id or next_number > self.sent:
             return
-        if gap and now - self._again > SETTLE:
-            self._in_flight, self._again = 0, now
         while self._items and self._items[0].after <= next_number:
             self._items.popleft()
             self._in_flight = max(0, self._in_flight - 1)
-            self._since, self._patience = now, self.resend_after
+            self._since, self._patience, self._settle = now, self.resend_after, SETTLE
             self.unanswered_since = now if self._in_flight else math.inf
+        if gap and window_limit > next_number and now - self._again > self._settle:
+            self._in_flight, self._again = 0, now
+            self._settle = min(2.0 * self._settle, MOST_PATIENT * self.resend_after)
         self.acknowledged = max(self.acknowledged, next_number)
         self.open(window_limit)
 

@@ -116,6 +116,23 @@ def test_only_what_was_not_acknowledged_is_sent_again_and_only_after_a_while():
     assert [i.first for i in sender.due(0.21 + RESEND)] == [3, 4, 5]
 
 
+def test_what_is_missing_is_sent_at_once_then_ever_more_slowly_and_not_to_a_closed_window():
+    sender = WindowedSender(RESEND)
+    sender.begin(P)
+    for i in range(6):
+        sender.put(i)
+    sender.due(0.0)
+    again = 0
+    for now in (0.01 * k for k in range(1, 200)):  # with each item that comes
+        sender.acknowledge(P, 1, 6, now, gap=True)
+        again += bool(sender.due(now))
+    assert 4 <= again <= 8
+    sender.acknowledge(P, 2, 6, 2.0, gap=True)
+    assert [i.first for i in sender.due(2.0)] == [2, 3, 4, 5]
+    sender.acknowledge(P, 3, 3, 4.0, gap=True)  # its plan is over
+    assert sender.due(4.0) == []
+
+
 def test_a_busy_line_is_tried_again():
     sender = WindowedSender(RESEND)
     sender.begin(P)

@@ -356,8 +356,9 @@ def foreign(count: int, seed: int) -> None:
             result = wanted.result().result
             ends[result.message[:60]] += 1
             told = bench.told(bench.heard_whole())
-            q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
-            assert limit_use(q, LIMITS) <= 1.001, said
+            if told:  # else it ended before it moved
+                q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])
+                assert limit_use(q, LIMITS) <= 1.001, said
             if result.code == RunProgram.Result.SUCCEEDED:  # it came too late to be seen
                 assert np.abs(q[-1] - path_of(bench.text).q[-1]).max() < 1e-12, said
             bench.tidy()

@@ -51,7 +51,7 @@ _COMMENT = re.compile(r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a
 
 #: Lines with words of all controls only. A sign stands for each, so lines keep their numbers.
 _COMMON = re.compile(
-    r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]++)[ \t\r]*+)++$', re.M
+    r'^[ \t]*(?:(?:G\d\d?(?![\d.])|[A-FH-NR-Z][ \t]*[-+]?[\d.]+)[ \t\r]*)+$', re.M
 )
 _HEAD_LINES = 2000
 #: What the first line with words begins with, in each form.

@@ -289,8 +289,8 @@ class Stranger:
         topic = str(self.random.choice(heard))
         message = copy.deepcopy(self.heard[topic][-1])
         changed = self.change(message)
-        sealed_kind = hasattr(message, 'checksum')
-        self.publishers[topic].publish(sealed(message) if sealed_kind else message)
+        is_sealed = hasattr(message, 'checksum')
+        self.publishers[topic].publish(sealed(message) if is_sealed else message)
         return f'{topic} {changed}'
 
     def change(self, message: Any) -> str:
@@ -355,6 +355,7 @@ def foreign(count: int, seed: int) -> None:
             bench.spin_until(wanted.done)
             result = wanted.result().result
             ends[result.message[:60]] += 1
+            bench.next_state()  # of the machine: the one before may be the stranger's
             told = bench.told(bench.heard_whole())
             if told:  # else it ended before it moved
                 q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])

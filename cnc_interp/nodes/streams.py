@@ -44,9 +44,9 @@ def opened(data: bytes, kind: Any) -> Any:
 
 
 HEARTBEAT = 0.1  #: Time between acknowledgements when nothing happens [s].
-REFUSALS = frozenset(Refusal)  #: What a receiver may say; another node says something else.
 SILENT = 1.0  #: A receiver that was not heard for so long is silent [s].
 STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
+REFUSALS = frozenset(Refusal)  #: What a receiver may say; only another node says something else.
 
 
 def hear_statuses(node: Any, take: Callable[[StreamStatus], None], stream: str = '') -> None:

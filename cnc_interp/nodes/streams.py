@@ -180,8 +180,9 @@ class Inlet:
     def tell(self) -> None:
         receiver, run_id = self.receiver, self.receiver.run_id
         self._told, self._told_at = self._news(), time.monotonic()
+        missing = self._gap or max(self._early, default=-1) > receiver.next_number
         self._publish(
-            run_id, gap=self._gap, next_sequence=receiver.next_number, window_limit=receiver.limit,
+            run_id, gap=missing, next_sequence=receiver.next_number, window_limit=receiver.limit,
             buffered_time=self.buffered_time, refusal_kind=receiver.refused,
             refusal=receiver.refusal_text,
         )  # fmt: skip

@@ -1,7 +1,8 @@
 """Both ends of a windowed stream, as TCP does it; pure bookkeeping without a clock or ROS.
 
 Items carry gap-free numbers within a program; one may count for several (a chunk of setpoints).
-The sender keeps every item until it is acknowledged, and begins again at the first that was not.
+The sender keeps every item until it is acknowledged. What was lost it sends again: the first one
+that is missing, and what comes after it only as far as the receiver turns out to lack it too.
 """
 
 import math
@@ -43,7 +44,8 @@ class WindowedSender(Generic[Item]):
 
     def _begin(self, first: int, limit: int) -> None:
         self._items: deque[Numbered[Item]] = deque()  # from the first unacknowledged one
-        self._in_flight = 0  # how many of them are sent
+        self._in_flight = 0  # how many of them are sent and not taken for lost
+        self._repeats = self._repeated = 1  # that may be sent again: now, and last time
         self._first = first
         self.next_number = first
         self.acknowledged = first
@@ -74,13 +76,17 @@ class WindowedSender(Generic[Item]):
     def due(self, now: float) -> list[Numbered[Item]]:
         """Return the items to send now, lost ones included; the very first one may always go."""
         if self._in_flight and now - self._since > self._patience:
-            self._in_flight = 0
+            self._lost()
             self._patience = min(2.0 * self._patience, MOST_PATIENT * self.resend_after)
         found = []
         while self._in_flight < len(self._items):
             item = self._items[self._in_flight]
             if item.first >= self.limit and item.first > self._first:
                 break
+            if item.first < self.sent:
+                if not self._repeats:
+                    break
+                self._repeats -= 1
             if self._in_flight == 0:
                 self._since, self.unanswered_since = now, min(now, self.unanswered_since)
             found.append(item)
@@ -88,9 +94,13 @@ class WindowedSender(Generic[Item]):
             self.sent = max(self.sent, item.after)
         return found
 
+    def _lost(self) -> None:
+        self._in_flight, self._repeats, self._repeated = 0, 1, 1
+
     def take_back(self, items: int) -> None:
         """Mark the last items returned by ``due`` as not sent, because publishing failed."""
         self._in_flight = max(0, self._in_flight - items)
+        self._repeats += items
 
     def acknowledge(
         self, run_id: RunId, next_number: int, window_limit: int, now: float, gap: bool = False
@@ -98,13 +108,17 @@ class WindowedSender(Generic[Item]):
         """Use a status of this run's receiver; what it misses and still takes is sent again."""
         if run_id != self.run_id or next_number > self.sent:
             return
-        while self._items and self._items[0].after <= next_number:
-            self._items.popleft()
-            self._in_flight = max(0, self._in_flight - 1)
-            self._since, self._patience, self._settle = now, self.resend_after, SETTLE
+        if self._items and self._items[0].after <= next_number:
+            while self._items and self._items[0].after <= next_number:
+                self._items.popleft()
+                self._in_flight = max(0, self._in_flight - 1)
+            self._since, self._patience = now, self.resend_after
+            self._again, self._settle = -math.inf, SETTLE
+            self._repeats = self._repeated = min(2 * self._repeated, 1 + len(self._items))
             self.unanswered_since = now if self._in_flight else math.inf
         if gap and window_limit > next_number and now - self._again > self._settle:
-            self._in_flight, self._again = 0, now
+            self._lost()
+            self._again = now
             self._settle = min(2.0 * self._settle, MOST_PATIENT * self.resend_after)
         self.acknowledged = max(self.acknowledged, next_number)
         self.open(window_limit)

@@ -64,10 +64,12 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
     joints = (given or traj.get('COORDINATES', '')).replace(' ', '').upper()
     rotary = KINEMATICS[name]
     letters = list(dict.fromkeys(joints))
+    if name == 'trivkins' and (fourth := set(letters) - set('XYZ')) in ({'A'}, {'B'}):
+        (rotary,) = fourth
     if sorted(letters) != sorted(f'XYZ{rotary}'):
         raise MachineError(
-            f'{name} with {joints or "no axes"}: a machine file needs XYZ{rotary} there; '
-            'write it from an example in config/machines', 'COORDINATES',
+            f'{name} with {joints or "no axes"}: known are XYZ{rotary or ", XYZA and XYZB"}; '
+            'write the file from an example in config/machines', 'COORDINATES',
         )  # fmt: skip
     linear, angular = _unit(traj, 'LINEAR_UNITS', 'mm'), _unit(traj, 'ANGULAR_UNITS', 'deg')
     notes: list[str] = []
@@ -87,7 +89,9 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
         'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')), 'signals': 'milling',
         'control': {'dialect': 'linuxcnc'},
     }  # fmt: skip
-    if rotary:
+    if len(rotary) == 1:
+        content['rotary'] = _turntable(rotary, notes)
+    elif rotary:
         content['rotary'] = _table(name, rotary, ini.get('HAL', []), linear / MM, notes)
     return content | {'limits': limits}, notes
 
@@ -141,6 +145,17 @@ def _number(text: str, letter: str, key: str) -> float:
 
 def _rounded(value: float) -> float:
     return float(f'{value:.9g}')
+
+
+def _turntable(letter: str, notes: list[str]) -> dict[str, Any]:
+    """Return the geometry of a fourth axis, beside a tilt of the head that is locked."""
+    notes.append(f'{letter}: taken as a table; where its axis lies (primary_offset_mm) as 0 0 0')
+    other = 'B' if letter == 'A' else 'A'
+    return {
+        'primary': {'name': letter, 'about': ABOUT[letter], 'carries': 'workpiece'},
+        'secondary': {'name': other, 'about': ABOUT[other], 'carries': 'tool', 'locked': True},
+        'workpiece_offset_mm': [0.0] * 3, 'primary_offset_mm': [0.0] * 3,
+    }  # fmt: skip
 
 
 def _table(

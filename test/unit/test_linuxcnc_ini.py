@@ -78,12 +78,22 @@ def test_inches_and_an_axis_with_two_motors(tmp_path):
     assert machine.travel[2] == pytest.approx([0.0, 12 * INCH])
 
 
+@pytest.mark.parametrize('letter', 'AB')
+def test_a_fourth_axis_is_a_table_and_its_place_is_told(tmp_path, capsys, letter):
+    text = (TABLE + REST).replace('xyzac-trt-kins', 'trivkins').replace('_A]', f'_{letter}]')
+    status, file = imported(tmp_path, text.replace('X Y Z A C', f'X Y Z {letter}'))
+    machine, told = Machine.load(file), capsys.readouterr().err
+    assert status == 0 and f'{letter}: taken as a table' in told and 'primary_offset_mm' in told
+    assert machine.axis_names[3] == letter
+    assert machine.max_velocity[3] == pytest.approx(90 * DEG)
+
+
 @pytest.mark.parametrize(
     ('old', 'new', 'told'),
     [
         ('KINEMATICS = xyzac-trt-kins', 'KINEMATICS = pumakins', 'pumakins is not known'),
         ('KINEMATICS = xyzac-trt-kins', 'OLD = 1', 'no KINEMATICS in [KINS]'),
-        ('X Y Z A C', 'X Y Z A', 'xyzac-trt-kins with XYZA: a machine file needs XYZAC'),
+        ('X Y Z A C', 'X Y Z A', 'xyzac-trt-kins with XYZA: known are XYZAC;'),
         ('LINEAR_UNITS = mm', 'LINEAR_UNITS = furlong', "'furlong' is no unit"),
         ('MAX_VELOCITY = 500', 'MAX_VELOCITY = fast', 'MAX_VELOCITY of X: must be a number'),
         ('[AXIS_Z]', '[AXIS_Q]', 'MAX_VELOCITY: missing in [AXIS_Z]'),

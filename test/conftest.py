@@ -14,9 +14,8 @@ import cnc_interp as cnc_interp  # before NumPy: it chooses one thread
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
 ROOT = Path(__file__).parents[1]
-#: Tests that start nodes or a browser, in two lanes: two files at a time, no more.
-LANES = ('test/ros/',), ('test/page/', 'test/replay/test_bags.py')
-LIVE = tuple(folder for lane in LANES for folder in lane)
+#: Tests that start nodes or a browser: one lane, in which a second process helps at the end.
+LIVE = 'test/ros/', 'test/page/', 'test/replay/test_bags.py'
 #: Files that name one of them run one after the other: one set of nodes, one session of HAL.
 SHARED = 'shared_nodes', 'hal_session'
 
@@ -93,8 +92,8 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config):
-    """One process more than there are cores: live tests wait half of their time."""
-    return len(os.sched_getaffinity(0)) + 1
+    """One process for each core, also where two of them are one core twice."""
+    return len(os.sched_getaffinity(0))
 
 
 @cache
@@ -106,7 +105,7 @@ def scope_of(file):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Let each of two processes run the files of a lane, then of the other; then the pure ones."""
+    """Let one process run the live files, then pure ones; the second takes them the other way."""
     from xdist.scheduler import LoadScopeScheduling
 
     config.option.loadscopereorder = False
@@ -124,9 +123,9 @@ def pytest_xdist_make_scheduler(config, log):
             for done in [scope for scope, tests in queue.items() if all(tests.values())]:
                 del queue[done]  # of a process that died
             living = [one for one in self.nodes if not one.shutting_down]
-            lanes = dict(zip(living, (LANES, LANES[::-1]))).get(node, ())
-            fitting = [scope for lane in lanes for scope in queue if scope.startswith(lane)]
-            fitting += [scope for scope in queue if not scope.startswith(LIVE)]
+            live = [scope for scope in queue if scope.startswith(LIVE)]
+            pure = [scope for scope in queue if not scope.startswith(LIVE)]
+            fitting = live + pure if node is living[0] else pure + live * (node in living[1:2])
             if fitting:
                 queue.move_to_end(fitting[0], last=False)
                 super()._assign_work_unit(node)

@@ -9,6 +9,7 @@ import numpy as np
 from cnc_interp.core import M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray
 from cnc_interp.core.limits_by_position import constant_table
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.machine_model.machine import read_only
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(12)
 
@@ -23,7 +24,9 @@ class Limits:
 
     @property
     def limit_table(self) -> FloatArray:
-        return constant_table(np.stack([self.max_velocity, self.max_acceleration, self.max_jerk]))
+        """Return a table as machines have it: others would need kernels of their own."""
+        limits = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
+        return read_only(constant_table(limits))
 
 
 XYZAC = Limits(

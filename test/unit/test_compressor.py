@@ -9,7 +9,7 @@ from path_samples import deviation, jumps, sampled
 from programs import blocks_of
 from programs import dome as dome_of
 from scipy.special import comb
-from tiers import examples
+from tiers import examples, few_of
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, InterpError
 from cnc_interp.machine_model.machine_traits import MachineTraits
@@ -62,8 +62,9 @@ def sound(segments, blocks):
     assert (jumps(segments, HEIGHT) < [1e-12, 1e-12, 1e-10]).all()
 
 
-@pytest.mark.parametrize('noise', [0.0, 1 * UM])
-@pytest.mark.parametrize('columns', [{}, {'tolerance': 50 * UM}])
+@pytest.mark.parametrize(
+    ('noise', 'columns'), few_of(3, [0.0, 1 * UM], [{}, {'tolerance': 50 * UM}])
+)
 def test_dense_blocks_become_one_curve_within_both_tolerances(noise, columns):
     blocks = dome(noise=noise)
     for name, value in columns.items():
@@ -102,8 +103,8 @@ def test_no_random_span_is_beyond_its_certificate():
     u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
     zero = np.zeros((2 * count - 1, 2))
     line = Polyline(
-        np.hstack([tip, axis]), u, np.arange(2 * count), zero, zero + scale * UM, zero[:, 0],
-        zero.astype(int),
+        np.hstack([tip, axis]), u, np.arange(2 * count), zero, zero + scale * UM,
+        zero[:, 0].copy(), zero.astype(int),
     )  # fmt: skip
     knots = np.sort(np.append(rng.uniform(0.0, u[-1], count - 1), [0.0, u[-1]]))
 
@@ -130,8 +131,7 @@ def test_no_random_span_is_beyond_its_certificate():
     assert np.median(ratio) < 1.5
 
 
-@pytest.mark.parametrize('batch', [1, 7, 64])
-@pytest.mark.parametrize('noise', [0.0, 2 * UM])
+@pytest.mark.parametrize(('batch', 'noise'), few_of(5, [1, 7, 64], [0.0, 2 * UM]))
 def test_same_bits_however_the_blocks_arrive(batch, noise):
     blocks = dome(count=250, noise=noise)
     whole, pieces = smooth(blocks), smooth(blocks, batch)

@@ -21,7 +21,7 @@ from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
-from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
+from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping, read_only
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.axis_limits import limits_of_differences
@@ -46,7 +46,8 @@ def placed(limits: Limits, parts: list[list[float]]) -> AxisLimits:
     """Let the limits of X depend on its position."""
     constant = np.array([limits.max_velocity, limits.max_acceleration, limits.max_jerk])
     of_x = np.vstack([constant[:, :1] * parts, PLACES])
-    return SimpleNamespace(**vars(limits), limit_table=place_table(constant, {0: of_x}))
+    table = read_only(place_table(constant, {0: of_x}))
+    return SimpleNamespace(**vars(limits), limit_table=table)
 
 
 def uses(
@@ -93,7 +94,9 @@ def test_corners_keep_the_limits_of_every_place(seed):
 def test_a_table_that_says_the_same_everywhere_changes_no_bit():
     points = random_polyline(np.random.default_rng(5), 12)
     far = placed(XYZAC, [[1.0] * 4] * 3)
-    far.limit_table[3, 0] += 100.0  # no grid point more
+    table = far.limit_table.copy()
+    table[3, 0] += 100.0  # no grid point more
+    far.limit_table = read_only(table)
     found, same = plan_path(polyline_path(points), XYZAC), plan_path(polyline_path(points), far)
     assert np.array_equal(found.law.s_dot, same.law.s_dot)
     assert np.array_equal(found.law.time, same.law.time)

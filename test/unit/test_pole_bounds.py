@@ -84,8 +84,7 @@ def random_segments(rng, count, pole):
 
 def sampled(segments, i, u):
     """Tool axis with two derivatives and the speed of the tip with its derivative, by samples."""
-    f = segments.parametrization[i].copy()
-    return pose_jets(segments.kind[i], shapes_of(segments)[i], f, u, u)
+    return pose_jets(segments.kind[i], shapes_of(segments)[i], segments.parametrization[i], u, u)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -124,10 +123,8 @@ def test_no_place_near_the_pole_is_missed(machine):
     transform, rng = Transform.of(machine), np.random.default_rng(5)
     segments = random_segments(rng, COUNT, transform.pole)
     shapes, limits = shapes_of(segments), rng.choice([0.0, 1e-4, 3e-3, 0.1], COUNT)
-    spans = segments.parametrization.copy()
-    near, _ = near_pole(
-        transform.packed, segments.kind, shapes, spans, rates_of(segments)[:, 0], limits
-    )
+    spans, turns = segments.parametrization, rates_of(segments)[:, 0].copy()
+    near, _ = near_pole(transform.packed, segments.kind, shapes, spans, turns, limits)
     for i in range(len(segments)):
         sine = np.array(
             [pole_sine(transform.packed, segments.kind[i], shapes[i], spans[i], u) for u in U]
@@ -146,7 +143,6 @@ def test_deviation_is_within_its_bound_at_every_place(machine):
     transform, rng = Transform.of(machine), np.random.default_rng(7)
     segments = random_segments(rng, COUNT, transform.pole)
     shapes, beside, spans = shapes_of(segments), beside_of(segments), segments.parametrization
-    spans = spans.copy()
     reached = 0
     for i in range(len(segments)):
         one = slice(i, i + 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ def promises() -> list[dict[str, Any]]:
     return rows
 
 
+@cache
 def tiers(file: str) -> dict[str, bool]:
     """Return the tests of a file, and whether all runs of each are thorough."""
     module = ast.parse((ROOT / 'test' / file).read_text())

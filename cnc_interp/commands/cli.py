@@ -6,7 +6,7 @@ import errno
 import signal
 import sys
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import FrameType
 
@@ -95,6 +95,7 @@ class Version(argparse.Action):
         parser.exit()
 
 
+@cache
 def parser() -> argparse.ArgumentParser:
     top = CommandParser(
         prog='cnc-interp',

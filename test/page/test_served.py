@@ -16,9 +16,12 @@ from nodes_under_test import clean_environment
 from websockets.sync.client import connect
 
 
-@pytest.fixture(params=[pytest.param('::1', marks=pytest.mark.thorough), '0.0.0.0'])
-def served(request, tmp_path):
+@pytest.fixture(
+    scope='module', params=[pytest.param('::1', marks=pytest.mark.thorough), '0.0.0.0']
+)
+def served(request, tmp_path_factory):
     """A page without nodes on an address; host and port where it can be reached, and its words."""
+    tmp_path = tmp_path_factory.mktemp('served')
     (tmp_path / 'token').write_text('a secret & much more\n')
     page = subprocess.Popen(
         [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--host', request.param]
@@ -30,7 +33,7 @@ def served(request, tmp_path):
         pytest.skip(said)
     yield page, re.search(r'http://(\S+):(\d+)/\?token=(\S+)', line)
     page.terminate()
-    page.communicate()
+    page.wait()
 
 
 def status(place, path, **headers):

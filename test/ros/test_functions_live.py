@@ -16,6 +16,8 @@ from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.verify import verify_plan
 
+pytestmark = pytest.mark.thorough  # together in test_probing_live, with every change
+
 PROGRAM = """G21 G90 G17
 T5 M6
 S8000 M3

@@ -58,6 +58,7 @@ def test_no_program_starts_before_homing_and_a_hold_ends_it(bench):
     assert list(bench.next_state().must_home) == ['X', 'Z']
 
 
+@pytest.mark.thorough
 def test_homing_is_told_until_all_groups_are_homed(bench):
     heard = bench.listen('machine_state', MachineState, STATE)
     assert ask(bench, bench.home, Home.Request()).success

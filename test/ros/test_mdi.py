@@ -164,6 +164,7 @@ def test_a_refused_line_changes_nothing(bench, text, code, why):
     assert np.array_equal(stands(bench), before)
 
 
+@pytest.mark.thorough
 def test_hold_goes_on_and_cancel_leaves_the_path(bench):
     done(bench, 'G91 G1 F2000')
     before = stands(bench)

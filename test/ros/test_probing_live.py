@@ -75,6 +75,7 @@ def run(tmp_path_factory):
     return start
 
 
+@pytest.mark.thorough
 def test_a_program_goes_on_with_what_it_has_touched(run, capsys):
     done = run(PROGRAM, '--record', str(run.bag))
     assert done.returncode == 0, done.stderr[-2000:]
@@ -116,7 +117,6 @@ M2
 """
 
 
-@pytest.mark.thorough
 def test_a_first_part_is_touched_milled_tapped_and_proven(run, tmp_path, capsys):
     bag = tmp_path / 'bag'
     done = run(FIRST_PART, '--record', str(bag))
@@ -124,13 +124,17 @@ def test_a_first_part_is_touched_milled_tapped_and_proven(run, tmp_path, capsys)
     assert main(['check', str(bag), '--json']) == 0
     found = json.loads(capsys.readouterr().out)
     assert len(found['parts']) == 2 and all(part['ok'] for part in found['parts'])
-    names = [signal.name for signal in Machine.load('vmc').signals.wires]
+    (thread,) = (each for each in found['findings'] if each['what'] == 'thread')
+    assert 0.0 < thread['value'] < 10e-6
     with Bag(bag) as recorded:
-        told = [list(m.output_values) for m in recorded.read('machine_signals')]
-    tools = [row[names.index('tool_number')] for row in told]
-    assert [k for k, _ in groupby(tools) if k] == [3.0, 4.0]
-    turns = [row[names.index('spindle_reverse')] for row in told]
-    assert [k for k, _ in groupby(turns)] == [0.0, 1.0, 0.0]
+        told = recorded.read('machine_signals')
+
+    def seen(name):
+        return [k for k, _ in groupby(m.output_values[m.outputs.index(name)] for m in told)]
+
+    assert [tool for tool in seen('tool_number') if tool] == [3.0, 4.0]
+    assert seen('spindle_reverse') == seen('coolant_flood') == [0.0, 1.0, 0.0]
+    assert 900.0 in seen('spindle_speed') and seen('spindle_forward')[-1] == 0.0
 
 
 @pytest.mark.thorough

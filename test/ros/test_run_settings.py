@@ -79,6 +79,7 @@ def test_states_that_no_machine_has_are_ignored_and_told(nodes):
     nodes.spin_until(lambda: node.count_publishers('machine_state') == 1)
 
 
+@pytest.mark.thorough
 def test_an_acknowledgement_that_no_receiver_gives_is_ignored(nodes):
     """A refusal of an unknown kind ended feedrate_node."""
     node = nodes.node

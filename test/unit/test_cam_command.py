@@ -110,10 +110,8 @@ def test_no_ridge_is_higher_than_promised(tmp_path, capsys):
     assert 9.8 < highest['reserve', 'executed'] < 10.02
 
 
-@pytest.mark.parametrize(
-    'mill',
-    [[], pytest.param(['--tool-diameter', '10', '--corner-radius', '5'], marks=thorough)],
-)
+@thorough
+@pytest.mark.parametrize('mill', [[], ['--tool-diameter', '10', '--corner-radius', '5']])
 def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys):
     out = tmp_path / 'out'
     arguments = ['--strategy', 'classical', '--tilt', '5', '--simulate', '--spacing', '0.3']

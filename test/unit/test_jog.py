@@ -64,8 +64,7 @@ def test_random_motions_and_all_their_stops_keep_limits_and_travel(machine, seed
     assert np.ptp(done, axis=0).min() > 0.01, 'all axes have moved'
 
 
-@pytest.mark.parametrize('machine', MACHINES, ids=lambda m: m.name)
-@pytest.mark.parametrize('sense', [-1.0, 1.0])
+@pytest.mark.parametrize(('machine', 'sense'), few_of(5, MACHINES, [-1.0, 1.0]))
 def test_it_rests_on_the_border_and_uses_the_limits(machine, sense):
     borders = machine.travel[:, int(sense > 0.0)]
     ends = np.isfinite(borders)

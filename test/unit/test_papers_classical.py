@@ -64,9 +64,8 @@ def test_frames_of_any_curve_are_those_of_the_guiding_plane():
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=2e-2)
 
 
-@pytest.mark.parametrize(
-    ('mill', 'axis'), [(BALL, Z), pytest.param(MILL, None, marks=pytest.mark.thorough)]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(('mill', 'axis'), [(BALL, Z), (MILL, None)])
 def test_ridges_have_the_height_asked_for(mill, axis):
     paths = classical_paths(BUMPS, mill, Y, HEIGHT, 6 * DEG)
     curves = [c for c in (SplinePass.of(p, 0.5 * MM, axis) for p in paths.passes) if c]

@@ -21,6 +21,8 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / 'examples'
 SHARED = ROOT.parent / 'shared' / 'programs'
 #: What no machine can make readable: the word at which it is refused.
+#: They take a second each to read.
+LONG = 'dmu50-boss-h', 'linuxcnc-stellabee', 'nist-box-op5', 'mach-pulley-r-arcs'
 REFUSED = {'gcws-sinumerik840d': 'L54'}
 #: Programs that need another machine or the operator's work offsets.
 SETUPS = {'nist-box-op5': JobSetup(work_offsets={'G58': {'X': 0.0, 'Y': 0.0}})}
@@ -156,7 +158,13 @@ def test_creo_points_against_a_plain_reading():
     np.testing.assert_allclose(blocks.feedrate[1:][~blocks.rapid[1:]], 1193.663081 * 0.0254 / 60)
 
 
-@pytest.mark.parametrize('name', sorted(path.name for path in SHARED.glob('*')))
+@pytest.mark.parametrize(
+    'name',
+    [
+        pytest.param(path.name, marks=[pytest.mark.thorough] * (path.name in LONG))
+        for path in sorted(SHARED.glob('*'))
+    ],
+)
 def test_every_real_program_is_read_or_refused_with_its_line(name):
     machine = Transform.of(Machine.load(MACHINES.get(name, 'xyzac')))
     settings = Settings(feedrate=0.05)

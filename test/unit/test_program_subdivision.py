@@ -103,10 +103,10 @@ def axes_block(a0, c0, a1, c1, tolerance_mm=0.02, geometry=None, first='A', trav
     [
         (15, 0, 15, 90),
         (15, 0, 15, 360),
-        (15, 30, 15, -690),
+        pytest.param(15, 30, 15, -690, marks=pytest.mark.thorough),
         (2, 0, 40, 90),
         (89, 0, 91, 170),
-        (45, 10, 135, 200),
+        pytest.param(45, 10, 135, 200, marks=pytest.mark.thorough),
         (-71.841, -35.93, -71.266, -32.919),
     ],
 )

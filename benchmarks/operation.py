@@ -355,7 +355,9 @@ def foreign(count: int, seed: int) -> None:
             bench.spin_until(wanted.done)
             result = wanted.result().result
             ends[result.message[:60]] += 1
-            bench.next_state()  # of the machine: the one before may be the stranger's
+            bench.spin_until(lambda: bench.next_state().resting)  # what was heard may be forged
+            if not bench.peers.at_rest:  # it waits for a run that is given up, as is told
+                bench.press('reset')
             told = bench.told(bench.heard_whole())
             if told:  # else it ended before it moved
                 q = np.concatenate([np.reshape(m.positions, (-1, 5)) for m in told])

@@ -63,9 +63,11 @@ class MotionPlan:
     def extend(self, items: Iterable[AxisPath | Wait]) -> None:
         self._todo.extend(items)
 
-    def release(self, s: float) -> None:
+    def release(self, s: float) -> float:
+        """Forget the motion before a place [m]; return where that begins which is still known."""
         while len(self._history) > 1 and self._history[1][1].law.s[0] < s:
             self._history.popleft()
+        return float(self._history[0][1].law.s[0]) if self._history else -math.inf
 
     @property
     def planned(self) -> float:
@@ -222,8 +224,8 @@ class MotionStream:
         self.current.extend([wait])
 
     def release(self, s: float) -> None:
-        self.course.release(s)
-        self.current.release(s)
+        """Forget what was executed, whatever is told of it: not what may still be asked for."""
+        self.course.release(min(s, self.current.release(s)))
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
         """Plan anew after a setpoint that was handed out; None without a stop, or near rest."""

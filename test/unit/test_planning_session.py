@@ -141,9 +141,9 @@ class Bench:
         self.session.finish(task, task.work, self.now)
 
     def send(self, window=10**6):
-        """Send what the window lets through."""
+        """Send what the window lets through; it arrives."""
         sender = self.port.sender
-        sender.acknowledge(sender.run_id, 0, window, self.now)
+        sender.acknowledge(sender.run_id, sender.sent, window, self.now)
         sender.due(self.now)
 
     def work(self):

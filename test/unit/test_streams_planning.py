@@ -63,9 +63,9 @@ def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     assert (jerk <= 1.001 * MACHINE.max_jerk).all()
 
 
-def sampled(planner):
+def sampled(planner, before=()):
     """All that the current plan gives: positions, path lengths, blocks; proven by limits."""
-    chunks = []
+    chunks = [*before]
     while planner.stream.current.can_plan or planner.stream.current.can_sample:
         chunks += planner.work(planner.stream.current, True, -np.inf)
     q, s, block = (
@@ -74,6 +74,23 @@ def sampled(planner):
     )
     assert limit_use(q, MACHINE.limits) <= 1.001
     return q, s, block
+
+
+def test_a_place_that_the_machine_cannot_have_reached_takes_no_path_away():
+    """Another node may say it; a plan with other settings still joins, and holds the path."""
+    whole = segments()
+    path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
+    planner = RunPlanner(TRANSFORM, CHOICES, 0.01, path.q[0])
+    planner.push(whole, {})
+    planner.finish()
+    sent = []
+    while sum(len(chunk.samples) for chunk in sent) < 300:
+        sent += planner.work(planner.stream.current, True, 1e3)
+    last = sum(len(chunk.samples) for chunk in sent) - 1
+    revision = planner.revise(last, OperatorSettings(override=0.5))
+    planner.stream.adopt(revision.plan)
+    q, s, _ = sampled(planner, [*sent, *revision.chunks])
+    assert np.abs(q - evaluate(path, s)[0]).max() < 1e-9 and s[-1] == path.s[-1]
 
 
 @pytest.mark.parametrize('place', [5e-14, 5e-3])

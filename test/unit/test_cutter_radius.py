@@ -241,7 +241,7 @@ def test_rotary_motion_is_refused_beside_a_contour():
         read('TRAORI\nG0 X-20 Y0 A20 C0\nG41 D1\nG1 X0 Y0 F900\nX40', AC)
 
 
-@pytest.mark.parametrize('name', ['part.nc', 'part.ngc'])
+@pytest.mark.parametrize('name', few_of(2, ['part.nc', 'part.ngc']))
 def test_edges_and_arcs_of_the_size_of_the_cutter_are_followed_or_refused(name):
     rng = np.random.default_rng(7)
     for _ in range(60):

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from programs import pyramid, zigzag
+from tiers import few_of
 from whole_plans import plan_program, write_plan
 
 from cnc_interp.core import MM, MM_PER_MIN
@@ -33,8 +34,7 @@ def largest_use(position, period):
     ]
 
 
-@pytest.mark.parametrize('period', PERIODS)
-@pytest.mark.parametrize('parametrization', ['linear', 'paper'])
+@pytest.mark.parametrize(('parametrization', 'period'), few_of(3, ['linear', 'paper'], PERIODS))
 def test_pocket_corner_is_proven_at_the_period(parametrization, period, tmp_path):
     settings = Settings(
         feedrate=3000 * MM_PER_MIN, parametrization=parametrization, interpolation_period=period
@@ -49,7 +49,7 @@ def test_pocket_corner_is_proven_at_the_period(parametrization, period, tmp_path
     assert proof.period == period
 
 
-@pytest.mark.parametrize('period', [0.25e-3, 0.5e-3])
+@pytest.mark.parametrize('period', few_of(2, [0.25e-3, 0.5e-3]))
 def test_rounding_of_short_cells_holds_the_jerk_limit_at_short_periods(period):
     # At 0.25 ms the A axis asked for 1.0014 times its jerk limit where two cells join.
     blocks = zigzag(1)

@@ -100,6 +100,7 @@ def test_a_program_planned_while_it_is_read_is_proven(program, tmp_path):
         assert abs(len(samples['time']) - len(whole.setpoints)) <= 1
 
 
+@pytest.mark.thorough
 def test_progress_counts_what_is_planned_not_what_is_read(tmp_path, monkeypatch):
     """The reader is done at once, and the path of many blocks waits for its windows."""
     path = tmp_path / 'long.ngc'

@@ -240,7 +240,7 @@ def test_interpolation_option_fixes_the_program_words():
     assert len(read_text(text, 't', TableAC(), Settings(interpolation='vector')).blocks) == 2
 
 
-@settings(max_examples=examples(8, 60))
+@settings(max_examples=examples(4, 60))
 @given(
     a=st.tuples(st.floats(1, 178), st.floats(1, 178)),
     c=st.tuples(st.floats(-400, 400), st.floats(-400, 400)),

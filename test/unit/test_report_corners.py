@@ -112,6 +112,7 @@ def test_the_page_draws_corners_and_both_runs(plans, tmp_path):
     assert change == ('=' if abs(percent) < 0.05 else f'{percent:+.1f} %')
 
 
+@pytest.mark.thorough
 def test_segments_of_another_plan_are_refused(plans, tmp_path):
     directory = write(tmp_path, line_x(MACHINE))
     (directory / 'segments.npz').write_bytes((plans / 'exact' / 'segments.npz').read_bytes())

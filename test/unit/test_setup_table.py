@@ -194,6 +194,7 @@ def test_wrong_g10_is_refused_in_one_line(tmp_path, text, part):
         read(tmp_path, f'G0 X0 Y0 Z0\n{text}\n')
 
 
+@pytest.mark.thorough
 def test_many_changes_keep_memory_small_and_the_last_values(tmp_path):
     count = 2 * MOST_CHANGES
     loop = f'#1=0\nWHILE [#1 LT {count}] DO1\n#1=[#1+1]\nG10 L2 P2 X#1\nG1 Y#1\nEND1\n'

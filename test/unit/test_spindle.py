@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from test_functions_played import MACHINE, Bench, T
+from tiers import few_of
 
 from cnc_interp.core import MM, ProgramError
 from cnc_interp.machine.spindle import CHAIN, Spindle, see_angle
@@ -62,7 +63,7 @@ def drooping(bench, share=0.06):
     return each
 
 
-@pytest.mark.parametrize('reverse', [False, True])
+@pytest.mark.parametrize('reverse', few_of(2, [True, False]))
 def test_a_tapped_hole_is_in_step_in_and_out_with_a_spindle_that_droops(reverse):
     bench = Bench(TAP.replace('M3', 'M4') if reverse else TAP)
     assert finished(bench, drooping(bench)) is State.IDLE
@@ -113,7 +114,7 @@ OF_RS274 = {
 }
 
 
-def test_the_threading_cycle_makes_the_passes_of_linuxcnc():
+def test_the_threading_cycle_has_the_passes_of_linuxcnc():
     blocks = read_text(PASSES, 'p.ngc', Transform.of(MACHINE), Settings()).blocks
     assert len(blocks.tip) == 22
     zero = blocks.tip[0] / MM - (10.0, 0.0, 5.0)
@@ -121,6 +122,10 @@ def test_the_threading_cycle_makes_the_passes_of_linuxcnc():
         got = blocks.tip[row : row + 4] / MM - zero
         assert got[:, [0, 2]] == pytest.approx(np.array(wanted), abs=1e-4)
     assert blocks.rapid[1:5].tolist() == [True, True, False, True]
+
+
+@pytest.mark.thorough
+def test_the_passes_of_a_threading_cycle_meet():
     bench = Bench(PASSES.replace('Z-20', 'Z-8').replace('H1', ''), MACHINE)
     assert finished(bench, most=60_000) is State.IDLE
     off = [(angle - place)[(place > 2.0) & (place < 6.0)] for place, angle in lines(bench)]
@@ -226,7 +231,9 @@ def test_surface_speed_follows_x_and_the_override_up_to_the_largest_speed():
 
 
 @pytest.mark.parametrize(('words', 'spindle', 'feed'), [
-    ('', 0.5, 0.5), ('M51 P0', 1.2, 1.0), ('M50 P0', 1.0, 0.5), ('S60000 F0.02', 1.2, 1.0),
+    ('', 0.5, 0.5), ('M50 P0', 1.0, 0.5),
+    pytest.param('M51 P0', 1.2, 1.0, marks=pytest.mark.thorough),
+    pytest.param('S60000 F0.02', 1.2, 1.0, marks=pytest.mark.thorough),
     *(pytest.param(*each, marks=pytest.mark.thorough) for each in (
         ('', 1.2, 1.0), ('M49', 0.5, 0.5),
     )),

@@ -40,7 +40,7 @@ def halves():
     return whole[: len(whole) // 2], whole[len(whole) // 2 :]
 
 
-@pytest.mark.parametrize('before', [5e-14, 0.0, -5e-14, 2e-3])
+@pytest.mark.parametrize('before', few_of(2, [5e-14, 0.0, -5e-14, 2e-3]))
 def test_a_run_goes_on_from_the_border_of_what_came_in_one_piece(before):
     first, second = halves()
     builder = AxisPathBuilder(TRANSFORM, 0.03, 1e-3)
@@ -93,8 +93,7 @@ def test_a_place_that_the_machine_cannot_have_reached_takes_no_path_away():
     assert np.abs(q - evaluate(path, s)[0]).max() < 1e-9 and s[-1] == path.s[-1]
 
 
-@pytest.mark.parametrize('place', [5e-14, 5e-3])
-@pytest.mark.parametrize('asks', [True, False])
+@pytest.mark.parametrize(('place', 'asks'), few_of(3, [5e-14, 5e-3], [True, False]))
 def test_a_start_inside_is_asked_for_where_the_machine_stands_there_too(place, asks):
     whole = segments()
     path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)

@@ -67,6 +67,7 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     assert '--ratio' in page and 'Not possible' in page
 
 
+@pytest.mark.thorough
 def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path, capsys):
     program = tmp_path / 'part.ngc'
     program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X5\nY5\nM30\n')

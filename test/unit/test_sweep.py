@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cnc_interp.batch.processes import Processes
+from cnc_interp.batch.processes import EndedCall, Processes
 from cnc_interp.batch.sweep import (
     Found,
     Point,
@@ -67,23 +67,24 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     assert '--ratio' in page and 'Not possible' in page
 
 
-@pytest.mark.thorough
-def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path, capsys):
-    program = tmp_path / 'part.ngc'
-    program.write_text('G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 F3000 X5\nY5\nM30\n')
-    words = ['--vary', 'ratio', '1.5', '2', '--', 'plan', str(program)]
-    out = tmp_path / 'out'
-    assert sweep(out, *words) == FINE
+def test_what_is_known_is_not_run_again_unless_its_program_changes(tmp_path):
+    program, told = tmp_path / 'part.ngc', []
+    program.write_text('X5')
 
-    def times():
-        return {path.name: path.stat().st_mtime_ns for path in (out / 'points').glob('*.json')}
+    class Counting:
+        def run(self, _, calls):
+            told.append([make()[1] for make in calls])
+            return [EndedCall(number, Found(1.0)) for number in range(len(calls))]
 
-    first = times()
-    assert len(first) == 3
-    assert sweep(out, *words) == FINE and times() == first
-    program.write_text(program.read_text().replace('X5', 'X9'))
-    assert sweep(out, *words) == FINE
-    assert len(times()) == 6 and first.items() <= times().items()
+    def start():
+        one = Sweep(main, ('plan', str(program)), tmp_path / 'out', Counting(), lambda _: None)
+        one.grid([Range('ratio', ('1.5', '2'))])
+        return list(one.found.values())
+
+    assert start() == start() == 3 * [Found(1.0)]
+    program.write_text('X9')
+    start()
+    assert [len(calls) for calls in told] == [3, 0, 3] and told[2] == told[0]
 
 
 @pytest.mark.thorough

@@ -145,7 +145,7 @@ class PlanningSession:
         if self.run_id and report.run_id.same_attempt(self.run_id):
             self._executing = not report.completed
         if self.planner is not None and report.run_id.program_id == self.run_id.program_id:
-            self.planner.stream.functions.done = report.functions
+            self.planner.stream.functions.told(report.functions)
 
     def give_up(self, kind: Refusal, reason: str) -> None:
         """End the run for good; lost messages are not sent again."""

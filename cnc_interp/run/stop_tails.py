@@ -60,7 +60,8 @@ class FunctionQueue:
     def __init__(self, signals: Signals = NO_SIGNALS) -> None:
         self._output = np.array([step.output for step in signals.steps], dtype=np.int64)
         self._signals, self._set = signals, dict[str, float]()  # by those that were dropped
-        self._kept, self._first, self.done = NO_FUNCTIONS, 0, 0  # done: by the machine
+        self._kept, self._first, self._sent = NO_FUNCTIONS, 0, 0
+        self.done = 0  # by the machine
 
     def feed_share(self, block: IntArray, feed: float, spindle: float) -> FloatArray:
         """Return the factor of overrides on the feed of blocks: M49 and G95 change it."""
@@ -80,6 +81,10 @@ class FunctionQueue:
         share = np.where(value(FEED_FIXED) == 0.0, feed, 1.0)
         return np.asarray(share * np.where(value(PER_TURN) == 0.0, 1.0, turns))
 
+    def told(self, done: int) -> None:
+        """Hear how many the machine has done: of those that were sent, whatever is told."""
+        self.done = min(done, max(self._sent, self.done))
+
     def push(self, functions: Functions) -> None:
         drop = min(max(self.done - self._first, 0), len(self._kept))
         gone = self._kept[:drop]
@@ -95,6 +100,7 @@ class FunctionQueue:
         kept, done = self._kept, self.done - self._first
         first = max(kept.until(before), min(max(done, 0), len(kept)))
         after = len(kept) if last is None else max(kept.until(last), first)
+        self._sent = max(self._sent, self._first + after)
         return kept[first:after], self._first + first
 
 

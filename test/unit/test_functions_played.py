@@ -84,7 +84,7 @@ class Bench:
         if play.state.plan_over and play.state.state in (State.HELD, State.STARVED):
             self.plans += 1
             place = 0.0 if play.last is None else play.last.s
-            self.planner.stream.functions.done = play.switching.functions
+            self.planner.stream.functions.told(play.switching.functions)
             self.planner.resume(place, play.axes.setpoints[-1], self.settings)
             self.waiting.clear()
             play.begin_plan(RunId('p', plan=self.plans))
@@ -133,8 +133,11 @@ def test_the_path_rests_for_the_time_of_a_dwell(holds):
     assert bench.play.axes.setpoints[-1][0] == pytest.approx(4 * MM, abs=1e-9)
 
 
-def test_functions_come_with_the_first_setpoint_of_their_block():
+@pytest.mark.parametrize('foreign', [0, 1000])
+def test_functions_come_with_the_first_setpoint_of_their_block(foreign):
+    """Also where another node says that all of them are done."""
     bench = Bench(MANY)
+    bench.planner.stream.functions.told(foreign)
     bench.run()
     bench.prove()
     # The output has the value in the very period, as a drive sees it.

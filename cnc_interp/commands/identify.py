@@ -9,6 +9,8 @@ from cnc_interp.commands.parser import FINE, command
 from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.settings.command_line import add_settings, settings_from
 
+HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
+
 
 def add_convert_command(commands: Any) -> None:
     example = 'convert examples/pyramid.apt --to siemens-bspline --out pyramid.mpf'
@@ -84,13 +86,21 @@ def hal_command(options: Namespace) -> int:
 
     machine = Machine.load(options.machine)
     axes = machine.axis_names
-    text = '\n'.join(file.read_text(encoding='utf-8', errors='replace') for file in options.files)
+    text = '\n'.join(_hal_file(file).read_text('utf-8', 'replace') for file in options.files)
     joints = (options.joints or ''.join(axes)).upper()
     made, left_out = hal_file(text, axes, joints, machine.signals)
     _write(made, options.out)
     for line in left_out:
         print(f'not connected: {line}', file=sys.stderr)
     return FINE
+
+
+def _hal_file(file: Path) -> Path:
+    """Return where LinuxCNC finds it: here, or among its own files."""
+    if file.suffix == '.tcl':
+        raise InterpError(f'{file}: is Tcl, which is not read; give HAL files that do the same')
+    own = HAL_LIBRARY / file.name.removeprefix('LIB:')
+    return own if own.is_file() and not file.exists() else file
 
 
 def import_ini_command(options: Namespace) -> int:

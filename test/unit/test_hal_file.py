@@ -1,7 +1,10 @@
 """HAL files of LinuxCNC with cnc_interp in the place of the motion controller."""
 
+from pathlib import Path
+
 import pytest
 
+from cnc_interp.commands import identify
 from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_file import columns_of, hal_file
@@ -101,6 +104,17 @@ def test_the_command_reads_all_files_and_tells_what_is_not_connected(tmp_path, c
     assert (tmp_path / 'made.hal').read_text() == hal_file(HAL, 'XYZ', 'XYZ')[0]
     assert capsys.readouterr().err.startswith('not connected: net spindle-cw')
     assert main(['hal', 'xyz', str(tmp_path / 'missing')]) == 2
+
+
+def test_a_file_that_is_not_there_is_sought_among_those_of_linuxcnc(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(identify, 'HAL_LIBRARY', tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'core_own.hal').write_text(HAL)
+    for name in ('elsewhere/core_own.hal', 'LIB:core_own.hal'):
+        assert main(['hal', 'xyz', name, '--out', 'made.hal']) == 0
+    assert Path('made.hal').read_text() == hal_file(HAL, 'XYZ', 'XYZ')[0]
+    assert main(['hal', 'xyz', 'LIB:core_own.hal', 'LIB:sim.tcl']) == 2
+    assert 'LIB:sim.tcl: is Tcl' in capsys.readouterr().err
 
 
 def test_inputs_of_reference_switches_take_over_their_pins():

@@ -188,7 +188,8 @@ class ProgramNode(Node):
         before = run.phase
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
         if outcome is not None and (stranger := second_publisher(self)):
-            outcome = Outcome(Code.STREAM_LOST, f'{outcome.message}, but {stranger} again')
+            text = f'{outcome.message or "stopped"}, but {stranger} again'
+            outcome = Outcome(Code.STREAM_LOST, text)
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
             self._mdi.keep(run.preparation.prepared)

@@ -110,8 +110,10 @@ def test_no_ridge_is_higher_than_promised(tmp_path, capsys):
     assert 9.8 < highest['reserve', 'executed'] < 10.02
 
 
-@thorough
-@pytest.mark.parametrize('mill', [[], ['--tool-diameter', '10', '--corner-radius', '5']])
+@pytest.mark.parametrize(
+    'mill',
+    [[], pytest.param(['--tool-diameter', '10', '--corner-radius', '5'], marks=thorough)],
+)
 def test_classical_strategy_makes_a_program_too(mill, surface, tmp_path, capsys):
     out = tmp_path / 'out'
     arguments = ['--strategy', 'classical', '--tilt', '5', '--simulate', '--spacing', '0.3']

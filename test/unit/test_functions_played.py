@@ -173,7 +173,6 @@ def test_holds_neither_lose_nor_double_nor_hasten_a_function(every):
     bench.prove()
 
 
-@pytest.mark.thorough
 def test_a_revision_of_the_override_keeps_the_functions():
     bench = Bench(MANY)
     joined = 0

@@ -72,7 +72,6 @@ def test_axes_end_beside_their_switches_in_order():
     assert bench.homing.must_home == ['X', 'Z', 'A']
 
 
-@pytest.mark.thorough
 def test_axes_with_an_index_stop_beyond_it_and_without_one_it_is_told():
     given = machine(index={'X': -54.0, 'A': -5.5})
     bench = HomingBench(given)

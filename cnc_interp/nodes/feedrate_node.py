@@ -73,10 +73,13 @@ class PlanningThread:
 
 
 WORK_PERIOD = 0.005  #: Time between checks of the planning thread [s].
-#: A machine that speaks and waits, and takes no setpoint for so long, does not hear them [s]. Fast
-#: DDS 2.14 may lose one direction between two processes on a computer that is far too busy.
+#: A machine that speaks and waits, and takes no setpoint for so long, does not hear them [s]; or
+#: it does not speak at all. Fast DDS 2.14 may lose one direction between two processes on a
+#: computer that is far too busy.
 DEAF = 20.0
-UNHEARD = 'machine_node does not hear the setpoints; start the nodes again, then the program'
+AGAIN = 'start the nodes again, then the program'
+UNHEARD = f'machine_node does not hear the setpoints; {AGAIN}'
+SILENT = f'feedrate_node does not hear machine_node; {AGAIN}'
 WAITS = (MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_NEW_PLAN)
 DIAGNOSTICS_PERIOD = 1.0  #: Time between diagnostics of the planning [s].
 
@@ -88,6 +91,7 @@ class FeedrateNode(LifecycleNode):
         super().__init__('feedrate_node')
         self._values = parameters.declare(self, parameters.FEEDRATE)
         self._active = self._moves = self._machine_waits = False
+        self._heard = 0.0  # when the machine spoke, or a run began that waits for it [s]
         self._thread = PlanningThread()
         if self._values['autostart']:
             node_main.start_lifecycle(self)
@@ -133,7 +137,8 @@ class FeedrateNode(LifecycleNode):
 
     def _see_machine(self, state: MachineState) -> None:
         report = machine_report(state)
-        self._moves, self._machine_waits = report.moves, state.waits_for in WAITS
+        self._moves, self._heard = report.moves, time.monotonic()
+        self._machine_waits = state.waits_for in WAITS or state.state == MachineState.IDLE
         if self._moves:
             self._thread.load_rest()
         self._session.see_machine(report)
@@ -151,6 +156,7 @@ class FeedrateNode(LifecycleNode):
     def _take(self, segment: PathSegment) -> None:
         self._pace.wake()
         if segment.sequence == 0:
+            self._heard = time.monotonic()
             self._session.begin(run_id_of(segment), segment.continue_at)
         self._session.take(segment, segment.end_of_program)
         self._watch.hear()
@@ -167,6 +173,8 @@ class FeedrateNode(LifecycleNode):
             session.give_up(outlet.refused, outlet.refusal_text)
         if self._machine_waits and outlet.unheard > DEAF:
             session.give_up(Refusal.GIVEN_UP, UNHEARD)
+        if session.activity is Activity.WAITING and time.monotonic() - self._heard > DEAF:
+            session.give_up(Refusal.GIVEN_UP, SILENT)
         if (task := session.step(time.monotonic(), self._received())) is not None:
             self._thread.submit(task)
         outlet.pump()

@@ -1,4 +1,4 @@
-"""Nodes with a fault: one divides by zero, each time a file asks for it, or hears no setpoints."""
+"""Nodes with a fault: one divides by zero, each time a file asks for it; others do not hear."""
 
 import os
 from pathlib import Path
@@ -34,6 +34,16 @@ def live_deaf(node, arguments, environment, log):
 
         asked, hears = Path(environment[ASKED]), MachineNode._pass
         MachineNode._pass = lambda node, chunk: [] if asked.exists() else hears(node, chunk)
+    live(node, arguments, environment, log)
+
+
+def live_unaware(node, arguments, environment, log):
+    """What a child process runs: feedrate_node hears no state while the file is there."""
+    if node == 'feedrate_node':
+        from cnc_interp.nodes.feedrate_node import FeedrateNode
+
+        asked, sees = Path(environment[ASKED]), FeedrateNode._see_machine
+        FeedrateNode._see_machine = lambda node, state: asked.exists() or sees(node, state)
     live(node, arguments, environment, log)
 
 

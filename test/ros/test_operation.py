@@ -255,19 +255,34 @@ def test_a_node_with_a_fault_of_ours_is_restarted_and_the_same_fault_again_is_to
 
 
 @pytest.mark.thorough
-def test_a_run_whose_machine_speaks_but_does_not_hear_ends(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ('fault', 'moves', 'told'),
+    [
+        (faulty_node.live_deaf, True, 'machine_node does not hear the setpoints'),
+        (faulty_node.live_deaf, False, 'machine_node does not hear the setpoints'),
+        (faulty_node.live_unaware, False, 'feedrate_node does not hear machine_node'),
+    ],
+)
+def test_a_run_of_nodes_that_do_not_hear_each_other_ends(
+    tmp_path, monkeypatch, fault, moves, told
+):
     """On a computer that was far too busy its goal never ended, for DDS had lost one direction."""
-    ask = faulty_node.put_in(monkeypatch, tmp_path, faulty_node.live_deaf)
+    ask = faulty_node.put_in(monkeypatch, tmp_path, fault)
     bench = Bench()
     try:
-        handle = bench.begin()
-        bench.until_at(0.01)
+        if moves:
+            handle = bench.begin()
+            bench.until_at(0.01)
         ask.touch()
+        if not moves:
+            handle = bench.begin()
         result = bench.result_of(handle)
-        assert result.code == Result.STOPPED and 'does not hear the setpoints' in result.message
-        bench.recorded()
+        assert result.code == Result.STOPPED and told in result.message
+        if moves:
+            bench.recorded()
         ask.unlink()
-        assert bench.press('reset').success
+        if moves:
+            assert bench.press('reset').success
         assert bench.run(text=waves(1)).code == Result.SUCCEEDED
     finally:
         bench.close()

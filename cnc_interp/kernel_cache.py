@@ -18,6 +18,9 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = Path(__file__).resolve().parent
+#: Kernels that a wheel brings, the processors that they fit, and what those have (numba's names).
+BROUGHT, PROCESSOR = PACKAGE / 'compiled', 'x86-64-v3'
+FEATURES = {'+avx2', '+bmi', '+bmi2', '+f16c', '+fma', '+lzcnt', '+movbe'}
 #: The variables by which numba finds this module, and by which a user chooses another folder.
 LOCATORS, FOLDER = 'NUMBA_CACHE_LOCATOR_CLASSES', 'NUMBA_CACHE_DIR'
 IMPORT = re.compile(
@@ -137,7 +140,19 @@ def _load_what_runs() -> None:
     def overload(kernel: Any, signature: Any, target: Any) -> Any:
         rtsys.initialize(target)
         with kernel._guard_against_spurious_io_errors():
-            return kernel._load_overload(signature, target)
+            return kernel._load_overload(signature, target) or brought(kernel, signature, target)
+
+    def brought(kernel: Any, signature: Any, target: Any) -> Any:
+        form, (triple, _, features), code = kernel._index_key(signature, target.codegen())
+        path = Path(kernel.cache_path)
+        if not path.is_relative_to(folder()) or not FEATURES.issubset(features.split(',')):
+            return None
+        files = caching.IndexDataCacheFile(
+            str(BROUGHT / path.relative_to(folder())), kernel._impl.filename_base,
+            kernel._cache_file._source_stamp,
+        )  # fmt: skip
+        data = files.load((form, (triple, PROCESSOR, ''), code))
+        return data and kernel._impl.rebuild(target, data)
 
     @wraps(rebuild := environment._rebuild_env)
     def constants(module: str, values: list[Any], name: str) -> Any:

@@ -51,7 +51,8 @@ def plan_command(options: argparse.Namespace) -> int:
     settings = settings_from(options)
     geometry = Transform.of(machine)
     tell([*machine.doubts(), *tool_warnings(machine, settings)])
-    if not kernel_cache.folder().exists():  # the first plan ever: kernels of two stages at a time
+    # The first plan ever: kernels of two stages at a time.
+    if not any(place.exists() for place in (kernel_cache.folder(), kernel_cache.BROUGHT)):
         get_context('fork').Process(target=_compile, args=(machine,), daemon=True).start()
     stream = open_program(options.program, geometry, settings)
     progress = ProgressBar(None if options.json else sys.stderr)

@@ -61,11 +61,11 @@ def environment(package):
     return found
 
 
-def outer(package, first=''):
+def outer(package, first='', **variables):
     """What the outer kernel says in a fresh process, and whether its code was there."""
     done = subprocess.run(
-        [sys.executable, '-c', first + ASK], env=environment(package), capture_output=True,
-        text=True, check=True,
+        [sys.executable, '-c', first + ASK], env=environment(package) | variables,
+        capture_output=True, text=True, check=True,
     )  # fmt: skip
     said, found = done.stdout.split()
     return int(said), found == '1'
@@ -88,6 +88,17 @@ def test_code_is_kept_until_something_changes_that_the_kernel_depends_on(package
     change = f'import pack.outer; open(pack.outer.__file__, "w").write({later!r}); '
     assert outer(package, change) == (21, True)  # its sources count as they were imported
     assert outer(package) == (22, False)
+
+
+@pytest.mark.thorough
+def test_kernels_that_a_wheel_brings_are_taken_while_they_are_current(package):
+    made = {'NUMBA_CPU_NAME': kernel_cache.PROCESSOR, 'NUMBA_CPU_FEATURES': ''}
+    into = {kernel_cache.FOLDER: str(package / kernel_cache.BROUGHT.name)}
+    assert outer(package, **made, **into) == (1, False)
+    assert outer(package) == (1, True)  # by the host's own name of its processor
+    assert outer(package, NUMBA_CPU_FEATURES='+sse2') == (1, False)  # an older processor
+    (package / 'limits.py').write_text(CONSTANT.format(value=2))
+    assert outer(package) == (2, False)
 
 
 @pytest.mark.thorough

@@ -17,6 +17,17 @@ from cnc_interp.settings.options import DEFAULT_MACHINE
 FINE, FAILED, BAD_INPUT = 0, 1, 2
 
 
+def program_file(text: str) -> Path:
+    """Return where a program is; the examples that helps name are found from everywhere."""
+    file = Path(text)
+    if file.parts[:1] != ('examples',) or file.exists():
+        return file
+    from cnc_interp.core.small_files import config_directory
+
+    bundled = config_directory().parent / file
+    return bundled if bundled.is_file() else file
+
+
 class CommandParser(argparse.ArgumentParser):
     """A parser whose mistakes are told in one line, with the option that may be meant."""
 
@@ -68,7 +79,7 @@ class CommandParser(argparse.ArgumentParser):
         self.option('--machine', text, metavar='M', default=DEFAULT_MACHINE)
 
     def program_options(self, live: bool = False) -> None:
-        self.option('program', 'G-code or CL data file', Path, 'PROGRAM')
+        self.option('program', 'G-code or CL data file', program_file, 'PROGRAM')
         self.machine_option()
         add_settings(self, live)
         self.flag('--json', 'print the summary as JSON')

@@ -47,6 +47,18 @@ def test_plan_check_and_report_of_the_pyramid(tmp_path, capsys):
         assert setpoints[name].shape == setpoints['position'].shape
 
 
+def test_examples_that_helps_name_are_found_from_everywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for own in (False, True):
+        found = parser().parse_args(['plan', 'examples/pyramid.apt', '--out', 'x']).program
+        assert found == (Path('examples/pyramid.apt') if own else EXAMPLES / 'pyramid.apt')
+        (tmp_path / 'examples').mkdir(exist_ok=True)
+        (tmp_path / 'examples' / 'pyramid.apt').touch()
+    assert parser().parse_args(['plan', 'examples/no', '--out', 'x']).program == Path(
+        'examples/no'
+    )
+
+
 def test_shells_and_the_man_page_know_every_command(capsys):
     (commands,) = (a.choices for a in parser()._actions if isinstance(a.choices, dict))
     for kind in ('man', 'zsh', 'bash'):

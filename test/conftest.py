@@ -1,5 +1,6 @@
 """Two tiers of tests, thorough ones by turns, and what runs side by side."""
 
+import gc
 import os
 import subprocess
 from functools import cache
@@ -32,6 +33,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    gc.set_threshold(200_000, 20, 100)  # what is imported and collected lives on
     config.addinivalue_line(
         'markers', 'thorough: runs with --all and where files or names are given, not every time'
     )
@@ -88,6 +90,11 @@ def pytest_collection_modifyitems(config, items):
         config.hook.pytest_deselected(items=[item for item in items if item in left_out])
         items[:] = [item for item in items if item not in left_out]
     items.sort(key=lambda item: not item.nodeid.startswith(LIVE))  # they take longest
+
+
+def pytest_collection_finish():
+    gc.freeze()  # nor is it looked at again and again while the tests run
+    gc.set_threshold(700, 10, 10)
 
 
 @pytest.hookimpl(optionalhook=True)

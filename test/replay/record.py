@@ -73,7 +73,14 @@ class Session:
                 )
             )
             self.nodes.press('feed_hold')
-            self.nodes.spin_until(lambda: self.nodes.peers.state.state == MachineState.HELD)
+            self.nodes.spin_until(
+                lambda: (
+                    self.nodes.peers.state.state == MachineState.HELD
+                    or self.nodes.peers.state.completed
+                )
+            )
+            if self.nodes.peers.state.completed:
+                return 1  # the hold came too late
             self.nodes.spin_until(lambda: self.nodes.peers.state.plan == 1)
             self.nodes.press('cycle_start')
         result = self.nodes.result_of(handle)
@@ -93,11 +100,11 @@ def main():
 
 
 def record(bag, share, hold):
-    """Record until a run was never without setpoints: when they come again would be chance."""
+    """Record until a run was held and never without setpoints: what then comes is chance."""
     for seed in range(20):
         session = Session(bag, share, seed)
         starved = session.run(hold)
-        print(bag.name, session.relay.counts, f'{starved} times starved')
+        print(bag.name, session.relay.counts, f'{starved} times starved or not held')
         session.close()
         if not starved:
             return

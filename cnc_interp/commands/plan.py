@@ -183,7 +183,9 @@ def add_run_command(commands: Any) -> None:
 
 def add_panel_command(commands: Any) -> None:
     panel = parser.command(commands, panel_command, 'panel examples/pyramid.ngc')
-    panel.option('program', 'program to lay on the desk', Path, 'PROGRAM', nargs='?')
+    panel.option(
+        'program', 'program to lay on the desk', parser.program_file, 'PROGRAM', nargs='?'
+    )
     panel.machine_option()
     panel.drives_option()
     panel.option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from cnc_interp.core import FloatArray, StreamError
+from cnc_interp.core.limits_by_position import has_loads
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
@@ -103,7 +104,7 @@ class AxisMotion:
             raise StreamError('the interpolation period must be positive')
         self.machine, self.period = machine, period
         self._transform = Transform.of(machine)
-        self._lag = lag
+        self._lag, self._has_loads = lag, has_loads(machine.limit_table)
         self._longest_step: FloatArray = machine.limits[0] * period
         self._recent_use = np.zeros_like(machine.limits)
         self.largest_use = np.zeros_like(machine.limits)
@@ -132,8 +133,9 @@ class AxisMotion:
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
         use = largest_shares(held, self.machine.limit_table, self.period)
-        torques = torque_shares(held, self.machine.limit_table, self.period).max(axis=0)
-        use[1] = np.maximum(use[1], torques)
+        if self._has_loads:
+            torques = torque_shares(held, self.machine.limit_table, self.period)
+            use[1] = np.maximum(use[1], torques.max(axis=0))
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)
         self._recent_use = np.maximum(self._recent_use, use)

@@ -519,7 +519,6 @@ class Playback:
     # What the cycle does ------------------------------------------------------------------------
 
     def step(self) -> None:
-        self.read()
         self.cycle.step()
         self.read()
 
@@ -534,7 +533,8 @@ class Playback:
         records = self.cycle.read()
         count = len(records.source)
         if count:
-            changes = np.diff(records.source) | np.diff(records.serial) | records.events[1:]
+            source, serial = records.source, records.serial
+            changes = (source[1:] ^ source[:-1]) | (serial[1:] ^ serial[:-1]) | records.events[1:]
             borders = [0, *(np.flatnonzero(changes) + 1).tolist(), count]
             for first, last in pairwise(borders):
                 self._take_over(records.part(first, last))
@@ -675,17 +675,15 @@ class Playback:
 
     def _measure(self, samples: Setpoints | None, records: Records) -> bool:
         x, v, answered = records.position, records.velocity, records.answered
-        wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), True
-        if samples is not None:
-            wanted = _axis_rows(samples)
-        delayed = self._delayed
+        here, follow, delayed = self.axes.setpoints[-1], True, self._delayed
+        wanted = AxisRows.held(here, len(x)) if samples is None else _axis_rows(samples)
         if delayed is not None:
             try:
                 x, v, answered = delayed.follow(wanted, self.way_to_rest)
             except DriveFaultError as fault:
                 self.cycle.halt()
                 self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
-                wanted, follow = AxisRows.held(self.axes.setpoints[-1], len(x)), False
+                wanted, follow = AxisRows.held(here, len(x)), False
                 x, v, answered = delayed.follow(wanted, self.way_to_rest)
             if delayed.alarm:
                 self._alarm(delayed.alarm)

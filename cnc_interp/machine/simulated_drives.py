@@ -47,9 +47,10 @@ class SimulatedDrives(CycleDrives):
         words = words_of(machine, period, position)
         self.memory = np.concatenate([[float(words.shape[1])], words.ravel()])
         self._words = self.memory[1:].reshape(words.shape)
-        self._signals = machine.signals
         self.outputs = np.zeros(machine.signals.wired)
         self.inputs = np.zeros(len(machine.signals.inputs))
+        inputs = enumerate(machine.signals.inputs)
+        self._follow = [(k, list(each.follows), each.after) for k, each in inputs if each.follows]
         self._spin(machine, period)
         self._before, self._unchanged = self.outputs.copy(), np.full(len(self.outputs), np.inf)
 
@@ -76,10 +77,9 @@ class SimulatedDrives(CycleDrives):
         self._unchanged += seconds
         self._unchanged[self.outputs != self._before] = 0.0
         self._before[:] = self.outputs
-        for k, signal in enumerate(self._signals.inputs):
-            if follows := list(signal.follows):
-                settled = self._unchanged[follows].min() >= signal.after
-                self.inputs[k] = settled and self.outputs[follows[0]] != 0.0
+        for k, follows, after in self._follow:
+            settled = self._unchanged[follows].min() >= after
+            self.inputs[k] = settled and self.outputs[follows[0]] != 0.0
 
 
 def simulate(

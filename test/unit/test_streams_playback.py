@@ -179,6 +179,7 @@ def test_the_program_begins_after_its_approach_only_with_a_full_buffer(there):
     assert (play.starvations, play.last.block, play.state.plan_over) == (0, 0, False)
     assert play.state.reason is Reason.NONE and 'by itself' in play.state.text
     feed(play, [program_on_the_spot(50 - there)])
+    play.read()
     assert state_after_step(play) is State.RUNNING and play.last.block == 1
 
 

@@ -308,6 +308,9 @@ class TimeFit:
         self._kept = [run.program.covers(run.trace.line[run.windows]) for run in runs]
         pairs = zip(runs, self._kept, strict=True)
         self._measured = np.concatenate([run.measured[kept] for run, kept in pairs])
+        # Each window stands for those of its run that are not planned.
+        stands = [np.full(kept.sum(), len(kept) / max(1, kept.sum())) for kept in self._kept]
+        self._stands = np.concatenate(stands)
 
     def motions(self, x: FloatArray, whole: bool = False) -> list[Motion]:
         """Plan the programs of the runs, each once; their samples, or all of them."""
@@ -334,7 +337,7 @@ class TimeFit:
         best = (np.inf, x, off, slopes)
         for number in range(STEPS + 1):
             self._tell(f'step {number}: off by {np.sqrt(np.mean(off**2)):.3f} s in a window')
-            cost = float((np.hypot(1.0, off / ROBUST) - 1.0).sum())
+            cost = float(self._stands @ (np.hypot(1.0, off / ROBUST) - 1.0))
             best = min(best, (cost, x, off, slopes), key=lambda one: one[0])
             step = self._step(x, off, slopes)
             if number == STEPS or np.abs(step).max() < ENOUGH:
@@ -345,10 +348,9 @@ class TimeFit:
             slopes = slopes + np.outer(change - slopes @ step, step) / (step @ step)
         return self._fitted(*best[1:])
 
-    @staticmethod
-    def _weights(off: FloatArray) -> tuple[FloatArray, float]:
+    def _weights(self, off: FloatArray) -> tuple[FloatArray, float]:
         """Return the weights of windows, and the weight of the prior."""
-        weight = 1.0 / np.hypot(1.0, off / ROBUST)
+        weight = self._stands / np.hypot(1.0, off / ROBUST)
         return weight, float(np.mean(weight * off**2)) / PRIOR**2
 
     def _step(self, x: FloatArray, off: FloatArray, slopes: FloatArray) -> FloatArray:

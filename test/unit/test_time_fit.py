@@ -132,6 +132,7 @@ def test_a_trace_that_cannot_be_used_is_one_line(tmp_path, capsys, text, told):
 def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(time_fit, 'EVERY', 120)
     monkeypatch.setattr(time_fit, 'CHUNK', 60)
+    monkeypatch.setattr(time_fit, 'SPAN', 1.0)
     lines = [f'X{k % 9} Y{0.7 * k:.3f}' for k in range(300)]
     (tmp_path / 'long.ngc').write_text('\n'.join(['G21 G90', 'G0 X0 Y0 Z0', 'G1 F3000', *lines]))
     machine = Machine.load('xyz')
@@ -145,6 +146,13 @@ def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypa
         for rows in ([slice(0, None)], program.sample())
     )
     assert parts == pytest.approx(whole, rel=1e-3)
+    # What is left out of a long program counts by the windows that are planned.
+    begins = program.motion(machine).until(program.lines[1:])
+    run = Run.of(program, Trace('long', begins, program.lines[1:], np.zeros((0, 2))))
+    kept = int(program.covers(run.trace.line[run.windows]).sum())
+    assert 0 < kept < len(run.windows)
+    fit = TimeFit(machine, [run], print)
+    assert fit._weights(np.zeros(kept))[0].sum() == pytest.approx(len(run.windows))
 
 
 @pytest.mark.thorough

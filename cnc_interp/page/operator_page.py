@@ -20,8 +20,8 @@ from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.program.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 
-#: Read-outs and machine are shown at this pace, charts at every so many of it [s].
-PACE, CHART_EVERY = 0.1, 4
+#: Read-outs and machine are shown at this pace, charts at every so many of it, at rest [s].
+PACE, CHART_EVERY, AT_REST = 0.1, 4, 20
 
 
 outlined = partial(key, colour='primary', look='dense outline')
@@ -317,7 +317,7 @@ class Page:
                 if self._changed('scale', f'0 to {top:.0f} {unit.name}/min, planned feed'):
                     self._labels['scale'].set_text(self._shown['scale'])
         self._count += 1
-        if self._count % CHART_EVERY == 0:
+        if self._count % (AT_REST if state is None or state.resting else CHART_EVERY) == 0:
             self._charts.show(desk)
 
     def _start_text(self) -> str:

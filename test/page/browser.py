@@ -25,8 +25,13 @@ CODES = {
     'Enter': 13, 'Escape': 27, ' ': 32, 'ArrowLeft': 37, 'ArrowUp': 38, 'ArrowRight': 39,
     'ArrowDown': 40, 'R': 82, 'F1': 112,
 }  # fmt: skip
-#: Drawing in software takes half a core at the 20 frames a second of the view.
-FEW_FRAMES = 'window.requestAnimationFrame = (draw) => setTimeout(draw, 300, performance.now())'
+#: Drawing in software takes half a core at the 20 frames a second of the view, and smooth edges
+#: take as long as all the rest of a frame.
+FEW_FRAMES = """
+window.requestAnimationFrame = (draw) => setTimeout(draw, 300, performance.now());
+HTMLCanvasElement.prototype.getContext = (made => function (kind, choices) {
+  return made.call(this, kind, kind === 'webgl2' ? {...choices, antialias: false} : choices);
+})(HTMLCanvasElement.prototype.getContext);"""
 
 
 PATH = next(filter(None, map(shutil.which, NAMES)), None)

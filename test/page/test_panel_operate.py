@@ -58,7 +58,6 @@ def choose(panel, tab, line, which, told):
 
 
 def test_the_task_list(panel, part):
-    part.write_text(PART.replace('F100', 'F400'))
     tab = panel.open_in_charge()
     panel.load(tab, part)
 
@@ -106,8 +105,8 @@ def test_the_task_list(panel, part):
     legs = {'1 retract', '2 position', '3 plunge'}
     shown = '[...document.querySelectorAll(".scene div")].map(label => label.textContent)'
     tab.wait(lambda: legs <= set(tab.run(shown)))
-    panel.set_override.publish(Float64(data=0.05))  # so that a slow browser can hold it
-    panel.spin_until(lambda: panel.override == 0.05)
+    panel.set_override.publish(Float64(data=0.2))  # so that a slow browser can hold it
+    panel.spin_until(lambda: panel.override == 0.2)
     panel.states.clear()
     panel.press_key(tab, 'cycle start', lambda: any(state.sequence for state in panel.states))
     on_path = [state.path_position for state in panel.states if state.sequence]
@@ -117,7 +116,7 @@ def test_the_task_list(panel, part):
     tab.wait(lambda: not legs & set(tab.run(shown)) and tab.text('start') == '')
     tab.click('feed hold')
     panel.until(MachineState.HELD)
-    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F400'} <= set(tab.text('modes').split()))
+    tab.wait(lambda: {'executed:', 'G91', 'TRAORI', 'F100'} <= set(tab.text('modes').split()))
 
     # Jog away, return: cycle start leads back to the place of the hold, and goes on from there.
     panel.spin_until(lambda: panel.next_state().resting)

@@ -68,6 +68,8 @@ def test_the_model_is_found_from_noisy_feedback(tmp_path):
     frequency = np.array([2.0, 10.0, 30.0])
     answers = [transfer(each, 2.0, frequency) for each in (found.drive, TRUTH)]
     assert np.abs(answers[0] / answers[1] - 1.0).max() < 0.02
+    late = transfer(replace(TRUTH, delay=TRUTH.delay + 2e-3), 2.0, frequency) / answers[1]
+    assert np.angle(late, deg=True) == pytest.approx(-0.72 * frequency)
     write_identified(TIRED, {0: found}, 1e-3, tmp_path / 'page.html')
     assert 'coulomb_N' in (tmp_path / 'page.html').read_text(encoding='utf-8')
 

@@ -243,6 +243,13 @@ def check(message):
         soundness.check_segment(message)
 
 
+def test_every_rest_passes_as_the_machine_knows_it():
+    for wait in Wait:
+        message = sound(SetpointChunk)
+        message.wait, message.end_of_program = wait, wait is Wait.END
+        check(message)
+
+
 NAN, INF = float('nan'), float('inf')
 
 

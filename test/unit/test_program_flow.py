@@ -67,6 +67,7 @@ def test_expressions(expression, value):
         'G91\nO1 sub\nM73\nG90 G0 X1\nO1 endsub\nO1 call\nX1\nM70\nG90\nM72\nX1',
         'G0 X[EXISTS[#1] * 1]\nX[1+EXISTS[##1]]\nX[3-EXISTS[#99999]]',
         'G0 X[#<_x>+1]\nX[#<_abs_x>+1]\nX[#<_incremental>+3]',
+        'G0 X#<_spindle_rpm_mode>\nX[#<_spindle_css_mode>+2]\nX[#<_absolute>+2]',
         'G65 P9 A1\nG65 P9 A2\nG65 P9 B3\nM30\nO9\nIF [#1 NE #0] GOTO 8\n#1=#2\nN8 G0 X#1\nM99',
         '#100=9\nG65 P9 A1\nIF [#100 EQ #0] THEN #100=2\nX#100\nX3\nM30\nO9\nG0 X#1\n#100=#0\nM99',
         'IF R1<>1\nX9\nELSE\nIF TRUE\nX1\nENDIF\nENDIF\nX2\nX3',
@@ -98,6 +99,11 @@ def test_subprograms_in_files_of_their_own(tmp_path):
     np.testing.assert_allclose(blocks.tip[:, 0] * 1e3, [0, 1, 2, 3])
     # A line of another file counts as the line of its call.
     assert blocks.line_number.tolist() == [1, 2, 3, 4]
+    # A file that is called by its name has the variables of who calls.
+    (tmp_path / 'L5.spf').write_text('R1=R1+2\n#1=3\nM17\n')
+    (tmp_path / 'part.mpf').write_text('R1=1\n#1=1\nG0 X=R1\nL5\nX=R1\nX=R1+#1\nM30\n')
+    blocks = read_program(tmp_path / 'part.mpf', ThreeAxes(), Settings()).blocks
+    np.testing.assert_allclose(blocks.tip[:, 0] * 1e3, [1, 3, 6])
 
 
 def test_block_delete():

@@ -10,7 +10,15 @@ from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import JobSetup, Tool, open_program, read_program, read_text, targets
+from cnc_interp.program import (
+    JobSetup,
+    Tool,
+    gcode,
+    open_program,
+    read_program,
+    read_text,
+    targets,
+)
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP
 from cnc_interp.settings.options import Settings
 
@@ -67,6 +75,19 @@ def test_spellings_of_one_move(line):
         blocks = read(text).blocks
         np.testing.assert_allclose(blocks.tip[-1] * 1e3, [-1.5, 2, 0])
         assert blocks.line_number[-1] == 5
+
+
+def test_plain_lines_are_read_many_at_once(monkeypatch):
+    taken, move_along = [], gcode.move_along
+
+    def seen(*given):
+        taken.append(move_along(*given))
+        return taken[-1]
+
+    monkeypatch.setattr(gcode, 'move_along', seen)
+    lines = '\n'.join(f'X{k} Y{k % 2}' for k in range(1, 400))
+    assert len(tips(f'G0 X0 Y0 Z0\nF100 (more than plain words)\nS1\nG1\n{lines}')) == 400
+    assert taken and all(taken)
 
 
 def test_incremental_and_inch():

@@ -15,6 +15,7 @@ from scipy.sparse import csr_array, vstack
 from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.time_bound import time_bound
+from cnc_interp.feedrate.toppra_stage import BackwardPass
 from cnc_interp.kinematics.axis_path import cut, evaluate_cells, refine
 
 TABLE = XYZAC.limit_table
@@ -115,6 +116,12 @@ def test_the_law_is_the_same_without_the_bound():
     one, other = plan_path(path, XYZAC), plan_path(path, XYZAC, PlanOptions(bound=False))
     np.testing.assert_array_equal(one.law.time, other.law.time)
     assert other.least_time == 0.0
+
+
+def test_a_step_is_begun_as_fast_as_its_end_allows():
+    half, cap = np.full((1, 1), 0.5), np.array([100.0, 100.0])
+    solver = BackwardPass(half, half, cap)  # |b_0 - b_1| / 2 <= 1
+    assert [solver.largest(0, end) for end in (4.0, 99.0)] == pytest.approx([6.0, 100.0], rel=1e-5)
 
 
 def test_toppra_comes_without_its_plots():

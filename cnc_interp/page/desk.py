@@ -28,6 +28,7 @@ from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.run_messages import goal_of, settings_from
 
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
+REST = 1.0  #: After so long at rest the charts stand, so that they show the last motion [s].
 KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
 TIP_CODE = 'TRAORI'  #: The code of tool-tip programming (TCP) in the modal state.
 LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
@@ -95,6 +96,7 @@ class Job:
 class Desk:
     def __init__(self, namespace: str, domain: int):
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
+        self._moved = 0.0
         self.machine: Machine | None = None
         self.job: Job | None = None
         self.settings = Settings()
@@ -122,7 +124,8 @@ class Desk:
         now = time.monotonic()
         use = np.array([getattr(state, f'recent_{kind}_use') for kind in KINDS])
         self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
-        if self.history and now - self.history[-1].time < STEP:
+        self._moved = now if state.feedrate > 0.0 or self._peak.any() else self._moved
+        if self.history and (now - self.history[-1].time < STEP or now - self._moved > REST):
             return
         self.history.append(Moment(now, state.feedrate, *self.feeds(state), self._peak))
         self._peak = np.zeros_like(use)

@@ -1,7 +1,6 @@
 """What a page tells: numbers as words of the shop floor, in its unit of lengths, and messages."""
 
 import math
-import time
 from collections.abc import Callable
 from html import escape
 from itertools import cycle
@@ -225,8 +224,9 @@ class Charts:
         self._feed.update()
 
     def show(self, desk: Desk) -> None:
-        now = time.monotonic()
-        moments = [m for m in list(desk.history) if m.time >= now - SPAN]
+        kept = list(desk.history)
+        now = kept[-1].time if kept else 0.0
+        moments = [m for m in kept if m.time >= now - SPAN]
         asked = [m.programmed for m in moments if np.isfinite(m.programmed)]
         plan = desk.job.plan if desk.job is not None else None
         planned = plan.usual_feed if plan is not None else 0.0
@@ -256,7 +256,7 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
             'textStyle': small, 'itemGap': 7,
         },
         'grid': {'left': 40, 'right': 10, 'top': 44, 'bottom': 20},
-        'xAxis': {**axis, 'type': 'value', 'min': -SPAN, 'max': 0},
+        'xAxis': {**axis, 'type': 'value', 'min': -SPAN, 'max': 0, 'interval': 10},
         'yAxis': {**axis, 'type': 'value', 'min': 0, 'splitNumber': 3},
         'series': [
             {

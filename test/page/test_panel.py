@@ -6,8 +6,11 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,7 +36,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page import command, server
 from cnc_interp.page.contact import Access
-from cnc_interp.page.desk import Job
+from cnc_interp.page.desk import KINDS, Desk, Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
 from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
 from cnc_interp.page.keys import RAPIDS
@@ -422,3 +425,21 @@ def test_a_page_that_ends_late_hurts_no_run(monkeypatch):
     finally:
         beside._process.kill()
         beside._process.wait()
+
+
+def test_charts_stand_while_the_machine_rests(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(time, 'monotonic', lambda: now)
+    desk = SimpleNamespace(
+        history=deque(), switched={}, feeds=lambda state: (0.0, 0.0),
+        _peak=np.zeros((3, 1)), _moved=0.0,
+    )  # fmt: skip
+    for speed in (*[0.1] * 5, *[0.0] * 50, 0.2):
+        state = SimpleNamespace(single_block=False, feedrate=speed)
+        for kind in KINDS:
+            setattr(state, f'recent_{kind}_use', np.array([speed]))
+        Desk._see_state(desk, state)
+        now += 0.25
+    feeds = [moment.feed for moment in desk.history]
+    assert feeds[:5] == [0.1] * 5 and feeds[-1] == 0.2
+    assert feeds.count(0.0) == 4  # a second of them

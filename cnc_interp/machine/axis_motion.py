@@ -45,9 +45,10 @@ def refuse_setpoints(
     parts = [before, positions, np.tile(positions[-1:], (3, 1))]
     course = np.concatenate(parts)
     table = machine.limit_table
-    torques = torque_shares(course, table, period).max(axis=0)
-    uses = [*largest_shares(course, table, period), torques]
-    for use, what in zip(uses, ('velocity', 'acceleration', 'jerk', 'torque'), strict=True):
+    uses = [*largest_shares(course, table, period)]
+    if has_loads(table):
+        uses.append(torque_shares(course, table, period).max(axis=0))
+    for use, what in zip(uses, ('velocity', 'acceleration', 'jerk', 'torque'), strict=False):
         if not use.max() <= ROUNDING:
             k = int(np.argmax(use))
             raise StreamError(

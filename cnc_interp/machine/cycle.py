@@ -159,8 +159,11 @@ class Cycle:
     def read(self) -> Records:
         memory, control = self._memory, self._control
         first, last = int(control[kernel.READ]), int(control[kernel.RECORDED])
-        slots = np.arange(first, last) % len(memory.records)
-        records, measured = memory.records[slots], memory.measured[slots]
+        at, kept = first % len(memory.records), len(memory.records)
+        slots: slice | IntArray = slice(at, at + last - first)
+        if at + last - first > kept:
+            slots = np.arange(first, last) % kept
+        records, measured = memory.records[slots].copy(), memory.measured[slots].copy()
         publish(control, kernel.READ, last)
         played = records[records[:, 0] != kernel.REST, 1]
         while len(played) and self._kept and self._kept[0][0] < played[-1]:

@@ -186,7 +186,8 @@ complete_environment() {
     say "it does not hold together: $(tail -n 1 "$log")"
     return 1
   fi
-  write_stamp "$kept_parts" "$@"
+  write_stamp "$kept_parts" "$@" || return
+  [ -z "$kernels" ] || (exec 9<&-; warm_commands &) # the lock is free
 }
 
 # A build that was killed can go on later. An installation that was killed starts again.
@@ -230,6 +231,15 @@ install_ros() {
 compile_kernels() (
   cd "$root" && exec "$venv/bin/python" -m cnc_interp.nodes.kernel_warmup
 ) >"$venv/kernels.log" 2>&1
+
+# What plan, check and report need and no motion does, so that a user's first ones find it compiled.
+warm_commands() (
+  made=$(mktemp -d)
+  trap 'rm -rf "$made"' EXIT
+  program() { nice -n 19 "$venv/bin/cnc-interp" "$@"; }
+  program plan "$root/examples/pyramid.ngc" --out "$made" && program check "$made" \
+    && program report "$made"
+) >"$venv/commands.log" 2>&1
 
 # Plain CMake into .venv itself, so that nothing has to be sourced.
 build_messages() (

@@ -119,6 +119,7 @@ OFFSETS_AND_CYCLES = [
     ('G76 X1 Z-2 R1 F60', 'has no encoder'),
     ('G88 X1 Z-2 R1 F60', 'LinuxCNC has none'),
     ('G54.1 P0', '1 to 300'),
+    ('G54.1', '1 to 300'),
     ('CYCLE81(1,2)', 'give the planes'),
     ('CYCLE81(5,9,0,3)', 'lies below'),
     ('HOLES1(0,0,0,0,5,3)', 'needs a modal cycle'),

@@ -1,8 +1,10 @@
 """Spindle, coolant and tool changer over the real nodes, recorded and proven."""
 
 import json
+import re
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -39,10 +41,14 @@ def test_a_part_from_tool_change_to_the_end_is_recorded_and_proven(tmp_path, cap
     program, bag = tmp_path / 'part.ngc', tmp_path / 'bag'
     program.write_text(PROGRAM)
     words = ['run', str(program), '--machine', 'vmc', '--record', str(bag)]
+    begun = time.monotonic()
     done = subprocess.run(
         [sys.executable, '-m', 'cnc_interp', *words], capture_output=True, text=True, timeout=280
     )
+    taken = time.monotonic() - begun
     assert done.returncode == 0, done.stderr[-2000:]
+    figures = re.search(r'cycle time +([\d.]+) s.*first motion ([\d.]+) s after', done.stdout)
+    assert sum(map(float, figures.groups())) < taken
     assert main(['check', str(bag), '--program', str(program), '--json']) == 0
     assert json.loads(capsys.readouterr().out)['ok']
     with Bag(bag) as recorded:

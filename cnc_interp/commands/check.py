@@ -219,7 +219,8 @@ def _score(options: Namespace) -> int:
             csv = file.suffix == '.csv'
             q = np.loadtxt(file, delimiter=',') if csv else np.load(file)['position']
         except (ValueError, KeyError, OSError) as fault:
-            raise InterpError(f'{file}: cannot be read: {fault}') from None
+            text = f'{file}: is no motion, position at each period: {fault}'
+            raise InterpError(text) from None
         found = score(problem(file.stem), q, options.period * MS)
         kept &= found.kept
         print(

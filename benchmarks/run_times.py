@@ -66,6 +66,22 @@ def fit(traces: list[tuple[TimedProgram, Trace]], machine: Machine) -> Fitted:
     return found
 
 
+def compared(
+    name: str, program: TimedProgram, runs: list[dict[str, Any]], machine: Machine
+) -> list[float]:
+    off = []
+    sections = section_times(program, machine, program.motion(machine))
+    for number, (_, _, motion, rest) in enumerate(sections):
+        told = [run['sections'][number] for run in runs]
+        real = median(section['to_s'] - section['from_s'] for section in told)
+        off.append((motion + rest) / real - 1.0)
+        print(
+            f'| {name} | T{told[0]["tool"]} | {real:.1f} | {motion + rest:.1f} | {motion:.1f} '
+            f'| {rest:.1f} | {off[-1]:+.1%} |'
+        )
+    return off
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--suite', type=Path, default=Path('../shared/suites/nist-box'))
@@ -90,20 +106,16 @@ def main() -> None:
         others = [pair for other, pairs in traces.items() if other != name for pair in pairs]
         fitted = fit(others, machine).machine
         program = traces[name][0][0]
-        sections = section_times(program, fitted, program.motion(fitted))
-        for number, (_, _, motion, rest) in enumerate(sections):
-            told = [run['sections'][number] for run in runs]
-            real = median(section['to_s'] - section['from_s'] for section in told)
-            off.append((motion + rest) / real - 1.0)
-            print(
-                f'| {name} | T{told[0]["tool"]} | {real:.1f} | {motion + rest:.1f} | {motion:.1f} '
-                f'| {rest:.1f} | {off[-1]:+.1%} |'
-            )
+        off += compared(name, program, runs, fitted)
     print(f'off: median {np.median(np.abs(off)):.2%}, largest {np.abs(off).max():.2%}')
     if options.op5 is None:
         return
     print('OP5, by all of them:')
     fitted = fit([pair for pairs in traces.values() for pair in pairs], machine).machine
+    off = [
+        x for name in measured for x in compared(name, traces[name][0][0], measured[name], fitted)
+    ]
+    print(f'off: median {np.median(np.abs(off)):.2%}, largest {np.abs(off).max():.2%}')
     program = TimedProgram.load(options.op5, machine, settings)
     total = 0.0
     for first, last, motion, rest in section_times(program, fitted, program.motion(fitted)):

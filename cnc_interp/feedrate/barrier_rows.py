@@ -23,7 +23,6 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
     weight        (n,)               barrier weight of the cell: its share of the time [-]
     slack, dual   (r, n)             w and y: rows 2 (p k + q) and 2 (p k + q) + 1 are both sides
                                      of place q of axis k; the last two are the caps
-    change, next_dual                the same shape: steps of w and y
     d0, d1, d2, rhs, residual        (n + 2,): diagonals of the Newton matrix, right-hand side,
                                      dual residual; entry i + 1 belongs to m_i
     dm            (n + 2,)           step of m, likewise; both ends are zero
@@ -32,13 +31,20 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
 import numba
 import numpy as np
 
-from cnc_interp.core import FloatArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
 #: Smallest slack, and slack times dual over the time, at the beginning of a warm start.
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
-CHUNK = 256  #: Number of cells that are summed over all axes at a time.
+CHUNK = 256  #: Most cells that are summed over all axes at a time, and that step alike.
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
+def edges_of(n: int) -> IntArray:
+    """Return the first cell of each chunk, and the end: chunks of nearly the same size."""
+    chunks = max((n + CHUNK - 1) // CHUNK, 1)
+    return np.arange(chunks + 1) * n // chunks
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -191,23 +197,25 @@ def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
 def add_rows(
     rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, width: FloatArray, v: FloatArray,
     terms: FloatArray, slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
-    d0: FloatArray, d1: FloatArray, d2: FloatArray, residual: FloatArray, rhs: FloatArray,
-) -> tuple[float, float, float]:  # fmt: skip
+    edges: IntArray, d0: FloatArray, d1: FloatArray, d2: FloatArray, residual: FloatArray,
+    rhs: FloatArray, weighted: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
     """Write Newton matrix ``d0`` to ``d2``, right-hand side of the predictor step and residual.
 
-    ``width`` has the effective widths [m], ``v`` s_dot at the nodes. Returns the sum of dual times
-    slack, the same over the cell weights, and the largest violation of a row.
+    ``width`` has the effective widths [m], ``v`` s_dot at the nodes. ``weighted``: of each chunk,
+    the sum of dual times slack over the cell weights. Returns the sum without weights, and the
+    largest violation of a row.
     """
-    n, n_axes, places = len(m), rows.shape[0], places_of(rows)
-    total_gap, weighted, most = 0.0, 0.0, 0.0
+    n_axes, places = rows.shape[0], places_of(rows)
+    total_gap, most = 0.0, 0.0
     for out in (d0, d1, d2, residual, rhs):
         out[:] = 0.0
     # Rows of x: the matrix of each cell (6), its right-hand side (3), its dual residual (3).
     s, x = np.empty((12, CHUNK)), np.empty((12, CHUNK))
     gap, use, zero = np.empty(CHUNK), np.empty(CHUNK), np.zeros(CHUNK)
     e = slopes
-    for lo in range(0, n, CHUNK):
-        hi = min(lo + CHUNK, n)
+    for chunk in range(len(weighted)):
+        lo, hi = edges[chunk], edges[chunk + 1]
         left, right = slice(lo, hi), slice(lo + 1, hi + 1)
         gap[:], use[:] = 0.0, 0.0
         _time_of_cells(
@@ -241,9 +249,10 @@ def add_rows(
             slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
             x[0], x[1], x[3], x[6], x[7], x[9], x[10], gap, use,
         )  # fmt: skip
+        weighted[chunk] = 0.0
         for j in range(hi - lo):
             total_gap += gap[j]
-            weighted += gap[j] / weight[lo + j]
+            weighted[chunk] += gap[j] / weight[lo + j]
             most = max(most, use[j])
         for c, (square, beside) in enumerate(((0, 1), (3, 4), (5, -1))):
             first, last = lo + c, hi + c
@@ -253,7 +262,7 @@ def add_rows(
             if beside >= 0:
                 add_to(d1[first:last], x[beside], 1.0)
         add_to(d2[lo:hi], x[2], 1.0)
-    return total_gap, weighted, most - 1.0
+    return total_gap, most - 1.0
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -261,15 +270,14 @@ def start_rows(
     total: float, rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, terms: FloatArray,
     width: FloatArray, v: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
     warm: bool,
-) -> int:  # fmt: skip
-    """Set the cell weights by time, and start slacks and duals; return the number of live rows.
+) -> None:  # fmt: skip
+    """Set the cell weights by time, and start slacks and duals.
 
     ``total`` is the time of the starting point [s]. A warm start, from nearly the same problem,
     keeps larger duals.
     """
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
-    count = 0
     for i in range(n):
         share = 2 * width[i] / (v[i] + v[i + 1]) / total
         weight[i] = max(n * share, 1e-3)
@@ -293,5 +301,3 @@ def start_rows(
                 w[i] = max(1.0 - use[i] if side == 0 else 1.0 + use[i], least)
                 balanced = level * total / n * weight[i] / w[i]
                 y[i] = (max(y[i], balanced) if warm else balanced) if taking_part[i] else 0.0
-                count += taking_part[i]
-    return count

@@ -3,13 +3,19 @@
 It needs no feasible starting point. The Hessian is that of the time plus the Gauss-Newton terms of
 the rows; for jerk rows this is the convexification by tangents. The barrier of a cell is weighted
 with its share of the time. Without the weight, short cells would stay away from their limits.
+
+A step acts on the cells nearby only: its effect decays within a few cells along the band of the
+Newton matrix. So each chunk of cells has its own step lengths and its own target of the barrier,
+blended along the path. With one length for all, the worst of 20,000 cells would hold up the rest.
+No target falls faster than the violation of the rows of its chunk [W1997, chapter 6]: slacks that
+are small before the rows hold leave no way to move.
 ``barrier_rows.py`` describes the rows, the arrays and their shapes.
 """
 
 import numba
 import numpy as np
 
-from cnc_interp.core import FloatArray
+from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate import barrier_rows as barrier
 from cnc_interp.feedrate import jerk_rows
@@ -69,26 +75,25 @@ def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> Non
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def predict(
     rows: FloatArray, inverse_caps: FloatArray, m_reached: FloatArray, reached: FloatArray,
-    slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
-    centring: FloatArray, bending: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
+    slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray, edges: IntArray,
+    forces: FloatArray, step: FloatArray, square: FloatArray,
+) -> None:  # fmt: skip
     """Compute how far the predictor step may go, and what the corrector needs of it.
 
     With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is dy = -y (1
     + t), so the dual stays positive up to 1/(1 + t). The corrector wants w dy + y dw = target
-    weight - w y - factor dw dy: forces ``centring`` and ``bending`` on the coefficients, both
-    written here. ``m_reached`` and ``reached`` are coefficients and linearised terms after the
-    whole predictor step. Returns the longest step length, at most 1, and the sum of dw dy over the
-    cell weights.
+    weight - w y - factor dw dy: ``forces`` of each cell on its three coefficients, (6, n), first
+    by the target, then by the factor. ``m_reached`` and ``reached`` are coefficients and
+    linearised terms after the whole predictor step. Of each chunk, ``step`` is the longest step
+    length, at most 1, and ``square`` the sum of dw dy over the cell weights.
     """
-    n, n_axes, places = len(m_reached), rows.shape[0], barrier.places_of(rows)
-    worst, square = 1.0, 0.0
-    centring[:], bending[:] = 0.0, 0.0
-    # Rows of x: both forces on the three coefficients of each cell, dw dy, 1 / step length.
-    s, x = np.empty((6, barrier.CHUNK)), np.empty((8, barrier.CHUNK))
+    n_axes, places = rows.shape[0], barrier.places_of(rows)
+    # Rows of x: dw dy, 1 / step length.
+    s, x = np.empty((6, barrier.CHUNK)), np.empty((2, barrier.CHUNK))
     zero = np.zeros(barrier.CHUNK)
-    for lo in range(0, n, barrier.CHUNK):
-        hi = min(lo + barrier.CHUNK, n)
+    forces[:] = 0.0
+    for chunk in range(len(step)):
+        lo, hi = edges[chunk], edges[chunk + 1]
         here = slice(lo, hi)
         x[:] = 0.0
         for q in range(places):
@@ -100,34 +105,36 @@ def predict(
                     rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here],
                     barrier.constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
                     slack[r, here], slack[r + 1, here], dual[r, here], dual[r + 1, here],
-                    s[0], s[1], s[2], s[3], s[4], s[5], x[6], x[7],
+                    s[0], s[1], s[2], s[3], s[4], s[5], x[0], x[1],
                 )  # fmt: skip
             z = jerk_rows.slope_rows(slopes, q, lo, hi)
-            barrier.by_coefficients(s[0], s[1], s[2], *z, x[0], x[1], x[2])
-            barrier.by_coefficients(s[3], s[4], s[5], *z, x[3], x[4], x[5])
+            barrier.by_coefficients(
+                s[0], s[1], s[2], *z, forces[0, here], forces[1, here], forces[2, here]
+            )
+            barrier.by_coefficients(
+                s[3], s[4], s[5], *z, forces[3, here], forces[4, here], forces[5, here]
+            )
         r = 2 * places * n_axes
         _predict_cap(
             inverse_caps[0, here], m_reached[here], slack[r, here], dual[r, here],
-            s[0], s[1], x[6], x[7],
+            s[0], s[1], x[0], x[1],
         )  # fmt: skip
         _predict_cap(
             inverse_caps[1, here], reached[4, here], slack[r + 1, here], dual[r + 1, here],
-            s[2], s[3], x[6], x[7],
+            s[2], s[3], x[0], x[1],
         )  # fmt: skip
-        barrier.add_to(x[1], s[0], 1.0)
-        barrier.add_to(x[4], s[1], 1.0)
+        barrier.add_to(forces[1, here], s[0], 1.0)
+        barrier.add_to(forces[4, here], s[1], 1.0)
         left, right = slopes[9, here], slopes[10, here]
-        _add_product(x[0], s[2], left)
-        _add_product(x[3], s[3], left)
-        _add_product(x[1], s[2], right)
-        _add_product(x[4], s[3], right)
+        _add_product(forces[0, here], s[2], left)
+        _add_product(forces[3, here], s[3], left)
+        _add_product(forces[1, here], s[2], right)
+        _add_product(forces[4, here], s[3], right)
+        worst, square[chunk] = 1.0, 0.0
         for j in range(hi - lo):
-            square += x[6, j] / weight[lo + j]
-            worst = max(worst, x[7, j])
-        for c in range(3):
-            _add_product(centring[lo + c : hi + c], x[c], weight[here])
-            barrier.add_to(bending[lo + c : hi + c], x[3 + c], 1.0)
-    return 1.0 / worst, square
+            square[chunk] += x[0, j] / weight[lo + j]
+            worst = max(worst, x[1, j])
+        step[chunk] = 1.0 / worst
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -142,7 +149,7 @@ def _dual_step(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
-    target: float, second_order: float, c0: FloatArray, c1: FloatArray, c2: FloatArray,
+    target: FloatArray, second_order: FloatArray, c0: FloatArray, c1: FloatArray, c2: FloatArray,
     constant: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, x0: FloatArray,
     x1: FloatArray, x2: FloatArray, weight: FloatArray, w0: FloatArray, w1: FloatArray,
     y0: FloatArray, y1: FloatArray, dw0: FloatArray, dw1: FloatArray, dy0: FloatArray,
@@ -152,10 +159,10 @@ def _step_rows(
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
         g_p, g_x = f0 * p0[j] + f1 * p1[j] + f2 * p2[j], f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
-        i0, i1, aim = 1.0 / w0[j], 1.0 / w1[j], target * weight[j]
+        i0, i1, aim = 1.0 / w0[j], 1.0 / w1[j], target[j] * weight[j]
         t0, t1 = 1.0 - w0[j] - constant[j], 1.0 - w1[j] + constant[j]
-        dy0[j], a0 = _dual_step(t0 - g_p, t0 - g_x, i0, y0[j], aim, second_order)
-        dy1[j], a1 = _dual_step(t1 + g_p, t1 + g_x, i1, y1[j], aim, second_order)
+        dy0[j], a0 = _dual_step(t0 - g_p, t0 - g_x, i0, y0[j], aim, second_order[j])
+        dy1[j], a1 = _dual_step(t1 + g_p, t1 + g_x, i1, y1[j], aim, second_order[j])
         dw0[j], dw1[j] = t0 - g_x, t1 + g_x
         primal[j] = max(primal[j], max(-(t0 - g_x) * i0, -(t1 + g_x) * i1))
         adjoint[j] = max(adjoint[j], max(a0, a1))
@@ -163,7 +170,7 @@ def _step_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_cap(
-    target: float, second_order: float, cap: FloatArray, p: FloatArray, x: FloatArray,
+    target: FloatArray, second_order: FloatArray, cap: FloatArray, p: FloatArray, x: FloatArray,
     weight: FloatArray, w: FloatArray, y: FloatArray, dw: FloatArray, dy: FloatArray,
     primal: FloatArray, adjoint: FloatArray,
 ) -> None:  # fmt: skip
@@ -171,64 +178,88 @@ def _step_cap(
         inverse, there = 1.0 / w[j], 1.0 - w[j]
         step = there - cap[j] * x[j]
         dy[j], most = _dual_step(
-            there - cap[j] * p[j], step, inverse, y[j], target * weight[j], second_order
+            there - cap[j] * p[j], step, inverse, y[j], target[j] * weight[j], second_order[j]
         )
         dw[j], primal[j] = step, max(primal[j], -step * inverse)
         adjoint[j] = max(adjoint[j], most)
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
+def _blend(values: FloatArray, edges: IntArray, chunk: int, below: bool, out: FloatArray) -> None:
+    """Write values of cells of a chunk, on lines to the chunks beside; or ``below`` its own."""
+    lo, hi, here = edges[chunk], edges[chunk + 1], values[chunk]
+    for i in range(hi - lo):
+        way = (i + 0.5) / (hi - lo) - 0.5
+        beside = values[max(chunk - 1, 0) if way < 0.0 else min(chunk + 1, len(values) - 1)]
+        if below:
+            beside = 2 * min(beside, here) - here
+        out[i] = here + abs(way) * (beside - here)
+
+
+@numba.njit(cache=True, nogil=True, error_model='numpy')
 def advance(
-    target: float, second_order: float, rows: FloatArray, inverse_caps: FloatArray,
+    target: FloatArray, second_order: FloatArray, rows: FloatArray, inverse_caps: FloatArray,
     m_predicted: FloatArray, predicted: FloatArray, m_reached: FloatArray, reached: FloatArray,
-    weight: FloatArray, m: FloatArray, slack: FloatArray, dual: FloatArray, change: FloatArray,
-    next_dual: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
+    weight: FloatArray, edges: IntArray, m: FloatArray, slack: FloatArray, dual: FloatArray,
+    floor: FloatArray,
+) -> None:  # fmt: skip
     """Take the corrected step while slacks, duals and coefficients stay positive.
 
     ``target``: wanted product of slack and dual, per unit of cell weight; ``second_order``: factor
-    of dw dy; then coefficients and terms after predictor and corrector. Returns both step lengths.
+    of dw dy; then coefficients and terms after predictor and corrector. Each chunk moves once the
+    step length of the next one is known, while its steps are still in the cache. Its ``floor``
+    falls with the violation of its rows.
     """
-    n, n_axes, places = len(m), rows.shape[0], barrier.places_of(rows)
-    primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
+    n, n_axes, places, chunks = len(m), rows.shape[0], barrier.places_of(rows), len(edges) - 1
+    primal, adjoint = np.ones(chunks), np.ones(chunks)
+    # Steps of slacks and duals of this chunk and of the one before.
+    dw, dy = np.empty((2, len(slack), barrier.CHUNK)), np.empty((2, len(slack), barrier.CHUNK))
     f, zero = np.empty((2, barrier.CHUNK)), np.zeros(barrier.CHUNK)
-    for lo in range(0, n, barrier.CHUNK):
-        hi = min(lo + barrier.CHUNK, n)
-        here = slice(lo, hi)
-        f[:] = 0.0
-        for q in range(places):
-            p = jerk_rows.term_rows(predicted, q, lo, hi)
-            x = jerk_rows.term_rows(reached, q, lo, hi)
-            for k in range(n_axes):
-                c, r = 3 * q, 2 * (places * k + q)
-                _step_rows(
-                    target, second_order, rows[k, c, here], rows[k, c + 1, here],
-                    rows[k, c + 2, here], barrier.constant_of(rows, k, q, lo, hi, zero), *p, *x,
-                    weight[here], slack[r, here], slack[r + 1, here], dual[r, here],
-                    dual[r + 1, here], change[r, here], change[r + 1, here],
-                    next_dual[r, here], next_dual[r + 1, here], f[0], f[1],
+    for chunk in range(chunks + 1):
+        if chunk < chunks:
+            lo, hi = edges[chunk], edges[chunk + 1]
+            here, cells, new = slice(lo, hi), slice(0, hi - lo), chunk % 2
+            f[:] = 0.0
+            for q in range(places):
+                p = jerk_rows.term_rows(predicted, q, lo, hi)
+                x = jerk_rows.term_rows(reached, q, lo, hi)
+                for k in range(n_axes):
+                    c, r = 3 * q, 2 * (places * k + q)
+                    _step_rows(
+                        target[here], second_order[here], rows[k, c, here], rows[k, c + 1, here],
+                        rows[k, c + 2, here], barrier.constant_of(rows, k, q, lo, hi, zero),
+                        *p, *x, weight[here], slack[r, here], slack[r + 1, here], dual[r, here],
+                        dual[r + 1, here], dw[new, r, cells], dw[new, r + 1, cells],
+                        dy[new, r, cells], dy[new, r + 1, cells], f[0], f[1],
+                    )  # fmt: skip
+            for which in range(2):
+                r = 2 * places * n_axes + which
+                _step_cap(
+                    target[here], second_order[here], inverse_caps[which, here],
+                    m_predicted[here] if which == 0 else predicted[4, here],
+                    m_reached[here] if which == 0 else reached[4, here], weight[here],
+                    slack[r, here], dual[r, here], dw[new, r, cells], dy[new, r, cells],
+                    f[0], f[1],
                 )  # fmt: skip
-        for which in range(2):
-            r = 2 * places * n_axes + which
-            _step_cap(
-                target, second_order, inverse_caps[which, here],
-                m_predicted[here] if which == 0 else predicted[4, here],
-                m_reached[here] if which == 0 else reached[4, here], weight[here],
-                slack[r, here], dual[r, here], change[r, here], next_dual[r, here], f[0], f[1],
-            )  # fmt: skip
-        for j in range(hi - lo):
-            primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])
-    primal, adjoint = KEPT_STEP / primal_worst, KEPT_STEP / dual_worst
-    for i in range(1, n - 1):
-        dm = m_reached[i] - m[i]
-        if dm * primal < -0.9 * m[i]:
-            primal = -0.9 * m[i] / dm
-    for i in range(n):
-        m[i] += primal * (m_reached[i] - m[i])
-    for r in range(len(slack)):
-        barrier.add_to(slack[r], change[r], primal)
-        barrier.add_to(dual[r], next_dual[r], adjoint)
-    return primal, adjoint
+            primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
+            for j in range(hi - lo):
+                primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])
+            primal[chunk], adjoint[chunk] = KEPT_STEP / primal_worst, KEPT_STEP / dual_worst
+            for i in range(max(lo, 1), min(hi, n - 1)):
+                dm = m_reached[i] - m[i]
+                if dm * primal[chunk] < -0.9 * m[i]:
+                    primal[chunk] = -0.9 * m[i] / dm
+            floor[chunk] *= 1.0 - primal[chunk]
+        if chunk > 0:
+            lo, hi = edges[chunk - 1], edges[chunk]
+            cells, new = slice(0, hi - lo), (chunk - 1) % 2
+            _blend(primal, edges, chunk - 1, True, f[0])
+            _blend(adjoint, edges, chunk - 1, True, f[1])
+            for i in range(lo, hi):
+                m[i] += f[0, i - lo] * (m_reached[i] - m[i])
+            for r in range(len(slack)):
+                _add_product(slack[r, lo:hi], dw[new, r], f[0, cells])
+                _add_product(dual[r, lo:hi], dy[new, r], f[1, cells])
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -310,28 +341,30 @@ def solve(
     terms, slopes = np.zeros((7, n + 1)), np.zeros((14, n + 1))
     predicted, reached = np.zeros((7, n + 1)), np.zeros((7, n + 1))
     inverse_caps = _inverse_caps(caps)
-    change, next_dual = np.empty((n_rows, n)), np.empty((n_rows, n))
     d0, d1, d2 = np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
     rhs, residual = np.empty(n + 2), np.empty(n + 2)
-    centring, bending = np.empty(n + 2), np.empty(n + 2)
-    dm, weight = np.zeros(n + 2), np.ones(n)
-    inner = slice(1, n + 1)
-    total, count = 0.0, 0
-    calm = False
+    dm, weight, forces = np.zeros(n + 2), np.ones(n), np.empty((6, n))
+    edges = barrier.edges_of(n)
+    chunks = len(edges) - 1
+    count, weighted = np.ones(chunks), np.empty(chunks)
+    step, square, floor = np.empty(chunks), np.empty(chunks), np.empty(chunks)
+    targets, target, second = np.empty(chunks), np.empty(n), np.empty(n)
+    inner, calm, total = slice(1, n + 1), False, 0.0
     for iteration in range(most_iterations):
         jerk_rows.node_states(m, width, ends, b, a, v)
         total = jerk_rows.terms_and_time(width, b, a, v, terms, slopes)
         if not np.isfinite(total):
             return BROKEN, iteration, total
         if iteration == 0:
-            count = barrier.start_rows(
+            barrier.start_rows(
                 total, rows, inverse_caps, m, terms, width, v, weight, slack, dual, warm
             )
-        gap, weighted, violation = barrier.add_rows(
-            rows, inverse_caps, m, width, v, terms, slopes, weight, slack, dual,
-            d0, d1, d2, residual, rhs,
+            for c in range(chunks):
+                count[c] = max((dual[:, edges[c] : edges[c + 1]] > 0.0).sum(), 1)
+        gap, violation = barrier.add_rows(
+            rows, inverse_caps, m, width, v, terms, slopes, weight, slack, dual, edges,
+            d0, d1, d2, residual, rhs, weighted,
         )  # fmt: skip
-        centre = weighted / max(count, 1)
         off = 0.0
         for i in range(n):
             off += abs(residual[i + 1]) * m[i]
@@ -345,24 +378,35 @@ def solve(
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
         jerk_rows.linearise(terms, slopes, dm, predicted)
         m_predicted = m + dm[inner]
-        step, square = predict(
-            rows, inverse_caps, m_predicted, predicted, slopes, weight, slack, dual,
-            centring, bending,
+        predict(
+            rows, inverse_caps, m_predicted, predicted, slopes, weight, slack, dual, edges,
+            forces, step, square,
         )  # fmt: skip
-        # sum of (w + step dw)(y + step dy) with w dy + y dw = -w y
-        left = centre * (1.0 - step) + step * step * square / max(count, 1)
-        sigma = (left / centre) ** 3
-        sigma = min(max(sigma, 1e-3), 0.9)
         # The gap may stay at the tolerance: the jerk rows converge linearly in the meantime.
-        target = max(sigma * centre, min(centre, 0.2 * tolerance * total / (n * (n_rows / 2 + 1))))
-        second = step * step
-        dm[inner] = rhs[inner] - target * centring[inner] + second * bending[inner]
+        least = 0.2 * tolerance * total / (n * (n_rows / 2 + 1))
+        for c in range(chunks):
+            # sum of (w + step dw)(y + step dy) with w dy + y dw = -w y
+            centre = weighted[c] / count[c]
+            left = centre * (1.0 - step[c]) + step[c] ** 2 * square[c] / count[c]
+            sigma = min(max((left / centre) ** 3, 1e-3), 0.9)
+            if iteration == 0:
+                floor[c] = 0.0 if warm else centre  # a warm start hardly violates the rows
+            targets[c] = max(sigma * centre, min(centre, least), floor[c])
+        step *= step
+        for c in range(chunks):
+            _blend(targets, edges, c, False, target[edges[c] :])
+            _blend(step, edges, c, False, second[edges[c] :])
+        dm[inner] = rhs[inner]
+        for i in range(n):
+            aim = target[i] * weight[i]
+            for c in range(3):
+                dm[i + c] += second[i] * forces[3 + c, i] - aim * forces[c, i]
         dm[1], dm[n] = 0.0, 0.0
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
         jerk_rows.linearise(terms, slopes, dm, reached)
         advance(
             target, second, rows, inverse_caps, m_predicted, predicted, m + dm[inner], reached,
-            weight, m, slack, dual, change, next_dual,
+            weight, edges, m, slack, dual, floor,
         )  # fmt: skip
         jerk_rows.node_states(m, width, ends, b, a, v)
         calm = jerk_rows.follow_widths(h, a, v, width) < 1e-3

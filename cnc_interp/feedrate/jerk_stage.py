@@ -163,7 +163,8 @@ def solve_cells(
         h[cells], rows, caps, ends, m[cells], width[cells], some_slack, some_dual, warm, gap,
         MOST_ITERATIONS,
     )  # fmt: skip
-    slack[:, cells], dual[:, cells] = some_slack, some_dual
+    if status != BROKEN:
+        slack[:, cells], dual[:, cells] = some_slack, some_dual
     return status
 
 

@@ -1,0 +1,37 @@
+"""Tests of the interior point method by itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from feedrate_paths import XYZAC, polyline_path, random_polyline
+
+from cnc_interp.feedrate.grid import planning_grid
+from cnc_interp.feedrate.interior_point import SOLVED, solve
+from cnc_interp.feedrate.jerk_rows import build_rows
+from cnc_interp.feedrate.jerk_stage import StretchProblem
+from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
+
+
+def iterations(lines: int) -> int:
+    """Solve a random polyline from rest to rest; return how many iterations it took."""
+    path = polyline_path(random_polyline(np.random.default_rng(0), lines))
+    table, rest, options = XYZAC.limit_table, (0.0, 0.0), PlanOptions()
+    kept = KeptCells(np.empty(0), np.empty((0, 4, 5)), np.empty(0))
+    grid = planning_grid(
+        path, table, rest, options.cell_time, options.share, options.bend, kept.ends
+    )
+    stretch = StretchProblem(grid, table, rest, options, kept)
+    rows = np.zeros((5, 9, len(stretch.h)))
+    build_rows(stretch.left, stretch.right, table, stretch.scale, rows)
+    caps = np.repeat(grid.bounds[:, 4:5] ** 2, 2, axis=1)
+    status, count, _ = solve(
+        stretch.h, rows, caps, stretch.ends, stretch.m, stretch.reset_widths(), stretch.slack,
+        stretch.dual, False, options.gap, 80,
+    )  # fmt: skip
+    assert status == SOLVED
+    return int(count)
+
+
+def test_a_long_stretch_takes_hardly_more_iterations_than_a_short_one():
+    """Each part has its own step length: with one for all, it was 23 and 35."""
+    assert iterations(150) <= iterations(8) + 4

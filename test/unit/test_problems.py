@@ -30,8 +30,8 @@ def test_our_law_keeps_all_of_them_within_a_percent_of_the_optimum():
         found, times = score(case, q, T, time), known(case.name)
         assert found.kept, found
         assert found.time == pytest.approx(times.ours, rel=1e-4)
-        if np.isfinite(times.optimum):  # the solver may be wrong by its grid
-            assert 0.999 < found.ratio < 1.004, found
+        if np.isfinite(times.optimum):  # its solver has a grid, too; 64 cells are few on a circle
+            assert 0.999 < found.ratio < 1.005, found
 
 
 @pytest.mark.parametrize('name', ['3 deg beside the pole', '1 deg beside the pole'])

@@ -186,8 +186,7 @@ complete_environment() {
     say "it does not hold together: $(tail -n 1 "$log")"
     return 1
   fi
-  write_stamp "$kept_parts" "$@" || return
-  [ -z "$kernels" ] || (exec 9<&-; warm_commands &) # the lock is free
+  write_stamp "$kept_parts" "$@"
 }
 
 # A build that was killed can go on later. An installation that was killed starts again.

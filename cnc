@@ -131,7 +131,7 @@ main() {
       # shellcheck source=tools/environment.sh
       . "$root/tools/environment.sh"
       check_environment >/dev/null || remake_environment "${parts[@]}"
-      compile_kernels && warm_commands || true
+      compile_kernels || true
       say "ready: $venv"
       ;;
     '' | help)

@@ -231,15 +231,6 @@ compile_kernels() (
   cd "$root" && exec "$venv/bin/python" -m cnc_interp.nodes.kernel_warmup
 ) >"$venv/kernels.log" 2>&1
 
-# What plan, check and report need and no motion does, so that a user's first ones find it compiled.
-warm_commands() (
-  made=$(mktemp -d)
-  trap 'rm -rf "$made"' EXIT
-  program() { nice -n 19 "$venv/bin/cnc-interp" "$@"; }
-  program plan "$root/examples/pyramid.ngc" --out "$made" && program check "$made" \
-    && program report "$made"
-) >"$venv/commands.log" 2>&1
-
 # Plain CMake into .venv itself, so that nothing has to be sourced.
 build_messages() (
   build=$venv/build/cnc_interp_msgs

@@ -30,8 +30,10 @@ def test_our_law_keeps_all_of_them_within_a_percent_of_the_optimum():
         found, times = score(case, q, T, time), known(case.name)
         assert found.kept, found
         assert found.time == pytest.approx(times.ours, rel=1e-4)
-        if np.isfinite(times.optimum):  # its solver has a grid, too; 64 cells are few on a circle
-            assert 0.999 < found.ratio < 1.005, found
+        if np.isfinite(times.optimum):  # the solver may be wrong by its grid
+            # Its optimum was found last. Our cells cost half a percent there, finer ones a quarter.
+            most = 1.005 if case.name == 'circle of 2 mm' else 1.004
+            assert 0.999 < found.ratio < most, found
 
 
 @pytest.mark.parametrize('name', ['3 deg beside the pole', '1 deg beside the pole'])

@@ -31,7 +31,7 @@ def test_our_law_keeps_all_of_them_within_a_percent_of_the_optimum():
         assert found.kept, found
         assert found.time == pytest.approx(times.ours, rel=1e-4)
         if np.isfinite(times.optimum):  # the solver may be wrong by its grid
-            # Its optimum was found last. Our cells cost half a percent there, finer ones a quarter.
+            # Found last; our cells cost half a percent there, finer ones a quarter.
             most = 1.005 if case.name == 'circle of 2 mm' else 1.004
             assert 0.999 < found.ratio < most, found
 

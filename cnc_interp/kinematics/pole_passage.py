@@ -213,10 +213,6 @@ class PolePassages:
             middle = 0.5 * (core.end + after)
             after = float(near[np.abs(near - middle).argmin()]) if len(near) else core.end
         before, beyond = self._ways(path, core, after)
-        if begins:
-            before = 0.0
-        if arrives:
-            beyond = 0.0
         middle = 0.5 * (core.start + core.end)
         while True:
             left = self._left(path, core, before, begins)

@@ -163,8 +163,7 @@ class TrajectoryDrives(DelayedDrives):
         if np.any(recent != recent[-1]):
             return
         self._zero = self._controller.now() - (self._played - 1) * self._period
-        executed = self._told_from + len(self._told) < self._played
-        if executed and np.array_equal(self._told.position[-1], recent[-1]):
+        if np.array_equal(self._told.position[-1], recent[-1]):
             self._told, self._told_from = self._rows[-1:], self._played - 1
 
     def _time_of(self, number: int) -> int:

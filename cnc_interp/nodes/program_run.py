@@ -210,7 +210,7 @@ class ProgramRun:
         """Begin the part of the program after a probe; it is read and checked meanwhile."""
         assert self.probed is not None
         self.parts.append(state)
-        self.sent_in_parts += max(1, self.sent_before, sent) - 1
+        self.sent_in_parts += max(self.sent_before, sent) - 1
         self.stands = None if self.stands is None else self.probed[0]
         self.run_id, self.contact, self.probed = RunId(uuid.uuid4().hex), None, None
         self.recovery, self._machine, self.answer = run_phase.LossRecovery(), None, None

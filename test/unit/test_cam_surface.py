@@ -77,6 +77,14 @@ def test_derivatives_are_those_of_differences(name):
 
 
 @pytest.mark.parametrize('name', SURFACES)
+def test_a_surface_ends_at_its_domain(name):
+    low, high = np.transpose(SURFACES[name].domain)
+    shares = np.array([[0.0, 1.0], [1.0, 0.0], [-0.01, 0.5], [0.5, 1.01]])
+    found = SURFACES[name].contains(*(low + shares * (high - low)).T)
+    assert found.tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize('name', SURFACES)
 def test_foot_points_are_found(name):
     surface = SURFACES[name]
     u, v = random_parameters(surface)

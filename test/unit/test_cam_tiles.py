@@ -20,7 +20,7 @@ from cnc_interp.cam.nbuffer import TOP, cut_needles, cut_part, cut_tiles
 from cnc_interp.cam.needles import PATCH, MotionPieces, NeedleGrid, Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.surface import Placed
-from cnc_interp.cam.tile_work import STEP, ZERO, TilePage
+from cnc_interp.cam.tile_work import STEP, ZERO, TilePage, encoded
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core import DEG, MM, UM, InterpError
@@ -211,11 +211,22 @@ def test_no_level_loses_a_gouge(grid, tmp_path):
     assert facts['lowest'][:2] == [total.lowest.row, total.lowest.column]
     text = (tmp_path / 'page' / '1' / '0_0.js').read_text()
     rows, columns, packed = re.fullmatch(r'addTile\("1/0_0",(\d+),(\d+),"(.*)"\)\n', text).groups()
+    made = decoded(packed, len(KINDS), int(rows), int(columns))
+    np.testing.assert_allclose(made, [found[kind] for kind in KINDS], atol=0.51e-9)
+
+
+def decoded(packed, *shape):
     planes = np.frombuffer(zlib.decompress(base64.b64decode(packed)), np.uint8)
-    planes = planes.reshape(3, 3, int(rows), int(columns)).astype(int)
-    steps = planes[:, 0] + (planes[:, 1] << 8) + (planes[:, 2] << 16)
-    for made, kind in zip(steps, KINDS, strict=True):
-        np.testing.assert_allclose((made - ZERO) * STEP, found[kind], atol=0.51e-9)
+    low, middle, high = planes.reshape(shape[0], 3, *shape[1:]).swapaxes(0, 1).astype(int)
+    steps = low + (middle << 8) + (high << 16)
+    return np.where(steps == 0, np.nan, (steps - ZERO) * STEP)
+
+
+def test_heights_reach_the_page_to_the_nanometre():
+    heights = np.array([[[-60 * UM, np.nan], [0.0, 1.5 * MM]]])
+    np.testing.assert_allclose(
+        decoded(encoded(list(heights)), *heights.shape), heights, atol=6e-10
+    )
 
 
 PROGRAM = (

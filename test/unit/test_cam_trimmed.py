@@ -1,5 +1,7 @@
 """Trimmed faces: what lies within the boundary, passes that end there, and neighbours."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps, Plane, Trimmed
 from cnc_interp.cam.simulation import Motion, cross_sections
 from cnc_interp.cam.spline_pass import SplinePass
+from cnc_interp.cam.step_file import StepFace
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core import MM, UM, InterpError
@@ -102,6 +105,18 @@ def test_passes_end_before_a_wall():
     # The wall is behind the mill: 2 R + r_c from the contact to the back, and the overrun.
     lost = (length[1] - length[0]) / len(free)
     assert lost == pytest.approx(12.2 * MM, abs=0.4 * MM)
+
+
+def test_a_face_of_a_step_file_is_sampled_up_to_its_edges():
+    corners = np.array([[2, 1], [6, 1], [6, 4], [2, 4], [2, 1.0]])
+    plane = SimpleNamespace(
+        edges=lambda: [corners[k : k + 2] for k in range(4)],
+        points=lambda uv: np.c_[uv, np.zeros(len(uv))],
+    )
+    points = StepFace.samples(plane, 0.25, 10_000)[:, :2]
+    assert np.array_equal([points.min(axis=0), points.max(axis=0)], corners[[0, 2]])
+    anywhere = np.mgrid[2:6:41j, 1:4:31j].reshape(2, -1).T
+    assert np.abs(anywhere[:, None] - points).max(axis=2).min(axis=1).max() <= 0.126
 
 
 def test_depth_is_that_of_mill_and_shank():

@@ -138,3 +138,12 @@ def test_axes_that_are_counted_anew_stay_where_they_are_until_the_machine_knows(
     stand.setpoint[0, 0] += 0.5
     stand.step(here)
     assert np.array_equal(stand.sent[:N], here + [0.5, 0.0, 0.0])
+
+
+def test_rows_at_rest_are_brought_to_those_wanted_one_by_one():
+    words, patience = np.zeros(24, np.int64), hal_step.PATIENCE
+    words[hal_step.WANTED] = 3
+    for waiting, last in ((4, 0), (1, 2)):
+        pushed = [hal_step._rows_to_push(words, waiting, False) for _ in range(2 * patience)]
+        assert pushed == 2 * [*[1] * (patience - 1), last]
+        assert hal_step._rows_to_push(words, waiting, True) == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields, replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from plan_directories import stroke
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.drives.identification import (
+    SIGMAS,
     excitation,
     identify_axis,
     resolution_of,
@@ -56,6 +58,7 @@ def test_the_model_is_found_from_noisy_feedback(tmp_path):
     machine = replace(TIRED, drives={0: TRUTH}, loads={0: LOAD})
     found = fitted(machine, *excited())
     assert np.std(found.measured - found.modelled) < 1.05 * NOISE
+    assert pytest.approx(NormalDist().inv_cdf(0.975), rel=1e-4) == SIGMAS
     for name, width in found.half_width.items():
         true = LOAD.coulomb if name == 'coulomb' else getattr(TRUTH, name)
         value = found.load.coulomb if name == 'coulomb' else getattr(found.drive, name)

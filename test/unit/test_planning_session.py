@@ -1,5 +1,7 @@
 """The planning of a run, step by step: late revisions, a left plan, given up, begun again."""
 
+import sys
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from cnc_interp.core import PlanningError, Refusal
 from cnc_interp.nodes import planning_session
+from cnc_interp.nodes.feedrate_node import PlanningThread
 from cnc_interp.nodes.planning_session import (
     LEAD,
     LONGER,
@@ -18,6 +21,7 @@ from cnc_interp.nodes.planning_session import (
     Change,
     PathEnd,
     PlanningSession,
+    PlanningTask,
     Received,
 )
 from cnc_interp.run.motion_plan import OperatorSettings
@@ -405,3 +409,12 @@ def test_every_activity_can_be_reached_and_left():
     assert reached == set(Activity) - {Activity.NONE}
     assert {step for _, step in TABLE} == set(Change)
     assert all((activity, Change.BEGIN) in TABLE for activity in Activity)
+
+
+def test_the_planning_thread_does_one_task_after_another(monkeypatch):
+    monkeypatch.setattr(sys, 'setswitchinterval', lambda _: None)
+    thread, begun, early = PlanningThread(), Event(), []
+    thread.submit(PlanningTask(lambda: early.append(begun.wait(0.05)), None))
+    thread.submit(PlanningTask(begun.set, None))
+    assert begun.wait(10.0) and early == [False]
+    thread.close()

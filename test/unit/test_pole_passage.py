@@ -193,6 +193,14 @@ def test_upright_tool_is_not_held_back_for_ever():
     assert path.s[-1] > 150 * MM
 
 
+def test_after_an_upright_stop_the_outer_axis_turns_the_shorter_way():
+    tilt, turn = np.array([20, 0, 20]) * DEG, np.array([30, 30, 110]) * DEG
+    axes = np.c_[np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)]
+    tips = np.arange(3)[:, None] * [30 * MM, 0.0, 0.0]
+    path, _, _ = path_of(blocks_of(tips, axes, exact_stop=[False, True, False]), MACHINES[1])
+    assert np.ptp(path.q[:, 4]) == pytest.approx(80 * DEG)
+
+
 def test_travel_that_forbids_the_sign_of_the_tilt_turns_c_instead_without_a_stop():
     machine = MACHINES[0]
     travel = machine.travel.copy()

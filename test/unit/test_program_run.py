@@ -302,6 +302,20 @@ def test_without_an_answer_only_some_codes_go_on(code):
         assert outcome is None and run.probed[1] is None
 
 
+def test_functions_without_motion_are_done_when_the_machine_has_set_them():
+    run, peers = waiting()
+    run.preparation.prepared.path_length, run.preparation.prepared.functions = 0.0, [1, 2]
+    peers.say(run, MachineState.IDLE)
+    assert run.step(peers, 0.0, 3.0) is None and run.phase is Phase.OFFERED
+    run.answer = Future()
+    assert run.step(peers, 0.05, 3.0) is None
+    run.answer.set_result(SimpleNamespace(success=True, message=''))
+    assert run.step(peers, 0.05, 3.0) is None, 'its state may be an old one'
+    peers.say(run, MachineState.IDLE, functions=2)
+    assert run.step(peers, 0.2, 3.0).code is Code.SUCCEEDED
+    assert run.phase is Phase.ENDED
+
+
 def test_a_run_that_the_machine_has_left_ends_and_a_refusal_says_more():
     for refusal in ((Refusal.NONE, ''), (Refusal.GIVEN_UP, 'given up by reset')):
         run, peers = streaming()

@@ -163,6 +163,13 @@ def test_bad_input_gets_a_line(tmp_path, capsys):
         Sweep(main, ['plan', PYRAMID, '--out', 'x'], tmp_path, None, None)
 
 
+def test_each_plan_of_a_sweep_takes_one_processor(tmp_path):
+    said = []
+    for first in ('plan', 'cam'):
+        run_point((lambda words: said.append(words) or BAD_INPUT, (first,), tmp_path, tmp_path))
+    assert ['--workers=1' in words for words in said] == [True, False]
+
+
 @pytest.mark.thorough
 def test_a_surface_is_swept_with_its_ridges(tmp_path):
 

@@ -9,6 +9,7 @@ import pytest
 
 from cnc_interp.core import MM
 from cnc_interp.proof.completeness import VertexSearch
+from cnc_interp.proof.order import Pieces
 from cnc_interp.proof.programmed_path import ProgrammedPath, distances_to_vertices
 
 HEIGHT = 30 * MM
@@ -129,3 +130,11 @@ def test_a_corner_whose_acceleration_peaks_between_two_samples_passes_its_vertex
     assert judged(true) <= true
     # A vertex that is really missed stays so: the bound is finer than a tenth of a micrometre.
     assert judged(true - 1e-7) > true - 1e-7
+
+
+def test_the_first_sample_that_leaves_the_order_is_told():
+    ends, room = np.array([[0.0], [1.0]]), np.full((2, 1), 0.1)
+    pursuit = Pieces(np.zeros(1, int), ends[:1], ends[1:], room[:1], ends, room).pursuit()
+    for first in (0, 3):
+        reached = pursuit.follow(np.full((6, 1), 9.0), first, 6)
+        assert pursuit.lost == 0 and (np.array(reached) == -1).all()

@@ -172,6 +172,9 @@ def test_the_preview_is_the_plan(planned):
     assert preview.length == plan.path['s'][-1]
     assert preview.time[0] == 0.0 and (np.diff(preview.time) >= 0.0).all()
     assert abs(preview.time[-1] - preview.cycle_time) <= 0.001
+    middle = 0.5 * (preview.s[:-1] + preview.s[1:])
+    limits = [preview.at(place).feed_limit for place in middle]
+    np.testing.assert_array_equal(limits, preview.feed_limit[:-1])
     s, time = plan.setpoints['s'][:], plan.setpoints['time'][:]
     for k in np.flatnonzero(np.abs(s - 20 * MM) > 1 * MM)[10:-10:50]:
         place = preview.at(s[k])

@@ -3,7 +3,9 @@
 import subprocess
 import sys
 import time
+from math import nan
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -39,6 +41,16 @@ def test_a_run_that_hears_nothing_any_more_ends(monkeypatch):
     monkeypatch.setattr(OperatorClient, 'serve', serve_until_motion)
     with pytest.raises(InterpError, match=r'nothing was heard of the nodes for 1\.5 s'):
         run_session(RunRequest(EXAMPLE, quiet=True))
+
+
+def test_the_first_motion_was_a_period_per_setpoint_ago(monkeypatch):
+    state = SimpleNamespace(samples=300, interpolation_period=2e-3)
+    console = SimpleNamespace(_client=SimpleNamespace(state=state), _first_motion=nan)
+    monkeypatch.setattr(run_console.time, 'monotonic', lambda: 50.0)
+    for _ in range(2):  # what came first counts
+        run_console.RunConsole._see_motion(console)
+        state.samples += 100
+    assert console._first_motion == pytest.approx(49.4)
 
 
 def test_a_client_whose_ros_stands_at_its_end_leaves():

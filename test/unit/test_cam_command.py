@@ -14,7 +14,7 @@ from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import Motion, cross_sections, programmed, thinned
 from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.surface_file import read_part
-from cnc_interp.commands.cli import main
+from cnc_interp.commands.cli import main, parser
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core import DEG, MM, UM
 from cnc_interp.machine.simulated_drives import simulate
@@ -108,6 +108,14 @@ def test_no_ridge_is_higher_than_promised(tmp_path, capsys):
     assert 9.9 < highest['', 'planned'] < 10.02 and 9.7 < highest['cl', 'planned'] < 10.02
     assert highest['', 'executed'] > 10.05
     assert 9.8 < highest['reserve', 'executed'] < 10.02
+
+
+@pytest.mark.parametrize(
+    'words', ['iso-scallop x.json --out x', 'simulate x.mpf --surface x.json']
+)
+def test_mill_and_scallop_are_those_of_the_paper_unless_given(words):
+    options = parser().parse_args(['cam', *words.split()])
+    assert (options.tool_diameter, options.corner_radius, options.scallop) == (13.0, 1.5, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,7 @@ MACHINES = {
     'C table A head': machine_with([0, 0, 1], [1, 0, 0], ['workpiece', 'tool']),
     'B head C table': machine_with([0, 1, 0], [0, 0, 1], ['tool', 'workpiece']),
     'CA head': machine_with([0, 0, 1], [1, 0, 0], ['tool', 'tool']),
+    'leaning BA head': machine_with([0, 1, 2], [1, 0, 0], ['tool', 'tool']),
 }
 RNG = np.random.default_rng(7)
 Q = np.column_stack([RNG.uniform(-0.3, 0.3, (60, 3)), RNG.uniform(-3.0, 3.0, (60, 2))])

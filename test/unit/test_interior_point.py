@@ -1,4 +1,4 @@
-"""Tests of the interior point method by itself."""
+"""Tests of the interior point method by itself, and of the speed that it begins with."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from cnc_interp.feedrate.interior_point import SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.jerk_stage import StretchProblem
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
+from cnc_interp.feedrate.speed_guess import guess_speed
 
 
 def iterations(lines: int) -> int:
@@ -35,3 +36,9 @@ def iterations(lines: int) -> int:
 def test_a_long_stretch_takes_hardly_more_iterations_than_a_short_one():
     """Each part has its own step length: with one for all, it was 23 and 35."""
     assert iterations(150) <= iterations(8) + 4
+
+
+def test_the_speed_that_is_guessed_is_below_the_bounds_of_both_cells():
+    bounds = np.array([[9.0, slowest, 9.0, 1e9, 9.0, 9.0] for slowest in (1.0, 0.4, 0.4, 1.0)])
+    speed = guess_speed(np.ones(4), bounds, 0.0, 0.0)
+    assert speed.tolist() == [0.0, 0.9 * 0.4, 0.9 * 0.4, 0.9 * 0.4, 0.0]

@@ -163,6 +163,7 @@ def test_a_machine_file_with_places_in_si():
         ('X', {'at_mm': [-50, 50, 750, 800]}, 'X.at_mm: does not cover the travel -50 ... 850'),
         ('X', {'velocity_m_per_min': [10, 0, 30, 10]}, 'X.velocity_m_per_min: must be positive'),
         ('X', {'velocity_m_per_min': [10, 30, 40, 10]}, 'X.velocity_m_per_min: 40 is above 30'),
+        ('X', {'velocity_m_per_min': [10, 0.05, 30, 10]}, '0.05 is outside 0.06'),
         ('X', {'velocity_m_per_min': [10, 30]}, 'X.velocity_m_per_min: must be a list of 4'),
         ('X', {'at_mm': None}, 'X: give at_mm'),
         ('X', {'force_N': [1, 2, 3, 4]}, 'X.force_N: unknown'),

@@ -56,6 +56,9 @@ def test_errors_at_the_tool_are_told_for_drives_that_are_not_ideal(tmp_path):
     told = page[page.index('As they are: tip') :]
     plain, compensated = (float(x) for x in re.findall(r'axis ([0-9.]+)&Prime; at most', told)[:2])
     assert plain >= compensated
+    layout = json.loads(next(text for text in unpacked(page) if 'arcsec' in text))['layout']
+    titles = [layout[axis]['title']['text'] for axis in ('yaxis', 'yaxis2')]
+    assert titles == ['tip [µm]', 'axis [arcsec]']
 
 
 @pytest.mark.thorough

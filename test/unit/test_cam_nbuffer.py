@@ -82,7 +82,7 @@ def distance(mill, points, centre, axis):
 def test_random_poses_against_brute_force(mill):
     rng = np.random.default_rng(2)
     base = np.column_stack([rng.uniform(-6, 6, (20, 2)) * MM, np.zeros(20)])
-    normal = np.column_stack([rng.uniform(-0.3, 0.3, (20, 2)), np.ones(20)])
+    normal = np.column_stack([rng.uniform(-0.9, 0.9, (20, 2)), np.ones(20)])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     tip = np.array([[-1.0, 0.3, 0.1], [1.5, -0.5, 0.05]]) * MM
     axis = np.array([[0.1, 0.05, 1.0], [0.13, 0.0, 1.0]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from cnc_interp.core import DEG, MM, StreamError
 from cnc_interp.drives.drive_model import discretise
 from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle
-from cnc_interp.machine.cycle_kernels import REFUSED, REST
+from cnc_interp.machine.cycle_kernels import ALARM_SHIFT, REFUSED, REST
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
@@ -269,3 +270,15 @@ def test_recent_use_holds_every_peak_once():
     assert np.array_equal(np.max(taken, axis=0), axes.largest_use)
     assert np.ptp([use.max() for use in taken]) > 0.05
     assert not axes.take_recent_use().any()
+
+
+def test_an_alarm_of_the_drives_at_rest_is_told_when_it_comes():
+    answers, told = iter([0, -7, -7, 0, -7]), []
+    step = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 4)(lambda *_: next(answers))
+    address = ctypes.cast(step, ctypes.c_void_p).value
+    cycle = Cycle(PERIOD, *Axes().bounds, 4, address, np.zeros(1))
+    cycle.place(HOME)
+    for _ in range(5):
+        cycle.step()
+        told += (cycle.read().events >> ALARM_SHIFT).tolist()
+    assert told == [0, 7, 0, 0, 7]

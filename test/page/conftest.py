@@ -7,7 +7,7 @@ import pytest
 def running():
     from page_under_test import PanelUnderTest  # which skips where it cannot be
 
-    panel = PanelUnderTest()
+    panel = PanelUnderTest({'feedrate_node': {'plunge_feed': 0.05}})  # nothing waits for it
     yield panel
     panel.close()
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from feedrate_paths import XYZAC, polyline_path, random_polyline
 
 from cnc_interp.feedrate.grid import planning_grid
-from cnc_interp.feedrate.interior_point import SOLVED, solve
+from cnc_interp.feedrate.interior_point import SOLVED, _blend, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.jerk_stage import StretchProblem
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
@@ -42,3 +43,14 @@ def test_the_speed_that_is_guessed_is_below_the_bounds_of_both_cells():
     bounds = np.array([[9.0, slowest, 9.0, 1e9, 9.0, 9.0] for slowest in (1.0, 0.4, 0.4, 1.0)])
     speed = guess_speed(np.ones(4), bounds, 0.0, 0.0)
     assert speed.tolist() == [0.0, 0.9 * 0.4, 0.9 * 0.4, 0.9 * 0.4, 0.0]
+
+
+def test_step_lengths_lie_on_lines_between_the_middles_of_their_parts():
+    values, edges, found = np.array([1.0, 3.0, 2.0]), np.array([0, 4, 8, 12]), np.empty((2, 3, 4))
+    for k in range(3):
+        _blend(values, edges, k, False, found[0, k])
+        _blend(values, edges, k, True, found[1, k])
+    cells = np.arange(12) + 0.5
+    assert found[0].ravel() == pytest.approx(np.interp(cells, [2, 6, 10], values))
+    # Or at a border the smaller of both.
+    assert found[1].ravel() == pytest.approx(np.interp(cells, [2, 4, 6, 8, 10], [1, 1, 3, 2, 2]))

@@ -17,7 +17,7 @@ from cnc_interp.commands.cli import parser
 from cnc_interp.core import DEG, SettingsError, StreamError
 from cnc_interp.nodes import parameters
 from cnc_interp.settings.command_line import add_settings, command_words, settings_from
-from cnc_interp.settings.option_kinds import Stage, choices
+from cnc_interp.settings.option_kinds import Stage, choices, shortest
 from cnc_interp.settings.options import (
     Settings,
     filled_in,
@@ -303,6 +303,7 @@ def test_a_choice_added_in_one_place_is_found_in_all_five():
 def test_the_form_gives_the_settings_that_filled_it_in():
     form = filled_in(OTHERS)
     assert form['feedrate'] == '1000' and form['force_tolerances'] == 'true'
+    assert shortest(0.1 + 0.2, 1.0) == '0.30000000000000004'
     found = settings_filled_in(OTHERS, form)
     for choice in offered():
         value, wanted = getattr(found, choice.name), getattr(OTHERS, choice.name)

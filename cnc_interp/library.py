@@ -133,10 +133,18 @@ def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None =
     settings : Settings, optional
         ``Settings(compress=False)`` rounds every corner and makes no curves of dense blocks.
 
+    Raises
+    ------
+    ProgramError
+        Nothing moves.
+
     """
     chain = PathChain(geometry, settings or Settings())
     parts = [*(chain.push(batch) for batch in batches(blocks)), chain.finish()]
-    return AxisPath.join([part.path for part in parts if part.path is not None])
+    paths = [part.path for part in parts if part.path is not None]
+    if not paths:
+        raise no_motion('blocks')
+    return AxisPath.join(paths)
 
 
 def check(plan: Plan) -> Proof:

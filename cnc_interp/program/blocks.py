@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.columns import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
@@ -65,6 +65,11 @@ class Blocks(Table):
     ) -> Blocks:
         """Make linear blocks of tips and tool axes in W, (N, 3) [m, -], the start pose first."""
         n = len(tip)
+        length = np.linalg.norm(axis, axis=-1)
+        if not (np.isfinite(tip).all() and (np.abs(length - 1.0) < 1e-6).all()):
+            raise InterpError('poses need finite tips and tool axes of length 1')
+        if not (feedrate > 0.0 and 0.0 < tolerance < np.inf):
+            raise InterpError('feedrate [m/s] and tolerance [m] of poses must be greater than 0')
         return Blocks(
             tip=tip, axis=axis, rotary=np.full((n, 2), nan), feedrate=np.full(n, feedrate),
             duration=np.full(n, nan), rapid=np.zeros(n, dtype=bool),

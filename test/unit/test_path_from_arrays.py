@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cnc_interp import axis_motion, plan_path
+from cnc_interp import Blocks, Transform, axis_motion, plan_path, smooth_path
 from cnc_interp.core import InterpError
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.library import axis_path_from
@@ -46,6 +46,25 @@ def test_values_and_derivatives_are_those_of_the_curve():
 def test_arrays_that_are_no_path_are_refused(q, s, says):
     with pytest.raises(InterpError, match=says):
         axis_path_from(q, s, MACHINE)
+
+
+@pytest.mark.parametrize(
+    ('scale', 'length', 'feedrate', 'tolerance', 'says'),
+    [
+        (0.0, 1.0, 0.05, 1e-5, 'no motion'),
+        (np.nan, 1.0, 0.05, 1e-5, 'finite'),
+        (1.0, 2.0, 0.05, 1e-5, 'length 1'),
+        (1.0, 0.0, 0.05, 1e-5, 'length 1'),
+        (1.0, 1.0, 0.0, 1e-5, 'greater than 0'),
+        (1.0, 1.0, 0.05, 0.0, 'greater than 0'),
+        (1.0, 1.0, np.nan, 1e-5, 'greater than 0'),
+    ],
+)
+def test_poses_that_make_no_path_are_refused(scale, length, feedrate, tolerance, says):
+    tip, axis = 0.01 * np.eye(3), np.tile([0.0, 0.0, 1.0], (3, 1))
+    with pytest.raises(InterpError, match=says):
+        blocks = Blocks.of_poses(scale * tip, length * axis, feedrate, tolerance)
+        smooth_path(blocks, Transform.of(MACHINE))
 
 
 def test_it_is_planned_within_the_limits():

@@ -138,3 +138,15 @@ def test_the_first_sample_that_leaves_the_order_is_told():
     for first in (0, 3):
         reached = pursuit.follow(np.full((6, 1), 9.0), first, 6)
         assert pursuit.lost == 0 and (np.array(reached) == -1).all()
+
+
+def test_a_vertex_is_passed_by_the_curve_not_by_its_chord():
+    ends = np.array([[-0.5, 0.0], [1.0, 0.0], [1.5, 0.0]])
+    room = np.full((3, 2), 1.0)
+    x = np.array([-0.5, -0.5, -0.5, 0.5, 1.5, 1.5])
+    for height, passes in ((0.0, True), (-0.1, False)):
+        at_vertex = np.array([[1.0], [0.01], [1.0]]) * room
+        pieces = Pieces(np.arange(2), ends[:2], ends[1:], room[:2], ends, at_vertex)
+        pursuit = pieces.pursuit()
+        pursuit.follow(np.c_[x, height - 0.08 * (x - 1.0) ** 2], 0, 3)
+        assert (pursuit.furthest == 2) == passes

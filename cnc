@@ -113,7 +113,7 @@ main() {
       # Side by side where nothing is named: a test alone says more, and can be debugged.
       local word workers=(-n auto --maxprocesses 4)
       for word in "$@"; do
-        case $word in --all | --share | -q | -x) ;; *) workers=() ;; esac
+        case $word in --all | --share | -q | -x | --*=*) ;; *) workers=() ;; esac
       done
       exec "$venv/bin/python" -m pytest "${workers[@]}" "$@"
       ;;

@@ -103,7 +103,7 @@ def test_a_refused_line_leaves_everything():
     for text in ('G90 G20 X1 Q7', 'G93 F5 G41', '#101=5 G0 X#102', 'G90\nG0 X1', ''):
         with pytest.raises(ProgramError):
             desk(text)
-        assert desk.modes == before
+        assert repr(desk.modes) == repr(before)  # with NaN
     with pytest.raises(ProgramError, match='101'):
         desk('G0 X#101')
     assert desk('X2') == pytest.approx([0.002, 0, 0, 0, 0], abs=1e-15)

@@ -82,7 +82,7 @@ def test_c_rests_where_the_tool_axis_wanders_about_the_pole_and_the_error_is_tol
     ).orientation.reshape(-1, 9).max(axis=1)  # fmt: skip
     assert (found <= segments.deviation[:, 1] + 1e-12).all()
     assert 0.5 * found.max() < segments.deviation[:, 1].max() <= 20.0 * UM
-    words = ['GOTO/' + ','.join(map(repr, row)) for row in np.c_[blocks.tip / MM, blocks.axis]]
+    words = ['GOTO/' + ','.join(map(str, row)) for row in np.c_[blocks.tip / MM, blocks.axis]]
     text = '\n'.join(['FEDRAT/1000', *words])
     machine = Machine.load('xyzac')
     plan = plan_program(read_text(text, 't.apt', Transform.of(machine), Settings()), machine)

@@ -150,7 +150,7 @@ def _grid_nodes(
         slowest = min(v[i], v[i + 1])
         # The law may be faster than the guess on ramps, by a factor of up to 2^(2/3).
         fastest = min(1.5 * max(inside[i], max(v[i], v[i + 1])), bounds[i, 1])
-        if h < ALWAYS_GROUPED * fastest:
+        if h < min(ALWAYS_GROUPED, 0.5 * start, 0.5 * end) * fastest:
             continue
         by_bend = np.sqrt(bend(left, right, i, h, fastest, table) / most_bend)
         new = 0
@@ -212,7 +212,7 @@ def _group_cells(
         while i < n and i - start < LARGEST_GROUP:
             time = (s[i + 1] - s[i]) / inside[i]
             fastest = max(fastest, min(1.5 * max(inside[i], max(v[i], v[i + 1])), bounds[i, 1]))
-            if i > start and time > ALWAYS_GROUPED and spent > ALWAYS_GROUPED:
+            if i > start and min(time, spent) > min(ALWAYS_GROUPED, 0.5 * wanted[start]):
                 while given[point] < s[i]:
                     point += 1
                 if feed[i] != feed[start] or given[point] != s[i]:
@@ -245,7 +245,8 @@ def _divided(
     bounds = speed_guess.speed_bounds(h, left, right, feed, table)
     v = speed_guess.guess_speed(h, bounds, *start)
     inside, capped = speed_guess.speeds_inside(h, v, bounds)
-    tau = min(max(share * speed_guess.guess_time(h, v, inside), cell_time[0]), cell_time[1])
+    time = speed_guess.guess_time(h, v, inside)
+    tau = min(max(share * time, cell_time[0]), cell_time[1], time / RAMP_CELLS)
     wanted = cell_times(s, feed, bounds, v, inside, capped, tau)
     new = _grid_nodes(s, left, right, table, bounds, v, inside, ease * wanted, most_bend, whole)
     return bounds, v, inside, wanted, new

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from feedrate_paths import (
     polyline_path,
     random_polyline,
     sampled_ratios,
+    scaled,
 )
 
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
@@ -64,6 +66,18 @@ def test_strokes_take_the_time_of_ruckig(length, feed, cells):
     best = stroke_time(length, feed)
     assert best * (1 - 1e-6) <= piece.law.end_time <= best * 1.002
     assert_within_limits(piece, XYZAC)
+
+
+@pytest.mark.parametrize('jerk', [1.0, 1000.0])
+@pytest.mark.parametrize('length', [2e-13, 5.6e-12, 1e-10, 1e-8])
+def test_what_is_left_a_hair_before_a_stop_is_planned(length, jerk):
+    """A hold may end there; all takes less than a cell of the grid otherwise does."""
+    path, limits = line_path(1.0), scaled(XYZAC, 1.0, 1000.0, jerk)
+    orders = np.array([length, 1.0, 1.0, 1.0])[:, None, None]
+    cells = orders * path.cell_left, orders * path.cell_right
+    hair = replace(path, s=length * path.s, cell_left=cells[0], cell_right=cells[1])
+    best = np.cbrt(32.0 * length / limits.max_jerk[0])
+    assert best * (1 - 1e-6) <= plan_path(hair, limits).law.end_time <= best * 1.013
 
 
 def test_slow_feed_on_a_short_stroke():

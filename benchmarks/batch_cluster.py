@@ -57,8 +57,10 @@ def run(name: str, words: list[str], out: Path) -> float:
     parts = [
         inside('scheduler', ['cluster', '--host', host, '--workers', '0', '--dashboard', '0'])
     ]
-    parts += [inside(worker, ['cluster', '--join', address, '--workers', '1'])
-              for worker in ('one', 'two')]  # fmt: skip
+    parts += [
+        inside(worker, ['cluster', '--join', address, '--workers', '1'])
+        for worker in ('one', 'two')
+    ]
     cut = threading.Thread(target=cut_off, args=('two', out / 'results'), daemon=True)
     if name == 'cut off':
         cut.start()

@@ -106,9 +106,10 @@ def of_programs(most: int, names: list[str]) -> None:
         print(
             f'| {name} | {len(blocks) - 1:,} | {cells:,} | {cells / seconds[1]:,.0f} '
             f'| {1 - seconds[0] / seconds[1]:.1%} | {law / piece.least_time:.3f} | '
-            + ' | '.join(told) + ' |',
+            + ' | '.join(told)
+            + ' |',
             flush=True,
-        )  # fmt: skip
+        )
 
 
 def main() -> int:

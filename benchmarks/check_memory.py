@@ -67,8 +67,10 @@ def write(
         for name, column in columns.items():
             with archive.open(f'{name}.npy', 'w', force_zip64=True) as out:
                 header = {
-                    'descr': column.dtype.str, 'fortran_order': False, 'shape': column.shape,
-                }  # fmt: skip
+                    'descr': column.dtype.str,
+                    'fortran_order': False,
+                    'shape': column.shape,
+                }
                 np.lib.format.write_array_header_2_0(out, header)  # type: ignore[no-untyped-call]
                 for part in parts[name]:
                     out.write(np.ascontiguousarray(part, dtype=column.dtype).tobytes())

@@ -25,8 +25,15 @@ Points = NDArray[np.float64]
 MM = 1e-3
 XYZ = Transform.of(Machine.load('xyz'))
 MACHINES = (
-    'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',
-)  # fmt: skip
+    'xyzac',
+    'xyzbc',
+    'bc_trunnion',
+    'head_head',
+    'head_table',
+    'xyzac_trt',
+    'xyzbc_trt',
+    'xyzacw',
+)
 #: Cutters: radius of the circle of the corner, and of the corner [mm].
 CUTTERS = {'ball': (0.0, 5.0), 'fillet': (4.0, 1.0), 'flat end': (5.0, 0.0)}
 
@@ -121,10 +128,14 @@ def compensated(
     left = radius if code == 'G41' else -radius
     first = edges[0].points(2, 3 * left)[0]
     lines = [
-        'G21 G90 G17', f'G0 X{first.real:.9f} Y{first.imag:.9f} Z0', f'{code} D1',
+        'G21 G90 G17',
+        f'G0 X{first.real:.9f} Y{first.imag:.9f} Z0',
+        f'{code} D1',
         f'G1 X{edges[0].start.real:.9f} Y{edges[0].start.imag:.9f} F1000',
-        *(edge.word() for edge in edges), 'G40', f'G0 X{first.real:.9f} Y{first.imag:.9f}',
-    ]  # fmt: skip
+        *(edge.word() for edge in edges),
+        'G40',
+        f'G0 X{first.real:.9f} Y{first.imag:.9f}',
+    ]
     setup = JobSetup(tools={1: Tool(0.0, radius * MM)})
     settings = Settings(contour_tolerance=tolerance * MM)
     blocks = read_text('\n'.join(lines), 'contour.nc', XYZ, settings, setup).blocks
@@ -174,8 +185,9 @@ def random_contours(count: int, on_grid: bool) -> None:
     for number in range(count):
         corners, radius = random_corners(rng), float(rng.uniform(0.5, 6.0))
         if on_grid:
-            corners = [radius * complex(round(z.real / radius), round(z.imag / radius))
-                       for z in corners]  # fmt: skip
+            corners = [
+                radius * complex(round(z.real / radius), round(z.imag / radius)) for z in corners
+            ]
             corners = [z for i, z in enumerate(corners) if z not in corners[:i]]
         arc = radius * rng.choice([0.5, 1.0, 1.0 + 1e-9, 1.1]) if on_grid else 0.8
         edges = polygon(corners) if number % 2 else rounded(corners, arc)
@@ -187,8 +199,10 @@ def random_contours(count: int, on_grid: bool) -> None:
             refused += 1
             wrong += not on_grid and fits(edges, code, radius)
     kind = 'on a grid of the radius' if on_grid else 'random ones'
-    print(f'| {count} {kind}, {refused} of them refused | G41, G42, 0.5 to 6 | {worst[0]:.1e} | '
-          f'{worst[1]:.1e} |')  # fmt: skip
+    print(
+        f'| {count} {kind}, {refused} of them refused | G41, G42, 0.5 to 6 | {worst[0]:.1e} | '
+        f'{worst[1]:.1e} |'
+    )
     print(f'\nRefused although the cutter can touch all edges: {wrong}.' * (not on_grid))
 
 
@@ -264,8 +278,10 @@ def touched(name: str, surface: str, cutter: str, step: float) -> tuple[float, f
     for k, (point, normal) in enumerate(zip(*made, strict=True)):
         words = [f'{w}{v:.12f}' for w, v in zip('XYZIJK', [*point, *normal], strict=True)]
         share = k / max(len(made[0]) - 1, 1)
-        lines.append(f'G1 {" ".join(words)} {letters[0]}{4 + 4 * share:.9f} '
-                     f'{letters[1]}{20 + 30 * share:.9f}')  # fmt: skip
+        lines.append(
+            f'G1 {" ".join(words)} {letters[0]}{4 + 4 * share:.9f} '
+            f'{letters[1]}{20 + 30 * share:.9f}'
+        )
     setup = JobSetup(tools={1: Tool(0.0, (ring + corner) * MM)})
     geometry = Transform.of(Machine.load(name))
     blocks = read_text('\n'.join(lines), 'part.ngc', geometry, Settings(), setup).blocks

@@ -126,14 +126,31 @@ def ridges(folder: Path) -> None:
         for machine in ('xyzac', MACHINE):
             out = folder / f'{name}_{machine}'
             quietly(
-                'cam', 'iso-scallop', str(surface), *options, '--run', '--machine', machine,
-                '--out', str(out), '--json',
-            )  # fmt: skip
+                'cam',
+                'iso-scallop',
+                str(surface),
+                *options,
+                '--run',
+                '--machine',
+                machine,
+                '--out',
+                str(out),
+                '--json',
+            )
             made = json.loads((out / 'summary.json').read_text(encoding='utf-8'))
             again = quietly(
-                'cam', 'simulate', str(out / 'plan'), '--surface', str(surface), '--executed',
-                '--machine', machine, '--compensate', machine, '--json',
-            )  # fmt: skip
+                'cam',
+                'simulate',
+                str(out / 'plan'),
+                '--surface',
+                str(surface),
+                '--executed',
+                '--machine',
+                machine,
+                '--compensate',
+                machine,
+                '--json',
+            )
             parts = made['programmed'], made['executed'], json.loads(again)['executed']
             cells = [
                 f'{part["ridge_highest"] / UM:.2f} / {part["highest"] / UM:.2f}' for part in parts

@@ -44,9 +44,13 @@ from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.settings.options import Settings
 
 PUBLIC = (
-    'linuxcnc-impeller-xyzac', 'creo-finition-ncl', 'pycam-sample', 'linuxcnc-stellabee',
-    'qtpyvcp-bezel', 'cnclite-blend-mpf',
-)  # fmt: skip
+    'linuxcnc-impeller-xyzac',
+    'creo-finition-ncl',
+    'pycam-sample',
+    'linuxcnc-stellabee',
+    'qtpyvcp-bezel',
+    'cnclite-blend-mpf',
+)
 HEAD = (
     '| program | blocks | segments a block | contour / orientation bound over tolerance '
     '| corner by corner s | as curves s | at programmed feed s '

@@ -105,9 +105,12 @@ class Session:
     """
 
     def __init__(
-        self, name: str = 'simulated_axes', signals: Signals = NO_SIGNALS,
-        more: Sequence[str] = (), priority: int = 20,
-    ):  # fmt: skip
+        self,
+        name: str = 'simulated_axes',
+        signals: Signals = NO_SIGNALS,
+        more: Sequence[str] = (),
+        priority: int = 20,
+    ):
         self._name, self._signals, self._more = name, signals, more
         self._priority = priority
 
@@ -142,9 +145,16 @@ class Session:
         told = Path(self._folder.name) / 'told.txt'
         with told.open('w') as output:
             done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, timeout=WAIT,
-                env=os.environ | {'HOME': self._folder.name}, cwd='/', check=False, **user,
-            )  # fmt: skip
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                timeout=WAIT,
+                env=os.environ | {'HOME': self._folder.name},
+                cwd='/',
+                check=False,
+                **user,
+            )
         text = told.read_text(errors='replace')
         assert done.returncode == 0, f'{" ".join(command)}: {text}'
         return text

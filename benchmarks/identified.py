@@ -49,9 +49,7 @@ def main() -> None:
     print('| axis | value | truth | identified | off | 95 % interval |\n|---|---|---|---|---|---|')
     inside = count = 0
     for j, letter in enumerate(machine.axis_names):
-        found = identify_axis(
-            blind, j, run.period, run.setpoint, run.rate, run.feedback + noise
-        )  # fmt: skip
+        found = identify_axis(blind, j, run.period, run.setpoint, run.rate, run.feedback + noise)
         assert found is not None
         truth = replace(found, drive=machine.drives[j], load=machine.loads[j])
         for (key, value, width), (_, true, _) in zip(

@@ -34,10 +34,22 @@ PLANES = {'G17': ('XYZ', 'IJ'), 'G18': ('ZXY', 'KI'), 'G19': ('YZX', 'JK')}
 CYCLES = 'G81', 'G82', 'G83', 'G73', 'G85', 'G86', 'G89', 'G84', 'G74'
 LENGTHS = {1: 0.010, 2: 0.025}  # [m]
 KINDS = {
-    'line': 0.22, 'rapid': 0.10, 'arc': 0.18, 'plane': 0.06, 'distance': 0.04, 'unit': 0.03,
-    'feed_mode': 0.03, 'cycle': 0.12, 'g92': 0.03, 'offset': 0.05, 'choose': 0.03, 'tool': 0.02,
-    'other': 0.02, 'variable': 0.03, 'flow': 0.04,
-}  # fmt: skip
+    'line': 0.22,
+    'rapid': 0.10,
+    'arc': 0.18,
+    'plane': 0.06,
+    'distance': 0.04,
+    'unit': 0.03,
+    'feed_mode': 0.03,
+    'cycle': 0.12,
+    'g92': 0.03,
+    'offset': 0.05,
+    'choose': 0.03,
+    'tool': 0.02,
+    'other': 0.02,
+    'variable': 0.03,
+    'flow': 0.04,
+}
 
 
 @dataclass
@@ -45,9 +57,13 @@ class Writer:
     """Writes a program line by line; numbers are those of its unit."""
 
     r: random.Random
-    lines: list[str] = field(default_factory=lambda: [
-        'G17 G21 G90 G94 G40 G49 G80 G54 F500', 'M3 S1000', 'G0 X0 Y0 Z10',
-    ])  # fmt: skip
+    lines: list[str] = field(
+        default_factory=lambda: [
+            'G17 G21 G90 G94 G40 G49 G80 G54 F500',
+            'M3 S1000',
+            'G0 X0 Y0 Z10',
+        ]
+    )
     unit: float = 1.0  # [mm]
     plane: str = 'G17'
     incremental: bool = False
@@ -155,8 +171,20 @@ class Writer:
             choices = ['T1 M6', 'G43'], ['G43 H2'], ['G49'], [f'G43.1 Z{self.number()}']
             self.say(*r.choice(choices))
         elif kind == 'other':
-            self.say(r.choice((f'G53 G0 {self.axes()}', f'G28 Z{self.number()}', 'G4 P0.1', 'M8',
-                               f'G30 X{self.number()}', 'G61', 'G64 P0.01', 'G64')))  # fmt: skip
+            self.say(
+                r.choice(
+                    (
+                        f'G53 G0 {self.axes()}',
+                        f'G28 Z{self.number()}',
+                        'G4 P0.1',
+                        'M8',
+                        f'G30 X{self.number()}',
+                        'G61',
+                        'G64 P0.01',
+                        'G64',
+                    )
+                )
+            )
         else:
             number, value = r.randint(1, 30), self.number()
             self.say(f'#{number}={value}' if r.random() < 0.6 else f'#{number}=[{value}/3]')
@@ -167,14 +195,28 @@ class Writer:
         self.words += 1
         o, chance, feed = f'o{self.words}', self.r.random(), ' F150' * self.timed
         if chance < 0.4:
-            self.say(f'{o} repeat [{self.r.randint(1, 3)}]', f'G91 G1 {self.axes()}{feed}',
-                     f'{o} endrepeat', 'G91' if self.incremental else 'G90')  # fmt: skip
+            self.say(
+                f'{o} repeat [{self.r.randint(1, 3)}]',
+                f'G91 G1 {self.axes()}{feed}',
+                f'{o} endrepeat',
+                'G91' if self.incremental else 'G90',
+            )
         elif chance < 0.7:
-            self.say(f'{o} if [{self.number()} gt {self.number()}]', f'G1 {self.axes()}{feed}',
-                     f'{o} else', f'G0 {self.axes()}', f'{o} endif')  # fmt: skip
+            self.say(
+                f'{o} if [{self.number()} gt {self.number()}]',
+                f'G1 {self.axes()}{feed}',
+                f'{o} else',
+                f'G0 {self.axes()}',
+                f'{o} endif',
+            )
         else:
-            self.say('#40=0', f'{o} while [#40 lt {self.r.randint(1, 4)}]',
-                     f'G1 X[#40*3]{feed}', '#40=[#40+1]', f'{o} endwhile')  # fmt: skip
+            self.say(
+                '#40=0',
+                f'{o} while [#40 lt {self.r.randint(1, 4)}]',
+                f'G1 X[#40*3]{feed}',
+                '#40=[#40+1]',
+                f'{o} endwhile',
+            )
 
 
 def made(seed: int) -> str:

@@ -78,9 +78,16 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder, MemoryWatch() as watch:
                 bag = str(Path(folder) / 'bag')
                 done = interp(
-                    'run', program, '--machine', machine or 'xyzac', '--period', options.period,
-                    '--record', bag, '--json',
-                )  # fmt: skip
+                    'run',
+                    program,
+                    '--machine',
+                    machine or 'xyzac',
+                    '--period',
+                    options.period,
+                    '--record',
+                    bag,
+                    '--json',
+                )
                 if done.returncode == 0:
                     ended += 1
                     told = json.loads(done.stdout)

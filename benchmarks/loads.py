@@ -30,9 +30,11 @@ def limits_of(limits: Any, loaded: bool, part: float) -> SimpleNamespace:
     drives = np.stack([a, COULOMB * a, VISCOUS * a / v], axis=1)
     loads = dict(enumerate(drives)) if loaded else {}
     return SimpleNamespace(
-        max_velocity=v, max_acceleration=a, max_jerk=j,
+        max_velocity=v,
+        max_acceleration=a,
+        max_jerk=j,
         limit_table=place_table(np.stack([v, a, j]), {}, loads),
-    )  # fmt: skip
+    )
 
 
 def main() -> int:

@@ -209,9 +209,12 @@ class LongRun(NodesUnderTest):
         )
         slopes = self.slopes(result.blocks_executed)
         for name, share in cpu.items():
-            print(f'{name:<15}{share:5.0%} of a core, {memory[name]:.0f} MB at the start, '
-                  f'{after[name]:.0f} MB at the end; {slopes.get(name, np.nan):+.3f} MB per 1000 '
-                  f'blocks after {SETTLED:.0%} of the way', flush=True)  # fmt: skip
+            print(
+                f'{name:<15}{share:5.0%} of a core, {memory[name]:.0f} MB at the start, '
+                f'{after[name]:.0f} MB at the end; {slopes.get(name, np.nan):+.3f} MB per 1000 '
+                f'blocks after {SETTLED:.0%} of the way',
+                flush=True,
+            )
 
     def slopes(self, blocks: int) -> dict[str, float]:
         """Fit how the memory of each process grows once it has settled [MB per 1000 blocks]."""
@@ -251,8 +254,11 @@ class Cyclictest:
         beyond = next(line.split()[-1] for line in lines if 'Overflows' in line)
         share = np.cumsum(count) / (count.sum() + int(beyond))
         p50, p99, p999 = (late[np.searchsorted(share, p)] for p in (0.5, 0.99, 0.999))
-        print(f'cyclictest late by p50 {p50} us, p99 {p99} us, p99.9 {p999} us, largest '
-              f'{int(largest)} us', flush=True)  # fmt: skip
+        print(
+            f'cyclictest late by p50 {p50} us, p99 {p99} us, p99.9 {p999} us, largest '
+            f'{int(largest)} us',
+            flush=True,
+        )
 
 
 def tell_memory(share: float, memory: dict[str, float]) -> None:

@@ -165,9 +165,13 @@ def try_row(bench: Bench, row: Row) -> dict[str, Any]:
     if (run := run or result.program_id) and bench.told(run):
         bench.proven(run, path(), cut=row.loses('machine_node'))
     return {
-        'code': result.code, 'message': result.message, 'took': took, 'pressed': operator.pressed,
-        'told': list(dict.fromkeys(told)), 'next': following,
-    }  # fmt: skip
+        'code': result.code,
+        'message': result.message,
+        'took': took,
+        'pressed': operator.pressed,
+        'told': list(dict.fromkeys(told)),
+        'next': following,
+    }
 
 
 def result_of(bench: Bench, look: Callable[[], None] = lambda: None) -> Any:

@@ -103,9 +103,11 @@ def march_to_scallops(
         aim = here + scaled(step, tangent)  # prediction
 
         def residuals(
-            point: FloatArray, here: FloatArray = here, tangent: FloatArray = tangent,
+            point: FloatArray,
+            here: FloatArray = here,
+            tangent: FloatArray = tangent,
             step: FloatArray = step,
-        ) -> FloatArray:  # fmt: skip
+        ) -> FloatArray:
             ahead = dot(point - here, tangent) - step  # Eq. 3.10
             return np.stack([conditions.on_surface(point), conditions.on_tool(point), ahead], 1)
 
@@ -146,9 +148,12 @@ def newton(
             break
         count += busy
         jacobian = np.stack(
-            [(residuals(point + NEAR * e) - residuals(point - NEAR * e)) / (2.0 * NEAR)
-             for e in np.eye(3)], axis=2,
-        )  # fmt: skip
+            [
+                (residuals(point + NEAR * e) - residuals(point - NEAR * e)) / (2.0 * NEAR)
+                for e in np.eye(3)
+            ],
+            axis=2,
+        )
         jacobian[~busy] = np.eye(3)
         singular = ~(np.abs(np.linalg.det(jacobian)) > 1e-12)
         jacobian[singular] = np.eye(3)

@@ -80,25 +80,28 @@ def kinds(folder: Path) -> dict[str, Kind]:
     for name in PLAN:
         plan = write(folder / name.replace('.', '_'), content)
         found[name] = (
-            (plan / name).read_bytes(), plan / name,
+            (plan / name).read_bytes(),
+            plan / name,
             lambda plan=plan: outcome(lambda: verify(read_plan(plan), MACHINE).ok),
-        )  # fmt: skip
+        )
     for name in ('held.mcap', 'metadata.yaml'):
         bag = Path(shutil.copytree(BAG, folder / f'bag_{name}'))
         found[f'bag: {name}'] = (
-            (bag / name).read_bytes(), bag / name,
+            (bag / name).read_bytes(),
+            bag / name,
             lambda bag=bag: outcome(lambda: proven(bag)),
-        )  # fmt: skip
+        )
     for topic in MESSAGES:
         with Bag(BAG) as recorded:
             of_topic = [data for _, _, data in recorded.raw(topic)]
         file, place = folder / f'{topic}.message', len(of_topic) // 2
         found[f'bag: message of {topic}'] = (
-            of_topic[place], file,
+            of_topic[place],
+            file,
             lambda file=file, topic=topic, place=place: outcome(
                 lambda: proven(with_message(folder / 'bag_of_message', topic, place, file))
             ),
-        )  # fmt: skip
+        )
     return found
 
 
@@ -170,11 +173,20 @@ def main() -> None:
                 # A death of the reader of STEP files is told in one line by its parent.
                 if kind not in ('accepted', 'refused') or seconds > LONG or memory > MUCH:
                     print(f'{name}, seed {seed}: {end}, {seconds:.1f} s, {memory:.0f} MB')
-            print(name, json.dumps({
-                'files': found.total(), **dict(sorted(found.items())),
-                'longest [s]': round(longest, 2), 'most memory [MB]': round(most),
-                'all [CPU s]': round(spent, 1), 'all [s]': round(time.monotonic() - started),
-            }), flush=True)  # fmt: skip
+            print(
+                name,
+                json.dumps(
+                    {
+                        'files': found.total(),
+                        **dict(sorted(found.items())),
+                        'longest [s]': round(longest, 2),
+                        'most memory [MB]': round(most),
+                        'all [CPU s]': round(spent, 1),
+                        'all [s]': round(time.monotonic() - started),
+                    }
+                ),
+                flush=True,
+            )
     finally:
         shutil.rmtree(folder)
 

@@ -136,10 +136,17 @@ def main() -> None:
                 machine = program_of(seed, texts)[1]
                 print(f'seed {seed} on {machine}: {what}\n{said}', flush=True)
     counts = dict(sorted(found.items()))
-    print(json.dumps({
-        'programs': found.total(), **counts, 'slowest [CPU s]': round(slowest, 1),
-        'all [CPU s]': round(spent), 'all [s]': round(time.monotonic() - begun),
-    }))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                'programs': found.total(),
+                **counts,
+                'slowest [CPU s]': round(slowest, 1),
+                'all [CPU s]': round(spent),
+                'all [s]': round(time.monotonic() - begun),
+            }
+        )
+    )
 
 
 if __name__ == '__main__':

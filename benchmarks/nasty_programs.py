@@ -148,14 +148,20 @@ def main() -> None:
             counts['not proven'] += 1
             print(f'{seed} not proven: {proof.failures[0]}', flush=True)
     ratio, bound = np.array(ratios), np.array(bounds)
-    print(json.dumps({
-        'programs': options.count, **counts,
-        'time / with stops': {
-            'mean': round(float(ratio.mean()), 4), 'median': round(float(np.median(ratio)), 4),
-            'largest': round(float(ratio.max()), 6),
-        },
-        'time / least time, median': round(float(np.median(bound)), 3),
-    }))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                'programs': options.count,
+                **counts,
+                'time / with stops': {
+                    'mean': round(float(ratio.mean()), 4),
+                    'median': round(float(np.median(ratio)), 4),
+                    'largest': round(float(ratio.max()), 6),
+                },
+                'time / least time, median': round(float(np.median(bound)), 3),
+            }
+        )
+    )
 
 
 if __name__ == '__main__':

@@ -89,8 +89,9 @@ def in_tiles(sizes: list[int], counts: list[int]) -> None:
             pairs = figures.needles * len(sweep)
             print(
                 f'{figures.needles:10d}  {workers:7d}  {cut:5.1f}  {after:14.1f}  '
-                f'{pairs / cut:19.2e}  {memory:4.0f} MB  {digest.hexdigest()[:8]}', flush=True,
-            )  # fmt: skip
+                f'{pairs / cut:19.2e}  {memory:4.0f} MB  {digest.hexdigest()[:8]}',
+                flush=True,
+            )
 
 
 def devices() -> None:

@@ -31,7 +31,7 @@ from cnc_interp_msgs.msg import (
     PathSegmentBatch,
     SetpointChunk,
     StreamStatus,
-)  # fmt: skip
+)
 from limit_use import limit_use
 from operated import LIMITS, Bench, T, path_of, waves
 from rclpy.time import Time
@@ -51,10 +51,12 @@ LINE, FEED = 150, 1200
 LOST = ('feedrate_node', 'lookahead_node', 'program_node')
 #: What the nodes of a run say to each other.
 SAID = {
-    'block_batches': (G1BlockBatch, qos.STREAM), 'segments': (PathSegmentBatch, qos.STREAM),
-    'setpoints': (SetpointChunk, qos.STREAM), 'stream_status': (StreamStatus, qos.STATUS),
+    'block_batches': (G1BlockBatch, qos.STREAM),
+    'segments': (PathSegmentBatch, qos.STREAM),
+    'setpoints': (SetpointChunk, qos.STREAM),
+    'stream_status': (StreamStatus, qos.STATUS),
     'machine_state': (MachineState, qos.STATE),
-}  # fmt: skip
+}
 
 
 def straight() -> str:
@@ -260,8 +262,11 @@ def messages(count: int, seed: int) -> None:
         while relay.faults < count:
             starved += trial.finish(trial.bench.begin(waves(WAVES))).starvations
             runs += 1
-            print(f'messages         {relay.counts}, {relay.passed} passed on untouched; {runs} '
-                  f'runs, {starved} times starved; all proven', flush=True)  # fmt: skip
+            print(
+                f'messages         {relay.counts}, {relay.passed} passed on untouched; {runs} '
+                f'runs, {starved} times starved; all proven',
+                flush=True,
+            )
     finally:
         relay.close()
         trial.close()
@@ -389,8 +394,11 @@ def main() -> int:
         try:
             for command in ('hold', 'override') if options.reactions else ():
                 times = np.array(trial.reactions(command, options.reactions)) * 1e3
-                print(f'reaction to {command:<9} median {np.median(times):.0f} ms, largest '
-                      f'{times.max():.0f} ms, {len(times)} times', flush=True)  # fmt: skip
+                print(
+                    f'reaction to {command:<9} median {np.median(times):.0f} ms, largest '
+                    f'{times.max():.0f} ms, {len(times)} times',
+                    flush=True,
+                )
             trial.holds(options.holds)
             trial.overrides(options.overrides)
             trial.kills(options.kills)

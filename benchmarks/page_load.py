@@ -131,9 +131,14 @@ class Stream(NodesUnderTest):
         assert result.code == RunProgram.Result.SUCCEEDED, result.message
         late = [float(self.clock[f'late_{name}_us']) for name in ('p50', 'p99', 'max')]
         return Measured(
-            *late, int(self.clock['missed_periods']), int(self.clock['periods']),
-            1e3 * result.least_buffered_time, result.starvations, updates, *used,
-        )  # fmt: skip
+            *late,
+            int(self.clock['missed_periods']),
+            int(self.clock['periods']),
+            1e3 * result.least_buffered_time,
+            result.starvations,
+            updates,
+            *used,
+        )
 
     def moves(self) -> bool:
         """Tell whether the machine executes a program."""
@@ -158,14 +163,15 @@ def row(name: str, runs: list[Measured], first: list[Measured]) -> str:
     missed = sum(one.missed for one in runs) / sum(one.periods for one in runs)
     rates = [one.updates for one in runs if one.updates]
     cells = [
-        name, *late,
+        name,
+        *late,
         f'{1e6 * missed:.0f}',
         f'{min(one.least for one in runs):.0f}',
         f'{sum(one.starved for one in runs)}',
         f'{np.mean(rates):.1f}, {min(rates):.1f}' if rates else '-',
         f'{np.mean([one.page for one in runs]):.0%}' if rates else '-',
         f'{np.mean([one.browser for one in runs]):.0%}' if rates else '-',
-    ]  # fmt: skip
+    ]
     return '| ' + ' | '.join(cells) + ' |'
 
 
@@ -188,8 +194,10 @@ def main() -> int:
                 print(f'round {k + 1}, {name}: load {load:.1f}, {runs[name][-1]}', flush=True)
     finally:
         stream.close()
-    print('\n| | late p50, us | p99 | largest | a period late, of a million | least ready, ms '
-          '| underruns | updates a second: mean, least | page | browser |')  # fmt: skip
+    print(
+        '\n| | late p50, us | p99 | largest | a period late, of a million | least ready, ms '
+        '| underruns | updates a second: mean, least | page | browser |'
+    )
     print('|' + '---|' * 10)
     for name in runs:
         print(row(name, runs[name], runs[options.only[0]]))

@@ -60,9 +60,12 @@ def figures(program: Program, settings: Settings) -> Figures:
         proven = verify_plan(Path(directory), MACHINE).ok
     whole = PlannedPiece.join(plan.pieces)
     return Figures(
-        whole.law.end_time, corner_time(plan, whole), int(whole.path.stop[1:-1].sum()),
-        used_of(plan), proven,
-    )  # fmt: skip
+        whole.law.end_time,
+        corner_time(plan, whole),
+        int(whole.path.stop[1:-1].sum()),
+        used_of(plan),
+        proven,
+    )
 
 
 def used_of(plan: Plan) -> FloatArray:
@@ -83,8 +86,10 @@ def corner_time(plan: Plan, whole: PlannedPiece) -> float:
     first = int(np.argmax(segments.kind == CORNER))
     if segments.kind[first] != CORNER:
         return float('nan')
-    points = [corner_spline_points(segments.bottom[first][None, :5], u)[0]
-              for u in np.linspace(0.0, 1.0, 2001)]  # fmt: skip
+    points = [
+        corner_spline_points(segments.bottom[first][None, :5], u)[0]
+        for u in np.linspace(0.0, 1.0, 2001)
+    ]
     entry = float(np.nansum(segments.length[:first]))
     exit_ = entry + float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     law = whole.law
@@ -96,21 +101,25 @@ def corner_time(plan: Plan, whole: PlannedPiece) -> float:
 
 def basis(u: FloatArray) -> FloatArray:
     """Return the five basis functions as Eq. A.2 of the paper prints them, shape (5, k)."""
-    first = np.stack([
-        (1 - 2 * u) ** 3,
-        2 * u * ((1 - 2 * u) ** 2 + (1 - u) * (2 - 3 * u)),
-        2 * u**2 * (3 - 4 * u),
-        2 * u**3,
-        0 * u,
-    ])  # fmt: skip
+    first = np.stack(
+        [
+            (1 - 2 * u) ** 3,
+            2 * u * ((1 - 2 * u) ** 2 + (1 - u) * (2 - 3 * u)),
+            2 * u**2 * (3 - 4 * u),
+            2 * u**3,
+            0 * u,
+        ]
+    )
     v = 1 - u
-    second = np.stack([
-        0 * u,
-        2 * v**3,
-        2 * v**2 * (4 * u - 1),
-        2 * v * (u * (3 * u - 1) + (2 * u - 1) ** 2),
-        (2 * u - 1) ** 3,
-    ])  # fmt: skip
+    second = np.stack(
+        [
+            0 * u,
+            2 * v**3,
+            2 * v**2 * (4 * u - 1),
+            2 * v * (u * (3 * u - 1) + (2 * u - 1) ** 2),
+            (2 * u - 1) ** 3,
+        ]
+    )
     return np.where(u < 0.5, first, second)
 
 
@@ -135,11 +144,19 @@ def print_statements() -> None:
     points = np.random.default_rng(1).normal(size=(1, 5, 3))
     printed = basis(u).T @ points[0]
     found = np.concatenate([corner_spline_points(points, x) for x in u])
-    row('A.2', 'basis functions as printed, largest difference', '0',
-        f'{np.abs(found - printed).max():.0e}')  # fmt: skip
+    row(
+        'A.2',
+        'basis functions as printed, largest difference',
+        '0',
+        f'{np.abs(found - printed).max():.0e}',
+    )
     weights = [corner_spline_points(np.eye(5)[None], 0.5)[0, k] for k in range(5)]
-    row('Eq. 2', 'weights of P0 to P4 at u = 0.5', '0, 1/4, 1/2, 1/4, 0',
-        ', '.join(f'{x:g}' for x in weights))  # fmt: skip
+    row(
+        'Eq. 2',
+        'weights of P0 to P4 at u = 0.5',
+        '0, 1/4, 1/2, 1/4, 0',
+        ', '.join(f'{x:g}' for x in weights),
+    )
     angles = np.array([30.0, 60.0, 90.0, 120.0, 150.0]) * DEG
     corners = plane_corners(angles, 0.02 * MM)
     ratios = np.full((len(angles), 2), 1.4)
@@ -151,15 +168,27 @@ def print_statements() -> None:
     ]
     by_eq_3 = 2.0 * 0.02 / np.cos(0.5 * angles)
     for k, angle in enumerate(angles):
-        row('Eq. 3', f'L1 for eps 0.02 mm, alpha {angle / DEG:.0f} deg', f'{by_eq_3[k]:.6f} mm',
-            f'{inner[k] / MM:.6f} mm')  # fmt: skip
+        row(
+            'Eq. 3',
+            f'L1 for eps 0.02 mm, alpha {angle / DEG:.0f} deg',
+            f'{by_eq_3[k]:.6f} mm',
+            f'{inner[k] / MM:.6f} mm',
+        )
     nearest = u[np.argmin(np.stack(gaps), axis=0)]
-    row('2.2', 'the curve is nearest to the corner at u', '0.5',
-        ', '.join(sorted({f'{x:g}' for x in nearest})))  # fmt: skip
+    row(
+        '2.2',
+        'the curve is nearest to the corner at u',
+        '0.5',
+        ', '.join(sorted({f'{x:g}' for x in nearest})),
+    )
     row('2.2', 'L2 / L1', '1.4', f'{(outer / inner[:, None]).mean():g}')
     short, _ = initial_lengths(corners, np.array([[5.0, 0.05]] * 5) * MM, ratios, literal=True)
-    row('2.2', 'L2 beside lines of 10 and 0.1 mm, alpha 150 deg', 'half the shorter, 0.05 mm',
-        f'{1.4 * short[-1] / MM:g} mm')  # fmt: skip
+    row(
+        '2.2',
+        'L2 beside lines of 10 and 0.1 mm, alpha 150 deg',
+        'half the shorter, 0.05 mm',
+        f'{1.4 * short[-1] / MM:g} mm',
+    )
     print_ratios()
     print_parts()
 
@@ -184,8 +213,12 @@ def print_ratios() -> None:
         for ratio in (1.2, 1.4, 1.6, 1.75, 2.0, 2.5)
     }
     told = ', '.join(f'{ratio:g}: {time:.3f} s' for ratio, time in times.items())
-    row('2.2', 'machining time over L2/L1 (pyramid, f exact)',
-        '1.4 to 1.75 satisfying, more useless', told)  # fmt: skip
+    row(
+        '2.2',
+        'machining time over L2/L1 (pyramid, f exact)',
+        '1.4 to 1.75 satisfying, more useless',
+        told,
+    )
 
 
 def print_parts() -> None:
@@ -204,15 +237,26 @@ def print_parts() -> None:
             return ', '.join(f'{label} {value(f)}' for label, f in found.items())
 
         part = name.replace('_', ' ')
-        row(place, f'{part}: points inside at which the tool rests',
+        row(
+            place,
+            f'{part}: points inside at which the tool rests',
             'u_top = u_bottom: feed almost zero at entry and exit; with f: none',
-            told(lambda f: f.stops))  # fmt: skip
+            told(lambda f: f.stops),
+        )
         if name == 'pocket_corner':
-            row(place, f'{part}: time near the corner', 'halved by f',
-                told(lambda f: f'{f.corner_time:.3f} s'))  # fmt: skip
+            row(
+                place,
+                f'{part}: time near the corner',
+                'halved by f',
+                told(lambda f: f'{f.corner_time:.3f} s'),
+            )
         row(place, f'{part}: time of the whole part', '-', told(lambda f: f'{f.time:.3f} s'))
-        row(place, f'{part}: share of the tolerances used', '100 % (tip), 100 % (top)',
-            told(lambda f: ' / '.join(f'{100.0 * x:.0f} %' for x in f.used)))  # fmt: skip
+        row(
+            place,
+            f'{part}: share of the tolerances used',
+            '100 % (tip), 100 % (top)',
+            told(lambda f: ' / '.join(f'{100.0 * x:.0f} %' for x in f.used)),
+        )
         row(place, f'{part}: proven by check', '-', told(lambda f: 'yes' if f.proven else 'NO'))
 
 
@@ -226,8 +270,11 @@ def print_paths() -> None:
             continue
         program = Program(blocks, (), name, 'gcode')
         usual = Settings(compress=False)
-        ways = (usual, replace(usual, corner='paper'),
-                replace(usual, corner='paper', parametrization='exact'))  # fmt: skip
+        ways = (
+            usual,
+            replace(usual, corner='paper'),
+            replace(usual, corner='paper', parametrization='exact'),
+        )
         found = [figures(program, way) for way in ways]
         base = found[0].time
         cells = [f'{base:.3f}'] + [f'{x.time:.3f} ({x.time / base - 1:+.1%})' for x in found[1:]]

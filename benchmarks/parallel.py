@@ -75,8 +75,10 @@ def compare(program: Path, machine: Machine, workers: int, folder: Path) -> None
         if processes == 1:
             stops = np.flatnonzero(np.load(out / 'path.npz')['stop'])
             cells = np.diff(stops)
-            print(f'{program.name}: {len(cells)} stretches, the longest has '
-                  f'{cells.max() / cells.sum():.1%} of the cells')  # fmt: skip
+            print(
+                f'{program.name}: {len(cells)} stretches, the longest has '
+                f'{cells.max() / cells.sum():.1%} of the cells'
+            )
             alone = own
         least = max(own, (own + others) / PROCESSORS)
         digest = hashlib.sha256(b''.join((out / name).read_bytes() for name in FILES))

@@ -25,9 +25,15 @@ from cnc_interp.settings.options import Settings
 
 #: Distance from the pole [deg], orientation tolerance [mm].
 CASES = (
-    (0.0, 0.02), (0.005, 0.02), (0.01, 0.02), (0.03, 0.02), (0.1, 0.02), (0.1, 0.1),
-    (1.0, 0.02), (1.0, 0.6),
-)  # fmt: skip
+    (0.0, 0.02),
+    (0.005, 0.02),
+    (0.01, 0.02),
+    (0.03, 0.02),
+    (0.1, 0.02),
+    (0.1, 0.1),
+    (1.0, 0.02),
+    (1.0, 0.6),
+)
 TILT, LENGTH, FEED = 20.0, 56.0, 3000.0
 #: Time through the pole [s]; docs/measured/README.md says how it was found.
 THROUGH = 1.402
@@ -83,8 +89,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--machine', default='xyzac')
     machine = Machine.load(parser.parse_args().machine)
-    print('| blocks | beside the pole, deg | tolerance, mm | time, s | of 1.402 s | stops '
-          '| largest deviation, mm | told, mm | proven |')  # fmt: skip
+    print(
+        '| blocks | beside the pole, deg | tolerance, mm | time, s | of 1.402 s | stops '
+        '| largest deviation, mm | told, mm | proven |'
+    )
     print('|---' * 9 + '|')
     for name, count in (('one', 2), ('vertex', 3), ('dense', 113)):
         for distance, tolerance in CASES:

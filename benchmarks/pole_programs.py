@@ -105,11 +105,21 @@ def main() -> None:
             )
             off += bool(gap > 1e-6 * MM)
             time += float(plan.setpoints.time[-1])
-        print(json.dumps({
-            'machine': name, 'programs': options.count, 'refused': refused, 'travel': travel,
-            'stops': stops, 'not proven': unproven, 'off their words': off,
-            'time [s]': round(time, 3),
-        }), flush=True)  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    'machine': name,
+                    'programs': options.count,
+                    'refused': refused,
+                    'travel': travel,
+                    'stops': stops,
+                    'not proven': unproven,
+                    'off their words': off,
+                    'time [s]': round(time, 3),
+                }
+            ),
+            flush=True,
+        )
 
 
 if __name__ == '__main__':

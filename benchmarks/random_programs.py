@@ -151,9 +151,11 @@ class Writer:
 
     def move(self, line: int, path: Rows, known: bool = True) -> None:
         """Keep what a line means: words along it."""
-        self.motions.append(Motion(
-            line, self.meant(path), self.tolerance, self.modal_stop or self.next_stops, known
-        ))  # fmt: skip
+        self.motions.append(
+            Motion(
+                line, self.meant(path), self.tolerance, self.modal_stop or self.next_stops, known
+            )
+        )
         self.words, self.next_stops = path[-1].copy(), False
 
     def shares(self, end: Rows) -> Rows:
@@ -200,8 +202,10 @@ class Writer:
             words[:3] = rng.uniform(-0.06, 0.06, 3)
             for i in self.turning:
                 reach = 3.5 if self.high[i] - self.low[i] > 6.0 else 0.5 if self.tcp else 1.0
-                words[i] = rng.choice([rng.uniform(-reach, reach), 0.0, rng.uniform(-2e-5, 2e-5)],
-                                      p=[0.8, 0.15, 0.05])  # fmt: skip
+                words[i] = rng.choice(
+                    [rng.uniform(-reach, reach), 0.0, rng.uniform(-2e-5, 2e-5)],
+                    p=[0.8, 0.15, 0.05],
+                )
         for i in range(3, self.count):
             if self.names[i] not in 'ABC':
                 words[i] = rng.uniform(-0.02, 0.02)
@@ -309,8 +313,9 @@ class Writer:
         else:
             self.say('G64')
             self.tolerance = (
-                self.settings.contour_tolerance, self.settings.orientation_tolerance,
-            )  # fmt: skip
+                self.settings.contour_tolerance,
+                self.settings.orientation_tolerance,
+            )
 
     def tolerances(self) -> None:
         """Write a tolerance."""
@@ -360,8 +365,15 @@ class Writer:
         placed = [self.number(x, self.unit) for x in rng.uniform(-0.02, 0.02, 3)]
         origin = np.array([value for _, value in placed])
         self.say('G90')
-        self.say(' '.join(['G68.2', *(k + text for k, (text, _) in zip('XYZ', placed)),
-                           *(k + text for k, text in zip('IJK', texts))]))  # fmt: skip
+        self.say(
+            ' '.join(
+                [
+                    'G68.2',
+                    *(k + text for k, (text, _) in zip('XYZ', placed)),
+                    *(k + text for k, text in zip('IJK', texts)),
+                ]
+            )
+        )
         line = self.say('G53.1')
         self.motions.append(Motion(line, np.zeros((0, self.count)), self.tolerance, known=False))
         point = None
@@ -369,16 +381,24 @@ class Writer:
             local = rng.uniform(-0.02, 0.02, 3)
             found = [self.number(x, self.unit) for x in local]
             code = 'G1' if step else 'G0'
-            line = self.say(' '.join([code, *(k + t for k, (t, _) in zip('XYZ', found))])
-                            + (self.feed() if step else ''))  # fmt: skip
+            line = self.say(
+                ' '.join([code, *(k + t for k, (t, _) in zip('XYZ', found))])
+                + (self.feed() if step else '')
+            )
             new = origin + turn @ np.array([value for _, value in found])
             begin = new if point is None else point
             share = np.linspace(0.0, 1.0, POSES)[:, None]
             # A pose instead of axes: tips, then the tool axis; told by its width.
             poses = np.hstack([begin + share * (new - begin), np.tile(turn[:, 2], (POSES, 1))])
-            self.motions.append(Motion(
-                line, poses if step else poses[-1:], self.tolerance, self.modal_stop, step > 0,
-            ))  # fmt: skip
+            self.motions.append(
+                Motion(
+                    line,
+                    poses if step else poses[-1:],
+                    self.tolerance,
+                    self.modal_stop,
+                    step > 0,
+                )
+            )
             point = new
         self.say('G69')
         if tcp:
@@ -408,10 +428,17 @@ class Writer:
             line = self.say(f'G1 {text}{self.feed()}')
             corners.append(end[:2].copy())
             inside = np.array(corners) if 0 < k < count - 1 else None
-            self.motions.append(Motion(
-                line, np.zeros((0, self.count)), self.tolerance, stop, False, contour=inside,
-                radius=printed / 2,
-            ))  # fmt: skip
+            self.motions.append(
+                Motion(
+                    line,
+                    np.zeros((0, self.count)),
+                    self.tolerance,
+                    stop,
+                    False,
+                    contour=inside,
+                    radius=printed / 2,
+                )
+            )
             self.words = end
         for motion in self.motions[-count + 1 : -1]:
             motion.contour = np.array(corners)
@@ -442,9 +469,10 @@ def made(seed: int, machines: list[str]) -> tuple[str, Writer]:
     machine = replace(Machine.load(machines[seed % len(machines)]), signals=Signals())
     contour, orientation = np.exp(rng.uniform(np.log(2e-6), np.log(2e-4), 2))
     settings = Settings(
-        contour_tolerance=float(contour), orientation_tolerance=float(orientation),
+        contour_tolerance=float(contour),
+        orientation_tolerance=float(orientation),
         interpolation_period=float(rng.choice(PERIODS)) * 1e-3,
-    )  # fmt: skip
+    )
     writer = Writer(rng, machine, settings)
     return writer.program(), writer
 
@@ -559,8 +587,10 @@ def path(found: Emitted, motions: list[Motion]) -> list[str]:
         )
         if off.max() > 1.0 + 1e-3:
             worst = int(np.argmax(off))
-            faults.append(f'line {motion.line}: setpoint {rows[worst]} is {off[worst]:.4f} '
-                          f'tolerances from the program')  # fmt: skip
+            faults.append(
+                f'line {motion.line}: setpoint {rows[worst]} is {off[worst]:.4f} '
+                f'tolerances from the program'
+            )
     return faults
 
 
@@ -587,8 +617,10 @@ def order(found: Emitted, motions: list[Motion]) -> list[str]:
             off = to_polyline(emitted[index:], mark, room)
             near = np.flatnonzero(off <= 1.0)
             if not len(near):
-                faults.append(f'line {motion.line}: not reached after setpoint {index}, '
-                              f'{off.min():.4g} of what is allowed')  # fmt: skip
+                faults.append(
+                    f'line {motion.line}: not reached after setpoint {index}, '
+                    f'{off.min():.4g} of what is allowed'
+                )
                 return faults
             index += int(near[0])
         if motion.stop:
@@ -676,9 +708,12 @@ def tried(text: str, writer: Writer, proof: bool, folder: Path) -> tuple[str, li
         return 'refused', [str(problem)], ''
     found = Emitted(plan, writer.zero)
     doubts = [
-        *limits(found), *ends(found, writer.motions), *order(found, writer.motions),
-        *path(found, writer.motions), *contours(found, writer.motions),
-    ]  # fmt: skip
+        *limits(found),
+        *ends(found, writer.motions),
+        *order(found, writer.motions),
+        *path(found, writer.motions),
+        *contours(found, writer.motions),
+    ]
     compared = ''
     if proof:
         doubts += [f'not proven: {each}' for each in verify(files_of(plan), plan.machine).failures]
@@ -728,8 +763,11 @@ def main() -> None:
             if what != 'sound':
                 print(seed, writer.machine.name, what, *doubts[-7:], sep='\n  ', flush=True)
     ended = sum(counts[what] for what in ('sound', 'doubtful', 'refused', 'traceback'))
-    print(json.dumps({'programs': ended, **counts,
-                      'all [CPU s]': round(time.process_time() - begun)}))  # fmt: skip
+    print(
+        json.dumps(
+            {'programs': ended, **counts, 'all [CPU s]': round(time.process_time() - begun)}
+        )
+    )
     for reason, times in reasons.most_common():
         print(f'{times:6} {reason}')
 

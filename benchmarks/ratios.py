@@ -105,14 +105,16 @@ def programs() -> Iterator[tuple[str, Blocks]]:
         ('impeller [100:240]', impeller, 0.01, 100, 240),
         ('impeller [1000:1200]', impeller, 0.01, 1000, 1200),
         ('impeller [1000:1200]', impeller, 0.05, 1000, 1200),
-    ]  # fmt: skip
+    ]
     for name, file, tolerance, first, last in files:
         if not file.exists():
             continue
         options = Settings(
-            contour_tolerance=tolerance * MM, orientation_tolerance=tolerance * MM,
-            force_tolerances=True, feedrate=3000.0 * MM_PER_MIN,
-        )  # fmt: skip
+            contour_tolerance=tolerance * MM,
+            orientation_tolerance=tolerance * MM,
+            force_tolerances=True,
+            feedrate=3000.0 * MM_PER_MIN,
+        )
         blocks = read_program(file, transform, options).blocks[first:last]
         moved = file.parent != examples
         # The workpiece may stand elsewhere on this machine: begin over the C axis.

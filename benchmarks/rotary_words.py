@@ -63,8 +63,10 @@ def random_program(rng: np.random.Generator, machine: Machine, tcp: bool) -> str
                     value = np.clip(value, *(machine.travel[k] - start[k]) / MM)
             elif name in 'ABC':
                 reach = 200.0 if np.isinf(high[k]) else tilt
-                value = rng.choice([rng.uniform(-reach, reach), 0.0, rng.uniform(-1e-3, 1e-3)],
-                                   p=[0.75, 0.2, 0.05])  # fmt: skip
+                value = rng.choice(
+                    [rng.uniform(-reach, reach), 0.0, rng.uniform(-1e-3, 1e-3)],
+                    p=[0.75, 0.2, 0.05],
+                )
                 value = np.clip(value, low[k] / DEG, high[k] / DEG)
             else:
                 value = rng.uniform(max(low[k] / MM, -20.0), min(high[k] / MM, 20.0))
@@ -86,10 +88,14 @@ def files_of(plan: Plan) -> PlanFiles:
     if 'extra_axes' not in blocks:
         blocks['extra_axes'] = np.zeros((len(plan.program.blocks), 0))
     return PlanFiles(
-        {name: getattr(samples, name) for name in columns}, {}, blocks,
-        {'interpolation_period': plan.settings.interpolation_period,
-         'flank_height': plan.settings.flank_height},
-    )  # fmt: skip
+        {name: getattr(samples, name) for name in columns},
+        {},
+        blocks,
+        {
+            'interpolation_period': plan.settings.interpolation_period,
+            'flank_height': plan.settings.flank_height,
+        },
+    )
 
 
 def words_missed(text: str, plan: Plan, tcp: bool) -> float:
@@ -190,12 +196,22 @@ def main() -> None:
                     print(f'{name} {i} LinuxCNC ends {gap:.4f} away\n{text}')
             found = [f for f in proof.findings if f.what == 'axes beside their line']
             beside = max([beside, *(f.value for f in found)])
-        print(json.dumps({
-            'machine': name, 'programs': options.count, 'refused': refused, 'travel': travel,
-            'not proven': unproven, 'words missed [mm, deg]': missed, 'stops': stops,
-            'axes beside their lines [mm]': beside / MM, 'compared with LinuxCNC': compared,
-            'ends beside LinuxCNC [mm, deg]': apart,
-        }))  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    'machine': name,
+                    'programs': options.count,
+                    'refused': refused,
+                    'travel': travel,
+                    'not proven': unproven,
+                    'words missed [mm, deg]': missed,
+                    'stops': stops,
+                    'axes beside their lines [mm]': beside / MM,
+                    'compared with LinuxCNC': compared,
+                    'ends beside LinuxCNC [mm, deg]': apart,
+                }
+            )
+        )
 
 
 if __name__ == '__main__':

@@ -29,15 +29,29 @@ class Writer:
 
     def __init__(self, seed: int):
         self.r = random.Random(seed)
-        self.lines = ['DEF REAL VA=1.5, VB=-2', 'DEF REAL VC[3]', 'DEF INT VI, VJ, VK',
-                      'VC[0]=3', 'VC[1]=-4.25', 'VC[2]=0.5', 'G1 X1 Y1 Z1 F1000']  # fmt: skip
+        self.lines = [
+            'DEF REAL VA=1.5, VB=-2',
+            'DEF REAL VC[3]',
+            'DEF INT VI, VJ, VK',
+            'VC[0]=3',
+            'VC[1]=-4.25',
+            'VC[2]=0.5',
+            'G1 X1 Y1 Z1 F1000',
+        ]
         self.deep = 0
 
     def value(self, deep: int = 0) -> str:
         r = self.r
         if r.random() < 0.45 or deep > 2:
-            return r.choice((f'{r.uniform(-30, 30):.3f}', str(r.randint(-20, 20)), 'VA', 'VB',
-                             f'VC[{r.randint(0, 2)}]'))  # fmt: skip
+            return r.choice(
+                (
+                    f'{r.uniform(-30, 30):.3f}',
+                    str(r.randint(-20, 20)),
+                    'VA',
+                    'VB',
+                    f'VC[{r.randint(0, 2)}]',
+                )
+            )
         code = r.choice('+-*/')
         right = str(r.randint(1, 4)) if code in '*/' else self.value(deep + 1)
         right = f'(0{right})' if right[0] == '-' else right

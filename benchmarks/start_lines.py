@@ -43,9 +43,11 @@ from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings
 
 EXAMPLES = {
-    'pyramid.ngc': 'xyzac', 'pyramid.apt': 'xyzac', 'pocket_corner.apt': 'xyzac',
+    'pyramid.ngc': 'xyzac',
+    'pyramid.apt': 'xyzac',
+    'pocket_corner.apt': 'xyzac',
     'two_curves.mpf': 'xyzac',
-}  # fmt: skip
+}
 #: Motion that is planned from the place on [s], and path cells planned at a time.
 LOOK, CELLS = 2.0, 500
 #: Motions are the same where their speeds differ by less, as a share of the largest one [-].

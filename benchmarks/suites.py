@@ -33,9 +33,13 @@ from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.settings.options import Settings
 
 AGREES, MUST, REFUSED, ACCEPTED, WRONG, EMPTY = (
-    'agrees', 'refused as it must be', 'refused, but runs', 'ACCEPTED, but is refused', 'WRONG',
+    'agrees',
+    'refused as it must be',
+    'refused, but runs',
+    'ACCEPTED, but is refused',
+    'WRONG',
     'no motion in it',
-)  # fmt: skip
+)
 #: Positions of the Sinumerik suite agree within this [mm].
 NEAR = 2e-3
 #: Cases that are not as expected, with the reason.

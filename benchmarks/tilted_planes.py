@@ -21,8 +21,15 @@ from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings
 
 MACHINES = (
-    'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',
-)  # fmt: skip
+    'xyzac',
+    'xyzbc',
+    'bc_trunnion',
+    'head_head',
+    'head_table',
+    'xyzac_trt',
+    'xyzbc_trt',
+    'xyzacw',
+)
 PLANES = [(i, j) for i in range(0, 360, 5) for j in range(0, 360, 5)]
 ORIGIN, POINT = np.array([10.0, 20.0, 30.0]), np.array([1.0, 2.0, 3.0])
 HEAD = 'G21 G90\nG0 X0 Y0 Z50\n'
@@ -64,8 +71,10 @@ def reached(geometry: Transform) -> int:
 
 def main() -> None:
     """Print the table."""
-    print('| machine | planes without error | error of the axis | of a point, mm | s | within the '
-          'travel |')  # fmt: skip
+    print(
+        '| machine | planes without error | error of the axis | of a point, mm | s | within the '
+        'travel |'
+    )
     print('|---|--:|--:|--:|--:|--:|')
     for name in sys.argv[1:] or MACHINES:
         machine = Machine.load(name)

@@ -29,23 +29,47 @@ if TYPE_CHECKING:
 
 __version__ = '1.0.0'
 __all__ = [
-    'BSplineSurface', 'Blocks', 'Cutter', 'InterpError', 'IsoScallopOptions', 'Machine', 'Plan',
-    'PlanOptions', 'Program', 'Settings', 'Transform', 'axis_motion', 'axis_path_from', 'check',
-    'evaluate', 'iso_scallop_paths', 'plan_path', 'plan_program', 'read_program', 'read_text',
-    'simulate', 'smooth_path',
-]  # fmt: skip
+    'BSplineSurface',
+    'Blocks',
+    'Cutter',
+    'InterpError',
+    'IsoScallopOptions',
+    'Machine',
+    'Plan',
+    'PlanOptions',
+    'Program',
+    'Settings',
+    'Transform',
+    'axis_motion',
+    'axis_path_from',
+    'check',
+    'evaluate',
+    'iso_scallop_paths',
+    'plan_path',
+    'plan_program',
+    'read_program',
+    'read_text',
+    'simulate',
+    'smooth_path',
+]
 #: Modules that hold them.
 _HOMES = {
-    'cam.cutter': 'Cutter', 'cam.iso_scallop': 'IsoScallopOptions iso_scallop_paths',
-    'cam.shapes': 'BSplineSurface', 'core': 'InterpError',
-    'feedrate.feed_planner': 'plan_path', 'feedrate.motion_law': 'axis_motion',
-    'feedrate.plan_options': 'PlanOptions', 'kinematics.axis_path': 'evaluate',
+    'cam.cutter': 'Cutter',
+    'cam.iso_scallop': 'IsoScallopOptions iso_scallop_paths',
+    'cam.shapes': 'BSplineSurface',
+    'core': 'InterpError',
+    'feedrate.feed_planner': 'plan_path',
+    'feedrate.motion_law': 'axis_motion',
+    'feedrate.plan_options': 'PlanOptions',
+    'kinematics.axis_path': 'evaluate',
     'library': 'Plan axis_path_from check plan_program smooth_path',
     'machine.simulated_drives': 'simulate',
-    'machine_model.machine': 'Machine', 'machine_model.transform': 'Transform',
-    'program.blocks': 'Blocks', 'program.reading': 'Program read_program read_text',
+    'machine_model.machine': 'Machine',
+    'machine_model.transform': 'Transform',
+    'program.blocks': 'Blocks',
+    'program.reading': 'Program read_program read_text',
     'settings.options': 'Settings',
-}  # fmt: skip
+}
 
 kernel_cache.register(os.environ)
 # Its matrices are small: threads for them would only wait, and take the processor meanwhile.

@@ -148,9 +148,10 @@ def _load_what_runs() -> None:
         if not path.is_relative_to(folder()) or not FEATURES.issubset(features.split(',')):
             return None
         files = caching.IndexDataCacheFile(
-            str(BROUGHT / path.relative_to(folder())), kernel._impl.filename_base,
+            str(BROUGHT / path.relative_to(folder())),
+            kernel._impl.filename_base,
             kernel._cache_file._source_stamp,
-        )  # fmt: skip
+        )
         data = files.load((form, (triple, PROCESSOR, ''), code))
         return data and kernel._impl.rebuild(target, data)
 

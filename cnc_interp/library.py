@@ -62,10 +62,15 @@ def axis_path_from(
     stop = np.zeros(len(s), dtype=np.bool_)
     stop[[0, -1]] = True
     return AxisPath(
-        s=s, cell_left=jets[:, :-1].copy(), cell_right=jets[:, 1:].copy(), tip=tip, axis=axis,
-        cell_feed=np.full(len(s) - 1, feedrate), cell_block=np.zeros(len(s) - 1, dtype=np.int64),
+        s=s,
+        cell_left=jets[:, :-1].copy(),
+        cell_right=jets[:, 1:].copy(),
+        tip=tip,
+        axis=axis,
+        cell_feed=np.full(len(s) - 1, feedrate),
+        cell_block=np.zeros(len(s) - 1, dtype=np.int64),
         stop=stop,
-    )  # fmt: skip
+    )
 
 
 class Kept:

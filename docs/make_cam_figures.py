@@ -58,12 +58,15 @@ ROWS: list[tuple[str, str, list[str]]] = [
     ('classical, tilt 5 deg', 'bumps', ['--strategy', 'classical', '--tilt', '5']),
     ('planes, largest d, tilt from 3 deg', 'bumps', []),
     ('planes, d 5.0 mm', 'hollow', ['--stepover', '5']),
-    ('classical, ball mill of 13 mm', 'bumps', [
-        '--strategy', 'classical', '--corner-radius', '6.5']),
+    (
+        'classical, ball mill of 13 mm',
+        'bumps',
+        ['--strategy', 'classical', '--corner-radius', '6.5'],
+    ),
     ('planes, d 2.0 mm, feed along v', 'bumps', ['--stepover', '2', '--direction', '90']),
     ('planes, d 1.6 mm', 'bumps', ['--stepover', '1.6']),
     ('planes, d 3.5 mm', 'hollow', ['--stepover', '3.5']),
-]  # fmt: skip
+]
 
 
 def loops() -> None:
@@ -186,9 +189,14 @@ def application() -> None:
     )
     size = [float(np.ptp(heights.needles.base[..., 0])) / MM, 36.0]
     image = panels[0].imshow(
-        heights.height.T / UM, origin='lower', extent=(0, size[0], 0, size[1]), cmap='viridis',
-        vmin=0.0, vmax=10.5, interpolation='none',
-    )  # fmt: skip
+        heights.height.T / UM,
+        origin='lower',
+        extent=(0, size[0], 0, size[1]),
+        cmap='viridis',
+        vmin=0.0,
+        vmax=10.5,
+        interpolation='none',
+    )
     panels[0].set(xlabel='along the passes (mm)', ylabel='across (mm)')
     panels[0].grid(visible=False)
     figure.colorbar(image, ax=panels[0], label='height (um)', shrink=0.85)

@@ -165,8 +165,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, page(Path(name)) as tab:
         walk = Walk(tab, Path(name))
         for task in (
-            walk.load, walk.move, walk.touch_off, walk.run, walk.away, walk.start_at_a_line,
-        ):  # fmt: skip
+            walk.load,
+            walk.move,
+            walk.touch_off,
+            walk.run,
+            walk.away,
+            walk.start_at_a_line,
+        ):
             task()
         assert tab.faults == [], tab.faults
 

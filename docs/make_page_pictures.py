@@ -35,10 +35,31 @@ SCREENS = {
 }
 #: Marks of the parts that get a number, in the order of the list in docs/operate/page.md.
 LABELLED = (
-    'state', 'rights', 'program', 'load', 'check', 'settings', 'queue next', 'setup', 'tip x',
-    'feed', 'override slider', 'to go', 'line', 'buffer', 'contour', 'cycle start', 'feed hold',
-    'reset', 'single block', 'EMERGENCY STOP', 'look', 'history messages', 'keyboard', 'jog',
-)  # fmt: skip
+    'state',
+    'rights',
+    'program',
+    'load',
+    'check',
+    'settings',
+    'queue next',
+    'setup',
+    'tip x',
+    'feed',
+    'override slider',
+    'to go',
+    'line',
+    'buffer',
+    'contour',
+    'cycle start',
+    'feed hold',
+    'reset',
+    'single block',
+    'EMERGENCY STOP',
+    'look',
+    'history messages',
+    'keyboard',
+    'jog',
+)
 RED, WHITE, RADIUS, LOW = (200, 30, 30), (255, 255, 255), 10, 26
 #: The animation: at most so many frames, so far apart in the run and on the page [s].
 FRAMES, STEP, SHOWN_STEP = 60, 0.3, 0.15
@@ -117,9 +138,13 @@ def write_animation(seen: list[Image.Image]) -> None:
     palette = small[-1].quantize(COLOURS, kmeans=3)
     first, *others = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
     first.save(
-        HERE / 'pictures' / 'page.gif', save_all=True, append_images=others,
-        duration=round(1000 * SHOWN_STEP), loop=0, optimize=True,
-    )  # fmt: skip
+        HERE / 'pictures' / 'page.gif',
+        save_all=True,
+        append_images=others,
+        duration=round(1000 * SHOWN_STEP),
+        loop=0,
+        optimize=True,
+    )
 
 
 def main() -> None:

@@ -28,11 +28,20 @@ INK, QUIET, GRID, BLUE, ORANGE = '#22303c', '#9aa5b1', '#e6eaee', '#1f6fb2', '#e
 #: Tool axes that are drawn along the path, and points of a curve.
 SPOKES, POINTS = 90, 3000
 STYLE = {
-    'font.family': 'DejaVu Sans', 'font.size': 9, 'text.color': INK, 'axes.labelcolor': INK,
-    'xtick.color': INK, 'ytick.color': INK, 'axes.edgecolor': '#c3cad1', 'axes.grid': True,
-    'grid.color': GRID, 'axes.axisbelow': True, 'axes.spines.top': False,
-    'axes.spines.right': False, 'legend.frameon': False,
-}  # fmt: skip
+    'font.family': 'DejaVu Sans',
+    'font.size': 9,
+    'text.color': INK,
+    'axes.labelcolor': INK,
+    'xtick.color': INK,
+    'ytick.color': INK,
+    'axes.edgecolor': '#c3cad1',
+    'axes.grid': True,
+    'grid.color': GRID,
+    'axes.axisbelow': True,
+    'axes.spines.top': False,
+    'axes.spines.right': False,
+    'legend.frameon': False,
+}
 
 
 def draw_path(series: Series, figure: Any, elevation: float, azimuth: float) -> None:
@@ -91,8 +100,9 @@ def draw_axes(plan: PlanFiles, series: Series, figure: Any) -> None:
         panel.patch.set_visible(False)
         panel.yaxis.set_major_locator(MaxNLocator(nbins=3))
     panels[0].set_title(
-        'position of each axis, and the use of its busiest limit in % (orange)', fontsize=9,
-    )  # fmt: skip
+        'position of each axis, and the use of its busiest limit in % (orange)',
+        fontsize=9,
+    )
     panels[-1].set(xlabel='time (s)', xlim=(series.time[0], series.time[-1]))
     figure.align_ylabels(panels)
 

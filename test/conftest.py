@@ -39,9 +39,11 @@ def pytest_configure(config):
     )
     tiers.thorough = config.getoption('--all')
     settings.register_profile(  # a busy computer changes no verdict
-        'any speed', deadline=None, suppress_health_check=[HealthCheck.too_slow],
+        'any speed',
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
         max_examples=tiers.examples(15, 100),
-    )  # fmt: skip
+    )
     settings.load_profile('any speed')
     if not hasattr(config, 'workerinput'):
         config.pluginmanager.register(Failures(config))

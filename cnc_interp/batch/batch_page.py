@@ -17,17 +17,33 @@ Results = Sequence[tuple[BatchEntry, TaskOutcome]]
 #: Columns of the table: name with its unit, and type. All but the first two and ``cost`` are
 #: fields of ``Row``.
 COLUMNS = {
-    'program': str, 'machine': str, 'verdict': str, 'message': str, 'blocks': int,
-    'setpoints': int, 'path_length_m': float, 'cycle_time_s': float, 'standstill_s': float,
-    'time_bound_s': float, 'cost': float, 'velocity_use': float, 'acceleration_use': float,
-    'jerk_use': float, 'torque_use': float, 'contour_used': float, 'orientation_used': float,
-    'notices': str, 'plan_hash': str,
-}  # fmt: skip
+    'program': str,
+    'machine': str,
+    'verdict': str,
+    'message': str,
+    'blocks': int,
+    'setpoints': int,
+    'path_length_m': float,
+    'cycle_time_s': float,
+    'standstill_s': float,
+    'time_bound_s': float,
+    'cost': float,
+    'velocity_use': float,
+    'acceleration_use': float,
+    'jerk_use': float,
+    'torque_use': float,
+    'contour_used': float,
+    'orientation_used': float,
+    'notices': str,
+    'plan_hash': str,
+}
 #: Columns whose field of ``Row`` has another name.
 FIELDS = {
-    'path_length_m': 'path_length', 'cycle_time_s': 'cycle_time', 'time_bound_s': 'time_bound',
+    'path_length_m': 'path_length',
+    'cycle_time_s': 'cycle_time',
+    'time_bound_s': 'time_bound',
     'standstill_s': 'standstill',
-}  # fmt: skip
+}
 COSTS = ('program', 'machine', 'seconds', 'processor_s', 'memory_MB')
 
 
@@ -38,12 +54,16 @@ def rows_of(results: Results, rate: float | None) -> list[dict[str, Any]]:
 def _row(job: BatchEntry, outcome: TaskOutcome, rate: float | None) -> dict[str, Any]:
     row = outcome.row
     own = {
-        'program': job.program, 'machine': job.model.name, 'verdict': str(row.verdict),
+        'program': job.program,
+        'machine': job.model.name,
+        'verdict': str(row.verdict),
         'notices': '; '.join(row.notices),
         'cost': rate * row.run_time / HOUR if rate and row.cycle_time else None,
-    }  # fmt: skip
-    return {name: own[name] if name in own else getattr(row, FIELDS.get(name, name))
-            for name in COLUMNS}  # fmt: skip
+    }
+    return {
+        name: own[name] if name in own else getattr(row, FIELDS.get(name, name))
+        for name in COLUMNS
+    }
 
 
 def write_tables(results: Results, rate: float | None, folder: Path) -> list[Path]:
@@ -52,10 +72,15 @@ def write_tables(results: Results, rate: float | None, folder: Path) -> list[Pat
     table, costs = folder / 'table.csv', folder / 'costs.csv'
     write_whole(table, csv_text(tuple(COLUMNS), [list(row.values()) for row in rows]))
     spent = [
-        (job.program, job.model.name, f'{cost.seconds:.3f}', f'{cost.processor:.3f}',
-         f'{cost.memory / 1e6:.0f}')
+        (
+            job.program,
+            job.model.name,
+            f'{cost.seconds:.3f}',
+            f'{cost.processor:.3f}',
+            f'{cost.memory / 1e6:.0f}',
+        )
         for job, cost in ((job, outcome.cost) for job, outcome in results)
-    ]  # fmt: skip
+    ]
     write_whole(costs, csv_text(COSTS, spent))
     return [table, *_parquet(rows, folder / 'table.parquet'), costs]
 
@@ -83,13 +108,21 @@ def _parquet(rows: list[dict[str, Any]], file: Path) -> list[Path]:
 MOST_ROWS = 5000  #: More rows than these are not shown; the table file has them all.
 #: Columns of the page: heading, column of the table, and how a number is written.
 SHOWN = (
-    ('program', 'program', ''), ('machine', 'machine', ''), ('verdict', 'verdict', ''),
-    ('cycle time [s]', 'cycle_time_s', ',.3f'), ('bound [s]', 'time_bound_s', ',.3f'),
-    ('cost', 'cost', ',.2f'), ('path [m]', 'path_length_m', ',.2f'), ('blocks', 'blocks', ',d'),
-    ('velocity', 'velocity_use', '.1%'), ('acceleration', 'acceleration_use', '.1%'),
-    ('jerk', 'jerk_use', '.1%'), ('torque', 'torque_use', '.1%'),
-    ('contour', 'contour_used', '.1%'), ('orientation', 'orientation_used', '.1%'),
-)  # fmt: skip
+    ('program', 'program', ''),
+    ('machine', 'machine', ''),
+    ('verdict', 'verdict', ''),
+    ('cycle time [s]', 'cycle_time_s', ',.3f'),
+    ('bound [s]', 'time_bound_s', ',.3f'),
+    ('cost', 'cost', ',.2f'),
+    ('path [m]', 'path_length_m', ',.2f'),
+    ('blocks', 'blocks', ',d'),
+    ('velocity', 'velocity_use', '.1%'),
+    ('acceleration', 'acceleration_use', '.1%'),
+    ('jerk', 'jerk_use', '.1%'),
+    ('torque', 'torque_use', '.1%'),
+    ('contour', 'contour_used', '.1%'),
+    ('orientation', 'orientation_used', '.1%'),
+)
 LOCAL_STYLE = Path(__file__).with_name('table.css').read_text(encoding='utf-8')
 SCRIPT = Path(__file__).with_name('table.js').read_text(encoding='utf-8')
 
@@ -143,11 +176,16 @@ def _time_section(rows: list[dict[str, Any]]) -> str:
             x=[row['time_bound_s'] for row in some],
             y=[row['cycle_time_s'] / row['time_bound_s'] for row in some],
             text=[f'{escape(row["program"])} on {escape(row["machine"])}' for row in some],
-            mode='markers', marker={'color': colour, 'size': 7, 'opacity': 0.7}, name=name,
+            mode='markers',
+            marker={'color': colour, 'size': 7, 'opacity': 0.7},
+            name=name,
             hovertemplate='%{text}<br>bound %{x:.3f} s, %{y:.3f} times as long<extra></extra>',
-        )  # fmt: skip
-    titles = {'xaxis_title': 'least time of any motion without jerk limits [s]',
-              'xaxis_type': 'log', 'yaxis_title': 'cycle time / least time [-]'}  # fmt: skip
+        )
+    titles = {
+        'xaxis_title': 'least time of any motion without jerk limits [s]',
+        'xaxis_type': 'log',
+        'yaxis_title': 'cycle time / least time [-]',
+    }
     return html.section(
         'Cycle times',
         'The least time is that of any motion within the feeds, velocities and accelerations. '
@@ -165,8 +203,10 @@ def _table(rows: list[dict[str, Any]], shown: list[tuple[str, str, str]]) -> str
         cells = ''.join(_cell(row, column, form, len(shown) - 2) for _, column, form in some)
         colour = '' if row['verdict'] == Verdict.PROVEN else ' class="red"'
         lines.append(f'<tr{colour}>{cells}</tr>')
-    return (f'<div class="wide"><table><thead><tr>{heads}</tr></thead>'
-            f'<tbody id="rows">{"".join(lines)}</tbody></table></div>')  # fmt: skip
+    return (
+        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>'
+        f'<tbody id="rows">{"".join(lines)}</tbody></table></div>'
+    )
 
 
 def _cell(row: dict[str, Any], column: str, form: str, wide: int) -> str:

@@ -62,9 +62,12 @@ class Progress:
 
 
 def run_batch(
-    jobs: Jobs, workers: Workers, store: Store, progress: Callable[[Progress], None],
+    jobs: Jobs,
+    workers: Workers,
+    store: Store,
+    progress: Callable[[Progress], None],
     processes: int = 1,
-) -> list[tuple[BatchEntry, TaskOutcome]]:  # fmt: skip
+) -> list[tuple[BatchEntry, TaskOutcome]]:
     keys: dict[int, str] = {}
     found: dict[int, TaskOutcome] = {}
     listed = list(jobs)
@@ -124,9 +127,12 @@ def dask_workers() -> ModuleType:
 
 
 def workers_of(
-    scheduler: str | None, workers: int, memory: float | None, longest: float,
+    scheduler: str | None,
+    workers: int,
+    memory: float | None,
+    longest: float,
     preloaded: Sequence[str] = PRELOADED,
-) -> Workers:  # fmt: skip
+) -> Workers:
     """Return who carries out a batch: a cluster, or processes that share the memory here."""
     if scheduler is not None:
         found: Workers = dask_workers().DaskWorkers(scheduler, memory, longest)

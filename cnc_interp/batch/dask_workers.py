@@ -47,9 +47,15 @@ class DaskWorkers:
                 while len(numbers) < self._ahead and (more := next(coming, None)) is not None:
                     number, make = more
                     future = self._client.submit(
-                        call_there, function, make(), engine(), self._memory, self._longest,
-                        pure=False, priority=-number,
-                    )  # fmt: skip
+                        call_there,
+                        function,
+                        make(),
+                        engine(),
+                        self._memory,
+                        self._longest,
+                        pure=False,
+                        priority=-number,
+                    )
                     numbers[future] = number
                     ended.add(future)
                 if not numbers:
@@ -150,4 +156,4 @@ async def _until_interrupted(part: Any) -> bool:
 def _worker(address: str, workers: int, host: str | None = None) -> Any:
     return Worker(
         address, nthreads=workers, host=host, memory_limit=0, dashboard=False, death_timeout=60
-    )  # fmt: skip
+    )

@@ -82,9 +82,13 @@ class Processes:
     """
 
     def __init__(
-        self, workers: int, memory: float, longest: float,
-        stopped: Callable[[], bool] = lambda: False, preloaded: Sequence[str] = PRELOADED,
-    ):  # fmt: skip
+        self,
+        workers: int,
+        memory: float,
+        longest: float,
+        stopped: Callable[[], bool] = lambda: False,
+        preloaded: Sequence[str] = PRELOADED,
+    ):
         self._workers, self._memory, self._longest = workers, memory, longest
         self._stopped = stopped
         self._context = begin_loading(preloaded)

@@ -125,9 +125,13 @@ class Sweep:
     """
 
     def __init__(
-        self, main: Main, words: Sequence[str], folder: Path, workers: Processes,
+        self,
+        main: Main,
+        words: Sequence[str],
+        folder: Path,
+        workers: Processes,
         progress: Callable[[int], None],
-    ):  # fmt: skip
+    ):
         self._words = _checked(words)
         self._main, self._folder, self._workers = main, folder.resolve(), workers
         self._progress = progress
@@ -159,10 +163,16 @@ class Sweep:
 
         generations = max(1, most // (GENERATION * len(ranges)))
         differential_evolution(
-            lambda member: times([member])[0], bounds, popsize=GENERATION,
-            maxiter=generations - 1, workers=lambda _, members: times(members),
-            updating='deferred', polish=False, rng=1, tol=0.0,
-        )  # fmt: skip
+            lambda member: times([member])[0],
+            bounds,
+            popsize=GENERATION,
+            maxiter=generations - 1,
+            workers=lambda _, members: times(members),
+            updating='deferred',
+            polish=False,
+            rng=1,
+            tol=0.0,
+        )
 
     def run(self, values: Sequence[tuple[tuple[str, str], ...]]) -> list[Found]:
         points = [Point(self._words, one) for one in values]
@@ -230,8 +240,11 @@ def without_effect(found: dict[Point, Found], option: str) -> bool:
 def front(found: dict[Point, Found]) -> list[Point]:
     """Return the points that no other one beats in time, scallop and error, fastest first."""
     best: dict[Point, tuple[float, float, float]] = {}
-    known = [((one.cycle_time, one.scallop or 0.0, one.error or 0.0), point)
-             for point, one in found.items() if one.cycle_time is not None]  # fmt: skip
+    known = [
+        ((one.cycle_time, one.scallop or 0.0, one.error or 0.0), point)
+        for point, one in found.items()
+        if one.cycle_time is not None
+    ]
     for figures, point in sorted(known, key=lambda row: row[0]):
         # Those before are as fast or faster.
         limits = figures[1] + SAME, figures[2] + SAME
@@ -319,26 +332,42 @@ def _scatter(found: dict[Point, Found], best: list[Point], start: Point) -> Any:
         return go.Scatter(
             x=[found[p].cycle_time for p in points],
             y=[height(found[p]) for p in points],
-            text=[f'{escape(values_text(p))}<br>{lengths_text(found[p])}<br>'
-                  f'{escape(why(found[p]))}' for p in points],
+            text=[
+                f'{escape(values_text(p))}<br>{lengths_text(found[p])}<br>{escape(why(found[p]))}'
+                for p in points
+            ],
             hovertemplate='%{x:.3f} s; %{text}<extra></extra>',
-            name=name, **more,
-        )  # fmt: skip
+            name=name,
+            **more,
+        )
 
     moving = _moving(found)
     by_error = {
-        'color': [(found[point].error or 0.0) / UM for point in moving], 'size': 9,
-        'colorscale': 'Blues', 'line': {'color': html.BLUE, 'width': 1},
+        'color': [(found[point].error or 0.0) / UM for point in moving],
+        'size': 9,
+        'colorscale': 'Blues',
+        'line': {'color': html.BLUE, 'width': 1},
         'colorbar': {'title': {'text': 'error [um]'}},
-    }  # fmt: skip
+    }
     plain = {'color': html.BLUE, 'opacity': 0.5}
-    figure = go.Figure([
-        trace(moving, 'all', mode='markers', marker=by_error if scallops else plain),
-        trace(best, 'best', mode='lines+markers', line={'color': html.ORANGE, 'shape': 'hv'},
-              marker={'symbol': 'circle-open', 'size': 13}),
-        trace([start], 'as it is', mode='markers',
-              marker={'color': html.RED, 'size': 11, 'symbol': 'x'}),
-    ])  # fmt: skip
+    figure = go.Figure(
+        [
+            trace(moving, 'all', mode='markers', marker=by_error if scallops else plain),
+            trace(
+                best,
+                'best',
+                mode='lines+markers',
+                line={'color': html.ORANGE, 'shape': 'hv'},
+                marker={'symbol': 'circle-open', 'size': 13},
+            ),
+            trace(
+                [start],
+                'as it is',
+                mode='markers',
+                marker={'color': html.RED, 'size': 11, 'symbol': 'x'},
+            ),
+        ]
+    )
     title = 'highest ridge [um]' if scallops else 'largest error [um]'
     own = {'xaxis_title': 'cycle time [s]', 'yaxis_title': title, 'yaxis_rangemode': 'tozero'}
     return html.laid_out(figure, 420, hovermode='closest', **own)
@@ -370,15 +399,25 @@ def _table(found: dict[Point, Found], best: list[Point], start: Point) -> str:
             continue
         lengths = ('' if x is None else f'{x / UM:.3f}' for x in (one.scallop, one.error))
         command = f'<code>cnc-interp {escape(shlex.join(point.command))}</code>'
-        rows.append((escape(values_text(point)), f'{one.cycle_time:.3f}', *lengths,
-                     escape(why(one)), command))  # fmt: skip
+        rows.append(
+            (
+                escape(values_text(point)),
+                f'{one.cycle_time:.3f}',
+                *lengths,
+                escape(why(one)),
+                command,
+            )
+        )
     heads = 'values', 'time [s]', 'scallop [um]', 'error [um]', 'at a limit', 'command'
     return html.table(heads, rows)
 
 
 def _faults(found: dict[Point, Found]) -> str:
-    lines = [f'<li>{escape(values_text(point))}: {escape(one.fault)}</li>'
-             for point, one in found.items() if one.fault]  # fmt: skip
+    lines = [
+        f'<li>{escape(values_text(point))}: {escape(one.fault)}</li>'
+        for point, one in found.items()
+        if one.fault
+    ]
     if not lines:
         return ''
     return f'<section class="faults"><h2>Not possible</h2><ul>{"".join(lines)}</ul></section>'

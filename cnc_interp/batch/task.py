@@ -53,8 +53,14 @@ class Task:
     def key(self) -> str:
         """Name of the result: a hash of all that it depends on, this package's source included."""
         digest = hashlib.sha256(engine().encode())
-        texts = (self.program, *(name for name, _ in self.files), self.model.text,
-                 self.model.file, json.dumps(self.settings), self.setup)  # fmt: skip
+        texts = (
+            self.program,
+            *(name for name, _ in self.files),
+            self.model.text,
+            self.model.file,
+            json.dumps(self.settings),
+            self.setup,
+        )
         for part in (*(text.encode() for text in texts), *(text for _, text in self.files)):
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()[:32]
@@ -148,9 +154,13 @@ class Jobs:
     """The programs of a batch on its machines; raises InterpError without a program or machine."""
 
     def __init__(
-        self, programs: Sequence[Path], machines: Sequence[str], settings: Settings,
-        plans: Path | None = None, folders: Sequence[str] | None = None,
-    ):  # fmt: skip
+        self,
+        programs: Sequence[Path],
+        machines: Sequence[str],
+        settings: Settings,
+        plans: Path | None = None,
+        folders: Sequence[str] | None = None,
+    ):
         self._folders = folders  #: Where files may lie, as for ``open_named``.
         self._settings, self._setup = settings_of(settings)
         self._plans = plans.resolve() if plans else None

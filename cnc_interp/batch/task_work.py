@@ -80,12 +80,15 @@ def _planned(task: Task, processes: int) -> Row:
         digest = _hash(plan / name for name in PLAN)
     uses: dict[str, Any] = {f'{kind}_use': _use(proof, kind) for kind in proof.kinds}
     return Row(
-        Verdict.PROVEN if proof.ok else Verdict.NOT_PROVEN, '; '.join(proof.failures),
-        setpoints=summary['samples'], **{name: summary[name] for name in SAME} | uses,
+        Verdict.PROVEN if proof.ok else Verdict.NOT_PROVEN,
+        '; '.join(proof.failures),
+        setpoints=summary['samples'],
+        **{name: summary[name] for name in SAME} | uses,
         contour_used=proof.largest('contour error').ratio,
-        orientation_used=proof.largest('orientation error').ratio, notices=tuple(stream.notices),
+        orientation_used=proof.largest('orientation error').ratio,
+        notices=tuple(stream.notices),
         plan_hash=digest,
-    )  # fmt: skip
+    )
 
 
 def _use(proof: Proof, kind: str) -> float:

@@ -55,9 +55,13 @@ def finely(s: FloatArray, parts: list[tuple[float, float]]) -> FloatArray:
 
 
 def raised(
-    curve: GuidingCurve, cutter: Cutter, angles: Angles, parts: list[tuple[float, float]],
-    highest: float, gouge: float,
-) -> Angles:  # fmt: skip
+    curve: GuidingCurve,
+    cutter: Cutter,
+    angles: Angles,
+    parts: list[tuple[float, float]],
+    highest: float,
+    gouge: float,
+) -> Angles:
     """Raise tilts where the heel would enter the surface, and smoothly beside these places."""
     if not parts:
         return angles

@@ -146,9 +146,13 @@ class GuidingPlanes:
             uv = self._onto(spline(np.linspace(0.0, s[-1], count)), plane)
         s = self._arc(uv)
         curve = GuidingCurve(
-            self.surface, self.offset, self.plane_normal, plane,
-            make_interp_spline(s, uv, k=5), float(s[-1]),
-        )  # fmt: skip
+            self.surface,
+            self.offset,
+            self.plane_normal,
+            plane,
+            make_interp_spline(s, uv, k=5),
+            float(s[-1]),
+        )
         ends = curve.surface.at(uv[:2, 0], uv[:2, 1]).offset(self.offset).position
         if float(np.dot(ends[1] - ends[0], curve.frames(s[:1]).feed[0])) < 0.0:
             reverse = make_interp_spline(s[-1] - s[::-1], uv[::-1], k=5)
@@ -213,9 +217,17 @@ class SurfaceCurve:
         t = cross(feed, n)
         u, v = self.parameters(s).T
         return CurveFrames(
-            point.offset(self.offset).position, n, feed, t, n_s, f_s,
-            cross(f_s, n) + cross(feed, n_s), u, v, point.curvature(t),
-        )  # fmt: skip
+            point.offset(self.offset).position,
+            n,
+            feed,
+            t,
+            n_s,
+            f_s,
+            cross(f_s, n) + cross(feed, n_s),
+            u,
+            v,
+            point.curvature(t),
+        )
 
 
 def crossing(u: FloatArray, v: FloatArray) -> int:

@@ -71,19 +71,29 @@ class Figures:
             ends.append(Extreme(sign * float(height[i, j]), row + i, column + j))
         number, count = np.unique(np.floor(h / CLASS).astype(int), return_counts=True)
         return Figures(
-            total, len(h), int(np.count_nonzero(h < -GOUGE)), exact_sum(h, HEIGHT_BITS),
-            exact_sum(h * h, SQUARE_BITS), ends[0], ends[1],
+            total,
+            len(h),
+            int(np.count_nonzero(h < -GOUGE)),
+            exact_sum(h, HEIGHT_BITS),
+            exact_sum(h * h, SQUARE_BITS),
+            ends[0],
+            ends[1],
             dict(zip(number.tolist(), count.tolist(), strict=True)),
-        )  # fmt: skip
+        )
 
     def __add__(self, other: Figures) -> Figures:
         lows = [x.lowest for x in (self, other) if x.lowest]
         highs = [x.highest for x in (self, other) if x.highest]
         return Figures(
-            self.needles + other.needles, self.cut + other.cut, self.gouged + other.gouged,
-            self.total + other.total, self.squares + other.squares, min(lows, default=None),
-            min(highs, default=None), dict(Counter(self.classes) + Counter(other.classes)),
-        )  # fmt: skip
+            self.needles + other.needles,
+            self.cut + other.cut,
+            self.gouged + other.gouged,
+            self.total + other.total,
+            self.squares + other.squares,
+            min(lows, default=None),
+            min(highs, default=None),
+            dict(Counter(self.classes) + Counter(other.classes)),
+        )
 
     @property
     def mean(self) -> float:
@@ -98,11 +108,15 @@ class Figures:
         square = Fraction(self.squares, self.cut << SQUARE_BITS)
         spread = square - Fraction(self.total, self.cut << HEIGHT_BITS) ** 2
         return {
-            'highest': high, 'lowest': low, 'mean': mean,
+            'highest': high,
+            'lowest': low,
+            'mean': mean,
             'Sa': float(Fraction(deviations, self.cut << HEIGHT_BITS)),
-            'Sq': sqrt(max(float(spread), 0.0)), 'Sz': high - low,
-            'gouged': self.gouged / self.cut, 'uncut': 1.0 - self.cut / self.needles,
-        }  # fmt: skip
+            'Sq': sqrt(max(float(spread), 0.0)),
+            'Sz': high - low,
+            'gouged': self.gouged / self.cut,
+            'uncut': 1.0 - self.cut / self.needles,
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures for a file; long numbers are texts."""
@@ -176,9 +190,13 @@ class HeightStore:
     @staticmethod
     def _array(group: Any, name: str, shape: tuple[int, int]) -> Any:
         return group.create_array(
-            name, shape=shape, chunks=(TILE, TILE), dtype='float64', fill_value=np.nan,
+            name,
+            shape=shape,
+            chunks=(TILE, TILE),
+            dtype='float64',
+            fill_value=np.nan,
             overwrite=True,
-        )  # fmt: skip
+        )
 
     def knows(self, row: int, column: int, key: str) -> bool:
         try:

@@ -131,9 +131,15 @@ class PassRecursion:
             angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
         else:
             angles = constant_width(
-                curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
-                o.yaw, self.count(curve), o.overrun,
-            )  # fmt: skip
+                curve,
+                self.cutter,
+                o.scallop_height,
+                self.half_width_at(plane),
+                o.tilt_limits,
+                o.yaw,
+                self.count(curve),
+                o.overrun,
+            )
         return self.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=number)
 
     def next_pass(self, before: Pass, number: int) -> Pass:
@@ -199,9 +205,16 @@ class PassRecursion:
         for _ in range(CLOSER_PLANES):
             curve = self.planes.curve(plane)
             angles = constant_width(
-                curve, self.cutter, o.scallop_height, self.half_width_at(plane), o.tilt_limits,
-                yaw, self.count(curve), o.overrun, strict=False,
-            )  # fmt: skip
+                curve,
+                self.cutter,
+                o.scallop_height,
+                self.half_width_at(plane),
+                o.tilt_limits,
+                yaw,
+                self.count(curve),
+                o.overrun,
+                strict=False,
+            )
             parts = kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
             try:
                 angles = raised(curve, self.cutter, angles, parts, o.tilt_limits[1], o.gouge)
@@ -323,9 +336,14 @@ class PassRecursion:
             )
 
     def diagnosis(
-        self, before: Pass, curve: GuidingCurve, fit: scallop.Fit, fits: BoolArray,
-        distance: float, number: int,
-    ) -> tuple[str, str]:  # fmt: skip
+        self,
+        before: Pass,
+        curve: GuidingCurve,
+        fit: scallop.Fit,
+        fits: BoolArray,
+        distance: float,
+        number: int,
+    ) -> tuple[str, str]:
         o = self.options
         low, high = o.tilt_limits
         i = int(np.argmin(fits))
@@ -398,9 +416,12 @@ class IsoScallopPaths:
 
 
 def iso_scallop_paths(
-    surface: Surface, cutter: Cutter, plane_normal: FloatArray, options: IsoScallopOptions,
+    surface: Surface,
+    cutter: Cutter,
+    plane_normal: FloatArray,
+    options: IsoScallopOptions,
     progress: Callable[[float], None] | None = None,
-) -> IsoScallopPaths:  # fmt: skip
+) -> IsoScallopPaths:
     """Find passes of constant scallop height on a surface [TL2008].
 
     Parameters

@@ -65,18 +65,27 @@ def make_program(options: argparse.Namespace) -> int:
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
     file = write_tool_path(
-        steps, options.feed * MM_PER_MIN, options.chord * UM, out / 'program', options.format,
-        machine, reading,
-    )  # fmt: skip
+        steps,
+        options.feed * MM_PER_MIN,
+        options.chord * UM,
+        out / 'program',
+        options.format,
+        machine,
+        reading,
+    )
     program = read_program(file, Transform.of(machine), reading)
     summary = {
-        'surface': str(options.surface), **facts.facts_of(faces), 'program': str(file),
+        'surface': str(options.surface),
+        **facts.facts_of(faces),
+        'program': str(file),
         'blocks': len(program.blocks) - 1,
-    }  # fmt: skip
+    }
     beside = facts.pole_turn(
         [piece for face in faces for parts in face.parts for piece in parts],
-        options.feed * MM_PER_MIN, tolerance / reading.flank_height, machine,
-    )  # fmt: skip
+        options.feed * MM_PER_MIN,
+        tolerance / reading.flank_height,
+        machine,
+    )
     if beside:
         summary['pole'] = asdict(beside)
     motions = []
@@ -85,9 +94,11 @@ def make_program(options: argparse.Namespace) -> int:
         if options.run:
             progress = _progress(options)
             summary['cycle_time'] = plan_to_files(
-                open_program(file, Transform.of(machine), reading), machine, out / 'plan',
+                open_program(file, Transform.of(machine), reading),
+                machine,
+                out / 'plan',
                 progress=progress.of('planning'),
-            )['cycle_time']  # fmt: skip
+            )['cycle_time']
             progress.end(complete=True)
             files = read_plan(out / 'plan').in_memory()
             motions += [planned(files, machine), _executed(files, machine, options)]
@@ -142,9 +153,12 @@ def _machined(
         paths = _followed(surface, cutter, normal, options)
         clock = time.perf_counter() - clock
         parts, notes = cut_back(
-            paths, cutter, options.overrun * MM, axis,
+            paths,
+            cutter,
+            options.overrun * MM,
+            axis,
             None if options.ignore_neighbours else others,
-        )  # fmt: skip
+        )
     except SurfaceError as error:
         if len(part.surfaces) == 1:
             raise
@@ -166,9 +180,12 @@ def _all(faces: list[MachinedFace], around: Neighbours | None) -> Neighbours | N
 
 
 def _drawn(
-    faces: list[MachinedFace], motions: list[Motion], cutter: Cutter, summary: dict[str, Any],
+    faces: list[MachinedFace],
+    motions: list[Motion],
+    cutter: Cutter,
+    summary: dict[str, Any],
     options: argparse.Namespace,
-) -> list[tuple[str, str, Any]]:  # fmt: skip
+) -> list[tuple[str, str, Any]]:
     from cnc_interp.cam.program_page import path_figure, tilt_figure
 
     figures = []
@@ -270,9 +287,12 @@ def _mean_normal(surface: Surface) -> FloatArray:
 
 
 def _cut(
-    surface: Surface, cutter: Cutter, motion: Motion, normal: FloatArray,
+    surface: Surface,
+    cutter: Cutter,
+    motion: Motion,
+    normal: FloatArray,
     options: argparse.Namespace,
-) -> tuple[Heights, Section]:  # fmt: skip
+) -> tuple[Heights, Section]:
     needles = Needles.on(surface, options.spacing * MM, options.margin * MM)
     progress = _progress(options)
     show = progress.of(f'cutting, {motion.name}')
@@ -305,11 +325,15 @@ def _choices(options: argparse.Namespace) -> IsoScallopOptions:
     return IsoScallopOptions(
         scallop_height=_left_by_passes(options),
         stepover=None if options.stepover is None else options.stepover * MM,
-        tilt=options.tilt * DEG, tilt_limits=(low * DEG, high * DEG), yaw=options.yaw * DEG,
-        freedom=options.freedom, start=options.start, points=options.points,
+        tilt=options.tilt * DEG,
+        tilt_limits=(low * DEG, high * DEG),
+        yaw=options.yaw * DEG,
+        freedom=options.freedom,
+        start=options.start,
+        points=options.points,
         stray=None if options.no_restart else IsoScallopOptions.stray,
         overrun=options.overrun * MM,
-    )  # fmt: skip
+    )
 
 
 def _progress(options: argparse.Namespace) -> ProgressBar:

@@ -47,9 +47,13 @@ class Heights:
 
 
 def cut_needles(
-    needles: Needles, cutter: Cutter, tip: FloatArray, axis: FloatArray,
-    progress: Callable[[float], None] | None = None, device: Device = 'cpu',
-) -> Heights:  # fmt: skip
+    needles: Needles,
+    cutter: Cutter,
+    tip: FloatArray,
+    axis: FloatArray,
+    progress: Callable[[float], None] | None = None,
+    device: Device = 'cpu',
+) -> Heights:
     sweep = MotionPieces.of(cutter, tip, axis)
     rows, columns = needles.shape
     height = np.empty(needles.shape)
@@ -73,9 +77,20 @@ def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> F
         return cut_by_warp(needle, sweep, device).reshape(needles.shape)
     height = np.full(len(needle), TOP)
     cut(
-        needle, *needles.groups(), sweep.first, sweep.middle, sweep.last, sweep.slack,
-        sweep.rough, sweep.batch, stages, widest, R, skin, height,
-    )  # fmt: skip
+        needle,
+        *needles.groups(),
+        sweep.first,
+        sweep.middle,
+        sweep.last,
+        sweep.slack,
+        sweep.rough,
+        sweep.batch,
+        stages,
+        widest,
+        R,
+        skin,
+        height,
+    )
     return height.reshape(needles.shape)
 
 
@@ -98,9 +113,13 @@ class TileTask:
         cutter, sweep = self.sweep.cutter, self.sweep
         digest.update(repr((self.row, self.column, cutter, self.device)).encode())
         for values in (
-            self.needles.base, self.needles.normal, sweep.first, sweep.last, sweep.rough,
+            self.needles.base,
+            self.needles.normal,
+            sweep.first,
+            sweep.last,
+            sweep.rough,
             sweep.batch,
-        ):  # fmt: skip
+        ):
             digest.update(values.tobytes())
         return digest.hexdigest()
 
@@ -115,9 +134,10 @@ class TileWorkers(Protocol):
     """Who cuts tiles; the pools of `batch` do."""
 
     def run(
-        self, function: Callable[[TileTask], CutTile | str],
+        self,
+        function: Callable[[TileTask], CutTile | str],
         arguments: Iterator[Callable[[], TileTask]],
-    ) -> Iterator[Any]: ...  # fmt: skip
+    ) -> Iterator[Any]: ...
 
 
 @dataclass(frozen=True)
@@ -142,9 +162,13 @@ def cut_tile(task: TileTask) -> CutTile | str:
 
 
 def cut_tiles(
-    grid: NeedleGrid, sweep: MotionPieces, workers: TileWorkers, store: HeightStore,
-    progress: Callable[[TileProgress], None], device: Device = 'cpu',
-) -> TileProgress:  # fmt: skip
+    grid: NeedleGrid,
+    sweep: MotionPieces,
+    workers: TileWorkers,
+    store: HeightStore,
+    progress: Callable[[TileProgress], None],
+    device: Device = 'cpu',
+) -> TileProgress:
     """Cut all tiles that the store does not know; each is written as soon as it is cut."""
     rows, columns = grid.shape
     places, known, done = list(patches(rows, columns, TILE, TILE)), 0, 0

@@ -21,9 +21,18 @@ ROUNDING = 1e-9 * MM
 
 @njit(cache=True, nogil=True, inline='always')
 def gap(
-    needle: FloatArray, j: int, h: float, x: float, y: float, z: float, a: float, b: float,
-    c: float, R: float, skin: float,
-) -> tuple[float, float]:  # fmt: skip
+    needle: FloatArray,
+    j: int,
+    h: float,
+    x: float,
+    y: float,
+    z: float,
+    a: float,
+    b: float,
+    c: float,
+    R: float,
+    skin: float,
+) -> tuple[float, float]:
     """Return how far a point of a needle is from the mill [m], and its derivative by height [-].
 
     The point lies at height h [m] on row j of ``needle``, shape (k, 6): base [m] and normal [-].
@@ -49,9 +58,18 @@ def gap(
 
 @njit(cache=True, nogil=True)
 def entry(
-    needle: FloatArray, j: int, x: float, y: float, z: float, a: float, b: float, c: float,
-    R: float, skin: float, begin: float,
-) -> float:  # fmt: skip
+    needle: FloatArray,
+    j: int,
+    x: float,
+    y: float,
+    z: float,
+    a: float,
+    b: float,
+    c: float,
+    R: float,
+    skin: float,
+    begin: float,
+) -> float:
     """Return the height at which a needle enters the mill, or TOP [m]; the distance is convex."""
     h = begin
     distance, rise = gap(needle, j, h, x, y, z, a, b, c, R, skin)
@@ -72,9 +90,16 @@ def entry(
 
 @njit(cache=True, nogil=True)
 def entry_at(
-    needle: FloatArray, j: int, first: FloatArray, last: FloatArray, i: int, share: float,
-    R: float, skin: float, most: float,
-) -> float:  # fmt: skip
+    needle: FloatArray,
+    j: int,
+    first: FloatArray,
+    last: FloatArray,
+    i: int,
+    share: float,
+    R: float,
+    skin: float,
+    most: float,
+) -> float:
     """Return the entry height at a share of piece i of the motion; ``most``: that so far [m]."""
     x = first[i, 0] + share * (last[i, 0] - first[i, 0])
     y = first[i, 1] + share * (last[i, 1] - first[i, 1])
@@ -118,25 +143,62 @@ def cut_roughly(
 
 @njit(cache=True, nogil=True, inline='always')
 def cut_finely(
-    needle: FloatArray, j: int, most: float, first: FloatArray, middle: FloatArray,
-    last: FloatArray, slack: float, i: int, stages: int, widest: float, R: float, skin: float,
-) -> float:  # fmt: skip
+    needle: FloatArray,
+    j: int,
+    most: float,
+    first: FloatArray,
+    middle: FloatArray,
+    last: FloatArray,
+    slack: float,
+    i: int,
+    stages: int,
+    widest: float,
+    R: float,
+    skin: float,
+) -> float:
     """Return the height of a needle, before ``most``, after the mill's way along piece i [m]."""
     half, rise = gap(
-        needle, j, most, middle[i, 0], middle[i, 1], middle[i, 2], middle[i, 3], middle[i, 4],
-        middle[i, 5], R, skin,
-    )  # fmt: skip
+        needle,
+        j,
+        most,
+        middle[i, 0],
+        middle[i, 1],
+        middle[i, 2],
+        middle[i, 3],
+        middle[i, 4],
+        middle[i, 5],
+        R,
+        skin,
+    )
     # A cut below the end of the needle lies within SHORT of it.
     if half > slack and (rise <= 0.0 or half > slack + SHORT):
         return most
     begin, rise_first = gap(
-        needle, j, most, first[i, 0], first[i, 1], first[i, 2], first[i, 3], first[i, 4],
-        first[i, 5], R, skin,
-    )  # fmt: skip
+        needle,
+        j,
+        most,
+        first[i, 0],
+        first[i, 1],
+        first[i, 2],
+        first[i, 3],
+        first[i, 4],
+        first[i, 5],
+        R,
+        skin,
+    )
     end, rise_last = gap(
-        needle, j, most, last[i, 0], last[i, 1], last[i, 2], last[i, 3], last[i, 4],
-        last[i, 5], R, skin,
-    )  # fmt: skip
+        needle,
+        j,
+        most,
+        last[i, 0],
+        last[i, 1],
+        last[i, 2],
+        last[i, 3],
+        last[i, 4],
+        last[i, 5],
+        R,
+        skin,
+    )
     # The distance is convex along a straight piece: this bounds its minimum. A needle is clear
     # from its end down if the distance falls with the height.
     if min(half, 2.0 * half - max(begin, end)) > 0.0:
@@ -180,10 +242,22 @@ def _reach(order: IntArray, begin: int, end: int, height: FloatArray) -> float:
 
 @njit(cache=True, nogil=True)
 def cut(
-    needle: FloatArray, order: IntArray, starts: IntArray, ball: FloatArray, first: FloatArray,
-    middle: FloatArray, last: FloatArray, slack: FloatArray, rough: BoolArray, batch: IntArray,
-    stages: int, widest: float, R: float, skin: float, height: FloatArray,
-) -> None:  # fmt: skip
+    needle: FloatArray,
+    order: IntArray,
+    starts: IntArray,
+    ball: FloatArray,
+    first: FloatArray,
+    middle: FloatArray,
+    last: FloatArray,
+    slack: FloatArray,
+    rough: BoolArray,
+    batch: IntArray,
+    stages: int,
+    widest: float,
+    R: float,
+    skin: float,
+    height: FloatArray,
+) -> None:
     """Cut needles by pieces of motion: ``height`` (k,) is lowered in place [m].
 
     ``needle`` (k, 6): base [m] and unit normal [-]; ``order`` (k,): numbers of the needles, group
@@ -214,8 +288,18 @@ def cut(
                 for k in range(begin, end):
                     j = order[k]
                     height[j] = cut_finely(
-                        needle, j, height[j], first, middle, last, slack[p], p, stages, widest,
-                        R, skin,
-                    )  # fmt: skip
+                        needle,
+                        j,
+                        height[j],
+                        first,
+                        middle,
+                        last,
+                        slack[p],
+                        p,
+                        stages,
+                        widest,
+                        R,
+                        skin,
+                    )
                     reach = max(reach, -height[j])
             i = after

@@ -196,9 +196,14 @@ class MotionPieces:
         reach = radius + self.skin + max(TOP, DEPTH) + SHORT + ROUNDING
         kept = away <= reach + self.slack
         return MotionPieces(
-            self.cutter, self.first[kept], self.middle[kept], self.last[kept], self.slack[kept],
-            self.rough[kept], self.batch[kept],
-        )  # fmt: skip
+            self.cutter,
+            self.first[kept],
+            self.middle[kept],
+            self.last[kept],
+            self.slack[kept],
+            self.rough[kept],
+            self.batch[kept],
+        )
 
 
 def pieces(

@@ -93,9 +93,16 @@ def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> A
 
 
 def constant_width(
-    curve: GuidingCurve, cutter: Cutter, height: float, half_width: float,
-    limits: tuple[float, float], yaw: float, count: int, overrun: float, strict: bool = True,
-) -> Angles:  # fmt: skip
+    curve: GuidingCurve,
+    cutter: Cutter,
+    height: float,
+    half_width: float,
+    limits: tuple[float, float],
+    yaw: float,
+    count: int,
+    overrun: float,
+    strict: bool = True,
+) -> Angles:
     """Find the tilts for which the scallop lies in a plane parallel to the guiding plane."""
     s = np.linspace(0.0, curve.length, count)
     kept = kept_places(curve, s, np.full(count, half_width), overrun)

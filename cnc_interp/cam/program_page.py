@@ -29,12 +29,18 @@ def map_figure(heights: Heights, scallop: float) -> Any:
     shown = np.where(heights.cut, heights.height, np.nan) / UM
     shown = thinned(shown, skip)
     top = RANGE * scallop / UM
-    figure = go.Figure(go.Heatmap(
-        x=html.rounded(x[::skip]), y=html.rounded(y[::skip]), z=html.rounded(shown.T),
-        zmin=-top, zmax=top, colorscale=COLOURS,
-        colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
-        hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
-    ))  # fmt: skip
+    figure = go.Figure(
+        go.Heatmap(
+            x=html.rounded(x[::skip]),
+            y=html.rounded(y[::skip]),
+            z=html.rounded(shown.T),
+            zmin=-top,
+            zmax=top,
+            colorscale=COLOURS,
+            colorbar={'title': {'text': 'height, &#181;m'}, 'thickness': 12},
+            hovertemplate='%{x:.2f}, %{y:.2f} mm: %{z:.2f} um<extra></extra>',
+        )
+    )
     own = {'xaxis_constrain': 'domain', 'yaxis_scaleanchor': 'x', 'hovermode': 'closest'}
     titles = {'xaxis_title': 'along u (mm)', 'yaxis_title': 'along v (mm)'}
     return html.laid_out(figure, 560, **titles, **own)
@@ -56,10 +62,14 @@ def thinned(values: FloatArray, skip: int) -> FloatArray:
 
 def section_figure(section: Section, scallop: float) -> Any:
     row = section.height[len(section.height) // 2] / UM
-    figure = go.Figure(go.Scatter(
-        x=html.rounded(section.way / MM), y=html.rounded(row), name='height',
-        line={'color': html.BLUE, 'width': 1.2},
-    ))  # fmt: skip
+    figure = go.Figure(
+        go.Scatter(
+            x=html.rounded(section.way / MM),
+            y=html.rounded(row),
+            name='height',
+            line={'color': html.BLUE, 'width': 1.2},
+        )
+    )
     figure.add_hline(scallop / UM, line={'color': html.RED, 'width': 1.0, 'dash': 'dash'})
     titles = {'xaxis_title': 'across the passes (mm)', 'yaxis_title': 'height (&#181;m)'}
     return html.laid_out(figure, 300, showlegend=False, **titles)
@@ -71,10 +81,14 @@ def tilt_figure(paths: IsoScallopPaths) -> Any:
     for k in chosen:
         made = paths.passes[k]
         tilt = made.postures.tilt / DEG
-        figure.add_trace(go.Scatter(
-            x=html.rounded(made.s / made.curve.length), y=html.rounded(tilt), name=f'pass {k + 1}',
-            line={'width': 1.5},
-        ))  # fmt: skip
+        figure.add_trace(
+            go.Scatter(
+                x=html.rounded(made.s / made.curve.length),
+                y=html.rounded(tilt),
+                name=f'pass {k + 1}',
+                line={'width': 1.5},
+            )
+        )
     return html.laid_out(figure, 380, xaxis_title='along the pass (-)', yaxis_title='tilt (deg)')
 
 

@@ -187,9 +187,13 @@ def conditions(postures: Postures, scallops: Scallops) -> tuple[FloatArray, Floa
 
 
 def fit_postures(
-    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float, freedom: Freedom,
+    curve: GuidingCurve,
+    cutter: Cutter,
+    scallops: Scallops,
+    height: float,
+    freedom: Freedom,
     fixed_angle: float,
-) -> Fit:  # fmt: skip
+) -> Fit:
     s = nearest_places(curve, scallops)
     guess = first_guess(curve, cutter, scallops, height, freedom, fixed_angle, s)
     fit = _newton(curve, cutter, scallops, freedom, fixed_angle, s, guess)
@@ -202,10 +206,12 @@ def fit_postures(
         )
         better = again & retry.found
         fit = Fit(
-            np.where(better, retry.s, fit.s), np.where(better, retry.tilt, fit.tilt),
-            np.where(better, retry.yaw, fit.yaw), fit.found | better,
+            np.where(better, retry.s, fit.s),
+            np.where(better, retry.tilt, fit.tilt),
+            np.where(better, retry.yaw, fit.yaw),
+            fit.found | better,
             fit.iterations + np.where(again, retry.iterations, 0),
-        )  # fmt: skip
+        )
     return fit
 
 
@@ -223,9 +229,14 @@ def nearest_places(curve: GuidingCurve, scallops: Scallops) -> FloatArray:
 
 
 def first_guess(
-    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, height: float,
-    freedom: Freedom, fixed_angle: float, s: FloatArray,
-) -> FloatArray:  # fmt: skip
+    curve: GuidingCurve,
+    cutter: Cutter,
+    scallops: Scallops,
+    height: float,
+    freedom: Freedom,
+    fixed_angle: float,
+    s: FloatArray,
+) -> FloatArray:
     """Guess the free angle from the cylinder with the local curvature [TL2008, 3.2]."""
     frames = curve.frames(s)
     width = np.abs(dot(np.nan_to_num(scallops.position) - frames.position, frames.across))
@@ -260,9 +271,14 @@ def newton_step(
 
 
 def _newton(
-    curve: GuidingCurve, cutter: Cutter, scallops: Scallops, freedom: Freedom, fixed_angle: float,
-    s: FloatArray, angle: FloatArray,
-) -> Fit:  # fmt: skip
+    curve: GuidingCurve,
+    cutter: Cutter,
+    scallops: Scallops,
+    freedom: Freedom,
+    fixed_angle: float,
+    s: FloatArray,
+    angle: FloatArray,
+) -> Fit:
     n = len(s)
     fixed = np.full(n, fixed_angle)
 

@@ -107,10 +107,12 @@ class Cylinder(Surface):
         k = self.up
         return (
             np.stack([s, v, k * c - k * self.radius], axis=-1),
-            np.stack([c, zero, -k * s], axis=-1), np.stack([zero, zero + 1.0, zero], axis=-1),
-            np.stack([-s, zero, -k * c], axis=-1), np.zeros((*u.shape, 3)),
+            np.stack([c, zero, -k * s], axis=-1),
+            np.stack([zero, zero + 1.0, zero], axis=-1),
+            np.stack([-s, zero, -k * c], axis=-1),
             np.zeros((*u.shape, 3)),
-        )  # fmt: skip
+            np.zeros((*u.shape, 3)),
+        )
 
 
 class Torus(Surface):
@@ -135,18 +137,25 @@ class Torus(Surface):
         d_across = np.stack([zero, a * np.cos(v), zero], axis=-1)
         dd_across = np.stack([zero, -y, zero], axis=-1)
         return (
-            turned(far, s, c) + across, turned(far, c, -s), turned(d_far, s, c) + d_across,
-            turned(far, -s, -c), turned(d_far, c, -s), turned(dd_far, s, c) + dd_across,
-        )  # fmt: skip
+            turned(far, s, c) + across,
+            turned(far, c, -s),
+            turned(d_far, s, c) + d_across,
+            turned(far, -s, -c),
+            turned(d_far, c, -s),
+            turned(dd_far, s, c) + dd_across,
+        )
 
 
 class BSplineSurface(Surface):
     """Tensor-product B-spline surface; the last spans continue beyond its border."""
 
     def __init__(
-        self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
-        degree: tuple[int, int] = (3, 3), flip: bool = False,
-    ):  # fmt: skip
+        self,
+        knots: tuple[FloatArray, FloatArray],
+        control_points: FloatArray,
+        degree: tuple[int, int] = (3, 3),
+        flip: bool = False,
+    ):
         for t, k, n, name in zip(knots, degree, control_points.shape, 'uv', strict=False):
             if k < 2:
                 raise SurfaceError(f'degree {k} in {name}: curvatures need degree 2 or more')
@@ -188,9 +197,13 @@ class BSplineSurface(Surface):
 
 class RationalSurface(Surface):
     def __init__(
-        self, knots: tuple[FloatArray, FloatArray], control_points: FloatArray,
-        weights: FloatArray, degree: tuple[int, int] = (3, 3), flip: bool = False,
-    ):  # fmt: skip
+        self,
+        knots: tuple[FloatArray, FloatArray],
+        control_points: FloatArray,
+        weights: FloatArray,
+        degree: tuple[int, int] = (3, 3),
+        flip: bool = False,
+    ):
         w = np.repeat(weights[..., None], 3, axis=2)
         self.above = BSplineSurface(knots, w * control_points, degree)
         self.weight = BSplineSurface(knots, w, degree)
@@ -203,9 +216,11 @@ class RationalSurface(Surface):
         s = a / w
         s_u, s_v = (a_u - w_u * s) / w, (a_v - w_v * s) / w
         return (
-            *(s, s_u, s_v), (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
-            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w, (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
-        )  # fmt: skip
+            *(s, s_u, s_v),
+            (a_uu - 2.0 * w_u * s_u - w_uu * s) / w,
+            (a_uv - w_u * s_v - w_v * s_u - w_uv * s) / w,
+            (a_vv - 2.0 * w_v * s_v - w_vv * s) / w,
+        )
 
 
 BOUNDARY = 0.05 * MM  #: Distance of the points that stand for the boundary [m].

@@ -51,9 +51,11 @@ class SplinePass:
 
     @staticmethod
     def of(
-        made: Strip, overrun: float, fixed_axis: FloatArray | None = None,
+        made: Strip,
+        overrun: float,
+        fixed_axis: FloatArray | None = None,
         neighbours: Neighbours | None = None,
-    ) -> list[SplinePass]:  # fmt: skip
+    ) -> list[SplinePass]:
         def rows(places: FloatArray) -> FloatArray:
             postures = made.tool(places)
             axis = postures.axis if fixed_axis is None else np.broadcast_to(fixed_axis, (1, 3))
@@ -145,9 +147,12 @@ class MachinedFace:
 
 
 def cut_back(
-    paths: Strips, cutter: Cutter, overrun: float,
-    fixed_axis: FloatArray | None, others: Neighbours | None,
-) -> tuple[list[list[SplinePass]], list[str]]:  # fmt: skip
+    paths: Strips,
+    cutter: Cutter,
+    overrun: float,
+    fixed_axis: FloatArray | None,
+    others: Neighbours | None,
+) -> tuple[list[list[SplinePass]], list[str]]:
     found = [SplinePass.of(made, overrun, fixed_axis, others) for made in paths.passes]
     parts = [one for one in found if one]
     if others is None:

@@ -16,14 +16,17 @@ from cnc_interp.core import MM, FloatArray, norm
 #: OpenCASCADE's classes of surfaces and their names in lists and messages.
 SPLINE, BEZIER = 'Geom_BSplineSurface', 'Geom_BezierSurface'
 ANALYTIC = {
-    'Geom_Plane': 'plane', 'Geom_CylindricalSurface': 'cylinder',
-    'Geom_SphericalSurface': 'sphere', 'Geom_ToroidalSurface': 'torus',
-}  # fmt: skip
+    'Geom_Plane': 'plane',
+    'Geom_CylindricalSurface': 'cylinder',
+    'Geom_SphericalSurface': 'sphere',
+    'Geom_ToroidalSurface': 'torus',
+}
 CONVERTED = {
-    BEZIER: 'Bezier patch', 'Geom_ConicalSurface': 'cone',
+    BEZIER: 'Bezier patch',
+    'Geom_ConicalSurface': 'cone',
     'Geom_SurfaceOfLinearExtrusion': 'extrusion',
     'Geom_SurfaceOfRevolution': 'surface of revolution',
-}  # fmt: skip
+}
 NAMES = {SPLINE: 'B-spline', **ANALYTIC, **CONVERTED, 'Geom_OffsetSurface': 'offset surface'}
 #: A boundary within this distance of the rectangle of parameters is the rectangle [m].
 ON_BORDER = 10e-6
@@ -203,9 +206,9 @@ class StepFace:
             low, high = (np.array(ends) for ends in zip(*surface.domain, strict=True))
         else:
             low, high = np.array(self.bounds).reshape(2, 2).T
-        scale = np.array([
-            b - a for a, b in surface.domain
-        ]) / (np.array(surface.growth(1.0)) * (high - low))  # fmt: skip
+        scale = np.array([b - a for a, b in surface.domain]) / (
+            np.array(surface.growth(1.0)) * (high - low)
+        )
         farthest = 0.0
         for uv_at in self._curves():
             uv = uv_at(EDGE_POINTS)

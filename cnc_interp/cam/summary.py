@@ -58,8 +58,12 @@ def pole_turn(
     near = [one for one in found if one[1] > NEAR]
     if not near:
         return None
-    together = _Turns(*(np.concatenate(columns) for columns in zip(*(
-        (turn.start, turn.end, turn.rate) for turn in turns), strict=True)))  # fmt: skip
+    together = _Turns(
+        *(
+            np.concatenate(columns)
+            for columns in zip(*((turn.start, turn.end, turn.rate) for turn in turns), strict=True)
+        )
+    )
     about, angle = '', 0.0
     for size, name, sign in (
         (size, name, sign) for size in TURNS for name in 'XY' for sign in (1, -1)
@@ -130,11 +134,13 @@ def face_facts(summary: dict[str, Any]) -> list[dict[str, Any]]:
 def _facts_of(face: MachinedFace) -> dict[str, Any]:
     paths = face.paths
     found = {
-        'passes': len(paths.passes), 'postures': sum(len(p.s) for p in paths.passes),
-        'computing_time': face.seconds, 'length': sum(p.curve.length for p in paths.passes),
+        'passes': len(paths.passes),
+        'postures': sum(len(p.s) for p in paths.passes),
+        'computing_time': face.seconds,
+        'length': sum(p.curve.length for p in paths.passes),
         'milled_parts': sum(map(len, face.parts)),
         'milled_length': sum(x.ends[1] - x.ends[0] for parts in face.parts for x in parts),
-    }  # fmt: skip
+    }
     if not isinstance(paths, IsoScallopPaths):
         return found
     tilt = np.concatenate([p.angles.tilt for p in paths.passes])
@@ -157,9 +163,12 @@ def ridges_of(section: Section) -> dict[str, Any]:
         return {}
     low, middle, high = np.percentile(section.ridges, [5.0, 50.0, 95.0]).tolist()
     return {
-        'ridges': len(section.ridges), 'ridge_5': low, 'ridge_50': middle, 'ridge_95': high,
+        'ridges': len(section.ridges),
+        'ridge_5': low,
+        'ridge_50': middle,
+        'ridge_95': high,
         'ridge_highest': float(section.ridges.max()),
-    }  # fmt: skip
+    }
 
 
 def describe(summary: dict[str, Any]) -> str:

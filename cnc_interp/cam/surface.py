@@ -31,9 +31,11 @@ class SurfacePoint:
 
     def offset(self, distance: float) -> SurfacePoint:
         return replace(
-            self, position=self.position + distance * self.normal,
-            d_u=self.d_u + distance * self.n_u, d_v=self.d_v + distance * self.n_v,
-        )  # fmt: skip
+            self,
+            position=self.position + distance * self.normal,
+            d_u=self.d_u + distance * self.n_u,
+            d_v=self.d_v + distance * self.n_v,
+        )
 
     def components(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a and b with ``tangent = a S_u + b S_v``."""
@@ -124,8 +126,9 @@ class Surface(ABC):
         grow_u, grow_v = self.growth(extension) if extension else (0.0, 0.0)
         u, v = np.meshgrid(
             np.linspace(u0 - grow_u, u1 + grow_u, rows),
-            np.linspace(v0 - grow_v, v1 + grow_v, columns), indexing='ij',
-        )  # fmt: skip
+            np.linspace(v0 - grow_v, v1 + grow_v, columns),
+            indexing='ij',
+        )
         return u, v
 
     def growth(self, extension: float) -> tuple[float, float]:
@@ -199,9 +202,13 @@ class Placed(Surface):
     """A surface that is turned and moved, as on a fixture."""
 
     def __init__(
-        self, surface: Surface, rotation: FloatArray, shift: FloatArray,
-        domain: Domain | None = None, flip: bool = False,
-    ):  # fmt: skip
+        self,
+        surface: Surface,
+        rotation: FloatArray,
+        shift: FloatArray,
+        domain: Domain | None = None,
+        flip: bool = False,
+    ):
         super().__init__(domain or surface.domain)
         self.surface, self.rotation, self.shift = surface, rotation, shift
         self.sign = -surface.sign if flip else surface.sign

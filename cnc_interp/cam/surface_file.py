@@ -26,14 +26,15 @@ from cnc_interp.core.small_files import BoundedMemory, UnreadableError, read_jso
 STEP_SUFFIXES = '.step', '.stp', '.p21'
 #: Keys of each kind of surface, and those that may be left out.
 KEYS = {
-    'plane': ('size_mm',), 'bumps': ('size_mm', 'bumps_mm'),
+    'plane': ('size_mm',),
+    'bumps': ('size_mm', 'bumps_mm'),
     'cap': ('size_mm', 'radius_mm', 'blend_mm', 'angle_deg'),
     'cylinder': ('radius_mm', 'angle_deg', 'length_mm', 'hollow'),
     'sphere': ('radius_mm', 'u_angle_deg', 'v_angle_deg'),
     'torus': ('ring_mm', 'radius_mm', 'u_angle_deg', 'v_angle_deg'),
     'bspline': ('knots_u', 'knots_v', 'points_mm', 'degree', 'flip'),
     'grid': ('points_mm', 'flip'),
-}  # fmt: skip
+}
 OPTIONAL = ('hollow', 'degree', 'flip')
 
 
@@ -142,9 +143,12 @@ def read_step_safely(path: Path, faces: Sequence[int], note: Callable[[str], Non
     given, own = os.environ.get('PYTHONPATH', ''), str(Path(__file__).parents[2])
     places = os.pathsep.join(filter(None, [given, own]))
     child = subprocess.run(
-        command, env=os.environ | {'PYTHONPATH': places},
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        command,
+        env=os.environ | {'PYTHONPATH': places},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
     if code := child.returncode:
         why = f'it ended by {signal.Signals(-code).name}' if code < 0 else f'exit code {code}'
         if code == -signal.SIGXCPU:

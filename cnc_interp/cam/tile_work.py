@@ -48,19 +48,25 @@ def refuse_options(options: argparse.Namespace) -> None:
 
 
 def simulate_in_tiles(
-    surface: Surface, cutter: Cutter, motion: Motion, section: Section,
+    surface: Surface,
+    cutter: Cutter,
+    motion: Motion,
+    section: Section,
     options: argparse.Namespace,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     out: Path = options.tiles
     u, v = surface.grid(SAMPLES, SAMPLES)
     if not surface.contains(u, v).all():
         raise InterpError('--tiles does not follow the boundary of a trimmed face; leave it out')
     grid = NeedleGrid.on(surface, options.spacing * MM, options.margin * MM)
     about = {
-        'surface': str(options.surface), 'motion': str(options.motion), 'kind': motion.name,
-        'tool_radius': cutter.tool_radius, 'corner_radius': cutter.corner_radius,
+        'surface': str(options.surface),
+        'motion': str(options.motion),
+        'kind': motion.name,
+        'tool_radius': cutter.tool_radius,
+        'corner_radius': cutter.corner_radius,
         'margin': options.margin * MM,
-    }  # fmt: skip
+    }
     store = HeightStore(out, grid, about)
     workers = options.workers or len(os.sched_getaffinity(0))
     pool: Pool = options.pool
@@ -85,19 +91,24 @@ def simulate_in_tiles(
     words = f'{motion.name} motion of {options.motion}, mill of {diameter:g} mm'
     page.write(str(options.surface), words, found, figures)
     found['tiles'] = {
-        'rows': grid.shape[0], 'columns': grid.shape[1], 'needles': figures.needles,
-        'tiles': reached.total, 'known_before': reached.known,
-        'histogram': histogram(figures), 'folder': str(out),
-    }  # fmt: skip
+        'rows': grid.shape[0],
+        'columns': grid.shape[1],
+        'needles': figures.needles,
+        'tiles': reached.total,
+        'known_before': reached.known,
+        'histogram': histogram(figures),
+        'folder': str(out),
+    }
     return found
 
 
 def histogram(figures: Figures) -> dict[str, Any]:
     numbers = sorted(figures.classes)
     return {
-        'width': CLASS, 'from': [n * CLASS for n in numbers],
+        'width': CLASS,
+        'from': [n * CLASS for n in numbers],
         'needles': [figures.classes[n] for n in numbers],
-    }  # fmt: skip
+    }
 
 
 #: Unit of the heights on the page [m], and the number that stands for zero.
@@ -105,9 +116,14 @@ STEP, ZERO = 1e-9, 1 << 23
 POINTS = 65  #: Points in each direction from which the page tells x, y and z.
 #: Colours of the map, by their place from -1.3 to 1.3 scallop heights; blue turns to yellow at 1.
 COLOURS = [
-    [0.0, '#7b1d12'], [0.35, '#d9583f'], [0.5, '#f7f7f7'], [0.75, '#4f93c9'],
-    [0.885, '#123a63'], [0.89, '#e0b21e'], [1.0, '#e08a1e'],
-]  # fmt: skip
+    [0.0, '#7b1d12'],
+    [0.35, '#d9583f'],
+    [0.5, '#f7f7f7'],
+    [0.75, '#4f93c9'],
+    [0.885, '#123a63'],
+    [0.89, '#e0b21e'],
+    [1.0, '#e08a1e'],
+]
 RANGE = 1.3
 
 
@@ -129,25 +145,32 @@ class TilePage:
         places, lengths = self._places()
         numbers = sorted(figures.classes)
         facts = {
-            'tile': TILE, 'levels': self._store.levels, 'shape': self._store.shape,
-            'lengths': lengths, 'places': places, 'step': STEP / UM, 'zero': ZERO,
-            'top': RANGE * self._scallop / UM, 'scallop': self._scallop / UM, 'colours': COLOURS,
+            'tile': TILE,
+            'levels': self._store.levels,
+            'shape': self._store.shape,
+            'lengths': lengths,
+            'places': places,
+            'step': STEP / UM,
+            'zero': ZERO,
+            'top': RANGE * self._scallop / UM,
+            'scallop': self._scallop / UM,
+            'colours': COLOURS,
             'lowest': [figures.lowest.row, figures.lowest.column, figures.lowest.height / UM],
-            'highest': [
-                figures.highest.row, figures.highest.column, -figures.highest.height / UM
-            ],
+            'highest': [figures.highest.row, figures.highest.column, -figures.highest.height / UM],
             'classes': [[n * CLASS / UM, figures.classes[n]] for n in numbers],
             'width': CLASS / UM,
-        }  # fmt: skip
+        }
         words = '\n'.join(line.strip() for line in heights_in_words(found).splitlines())
         here = Path(__file__).parent
         html = (here / 'tile_page.html').read_text(encoding='utf-8')
         for mark, text in (
-            ('TITLE', escape(title)), ('MOTION', escape(motion)), ('STYLE', STYLE),
+            ('TITLE', escape(title)),
+            ('MOTION', escape(motion)),
+            ('STYLE', STYLE),
             ('WORDS', escape(words)),
             ('FACTS', json.dumps(facts).replace('</', '<\\/')),
             ('SCRIPT', (here / 'tile_page.js').read_text(encoding='utf-8')),
-        ):  # fmt: skip
+        ):
             html = html.replace(f'<!--{mark}-->', text)
         (self._store.folder / 'index.html').write_text(html, encoding='utf-8')
 

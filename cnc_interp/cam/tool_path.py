@@ -48,9 +48,13 @@ class Link:
 
 
 def link(
-    passes: Sequence[Sequence[SplinePass]], surface: Surface, cutter: Cutter,
-    options: LinkOptions, around: Neighbours | None = None, up: FloatArray | None = None,
-) -> list[Link | SplinePass]:  # fmt: skip
+    passes: Sequence[Sequence[SplinePass]],
+    surface: Surface,
+    cutter: Cutter,
+    options: LinkOptions,
+    around: Neighbours | None = None,
+    up: FloatArray | None = None,
+) -> list[Link | SplinePass]:
     u, v = surface.grid(SAMPLES, SAMPLES)
     ours = surface.contains(u, v)
     points = surface.at(u[ours], v[ours])
@@ -108,9 +112,13 @@ def _in_order(
 
 
 def _clear(
-    start: Link, tip: FloatArray, axis: FloatArray, cutter: Cutter, obstacles: Neighbours,
+    start: Link,
+    tip: FloatArray,
+    axis: FloatArray,
+    cutter: Cutter,
+    obstacles: Neighbours,
     gap: float,
-) -> bool:  # fmt: skip
+) -> bool:
     share = np.linspace(0.0, 1.0, 2 + int(float(norm(tip - start.tip)) / gap))[:, None]
     tips = start.tip + share * (tip - start.tip)
     axes = unit(start.axis + share * (axis - start.axis))
@@ -145,9 +153,14 @@ SUFFIXES: dict[str, str] = {'spline': '.mpf', 'cl': '.apt', 'gcode': '.ngc'}
 
 
 def write_tool_path(
-    steps: Sequence[Link | SplinePass], feedrate: float, chord_tolerance: float, file: Path,
-    form: Format, machine: Machine, reading: Settings,
-) -> Path:  # fmt: skip
+    steps: Sequence[Link | SplinePass],
+    feedrate: float,
+    chord_tolerance: float,
+    file: Path,
+    form: Format,
+    machine: Machine,
+    reading: Settings,
+) -> Path:
     path = file.with_suffix(SUFFIXES[form])
     if form == 'spline':
         text = siemens(_control_points(steps, feedrate), [])
@@ -172,8 +185,9 @@ def _control_points(steps: Sequence[Link | SplinePass], feedrate: float) -> Iter
         for i in range(1, len(points)):
             # Block i holds t(i+3) - t(i+2).
             gap = float(knots[i + 3] - knots[i + 2])
-            yield WrittenMove(points[i, :3], feedrate, False, False, second=points[i, 3:],
-                       knot_interval=gap)  # fmt: skip
+            yield WrittenMove(
+                points[i, :3], feedrate, False, False, second=points[i, 3:], knot_interval=gap
+            )
 
 
 def _points(path: ToolPath, feedrate: float) -> Iterator[WrittenMove]:

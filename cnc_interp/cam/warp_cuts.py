@@ -72,13 +72,22 @@ def cut_by_warp(needle: FloatArray, sweep: MotionPieces, device: str) -> FloatAr
     stages, widest = sweep.search
     poses = (there(poses, wp.float64) for poses in (sweep.first, sweep.middle, sweep.last))
     wp.launch(
-        _kernel(), len(needle), device=place,
+        _kernel(),
+        len(needle),
+        device=place,
         inputs=[
-            there(needle, wp.float64), *poses, there(sweep.slack, wp.float64),
-            there(sweep.rough.astype(np.int32), wp.int32), there(end.astype(np.int32), wp.int32),
-            stages, widest, sweep.cutter.tool_radius, sweep.skin, height,
+            there(needle, wp.float64),
+            *poses,
+            there(sweep.slack, wp.float64),
+            there(sweep.rough.astype(np.int32), wp.int32),
+            there(end.astype(np.int32), wp.int32),
+            stages,
+            widest,
+            sweep.cutter.tool_radius,
+            sweep.skin,
+            height,
         ],
-    )  # fmt: skip
+    )
     return np.asarray(height.numpy())
 
 

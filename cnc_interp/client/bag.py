@@ -24,8 +24,10 @@ from cnc_interp.nodes.streams import opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
-    'loaded_program': (msg.LoadedProgram, qos.LOADED), 'setup_table': (msg.SetupTable, qos.LOADED),
-    'blocks': (msg.G1Block, qos.STREAM), 'block_batches': (msg.G1BlockBatch, qos.STREAM),
+    'loaded_program': (msg.LoadedProgram, qos.LOADED),
+    'setup_table': (msg.SetupTable, qos.LOADED),
+    'blocks': (msg.G1Block, qos.STREAM),
+    'block_batches': (msg.G1BlockBatch, qos.STREAM),
     'segments': (msg.PathSegmentBatch, qos.STREAM),
     'setpoints': (msg.SetpointChunk, qos.SETPOINTS),
     'executed_setpoints': (msg.SetpointChunk, qos.STREAM),
@@ -34,9 +36,10 @@ TOPICS: dict[str, tuple[Any, QoSProfile]] = {
     'stream_status': (msg.StreamStatus, qos.STATUS),
     'machine_state': (msg.MachineState, qos.STATE),
     'machine_signals': (msg.MachineSignals, qos.LOADED),
-    'probe_contact': (msg.ProbeContact, qos.CONTACTS), 'joint_states': (JointState, qos.JOINTS),
+    'probe_contact': (msg.ProbeContact, qos.CONTACTS),
+    'joint_states': (JointState, qos.JOINTS),
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
-}  # fmt: skip
+}
 #: Topics whose messages end with a checksum.
 SEALED = ('blocks', 'block_batches', 'segments', 'setpoints')
 PARAMETER = 'parameter.'  #: Before the parameters of the nodes, in the custom data of a bag.
@@ -66,9 +69,16 @@ def offered(profile: QoSProfile) -> interfaces.Qos:
     """Describe a quality of service, so that a player offers the same."""
     durability = interfaces.QosDurability[profile.durability.name]
     return interfaces.Qos(
-        interfaces.QosHistory.KEEP_LAST, profile.depth, interfaces.QosReliability.RELIABLE,
-        durability, ENDLESS, ENDLESS, interfaces.QosLiveliness.AUTOMATIC, ENDLESS, False,
-    )  # fmt: skip
+        interfaces.QosHistory.KEEP_LAST,
+        profile.depth,
+        interfaces.QosReliability.RELIABLE,
+        durability,
+        ENDLESS,
+        ENDLESS,
+        interfaces.QosLiveliness.AUTOMATIC,
+        ENDLESS,
+        False,
+    )
 
 
 def refuse_existing(path: Path) -> None:
@@ -95,11 +105,13 @@ class BagWriter:
         store = types()
         self._connections = {
             topic: self._writer.add_connection(
-                f'/{topic.removeprefix("/")}', type_name(kind), typestore=store,
+                f'/{topic.removeprefix("/")}',
+                type_name(kind),
+                typestore=store,
                 offered_qos_profiles=[offered(profile)],
             )
             for topic, (kind, profile) in TOPICS.items()
-        }  # fmt: skip
+        }
 
     def note(self, node: str, parameters: dict[str, Any]) -> None:
         self.keep({f'{PARAMETER}{node}.{k}': json.dumps(v) for k, v in parameters.items()})
@@ -167,9 +179,12 @@ class SpooledMessages(Sequence[Any]):
     """Messages in a file, each read when it is asked for."""
 
     def __init__(
-        self, file: BinaryIO, ends: Sequence[int], read: Callable[[bytes], Any],
+        self,
+        file: BinaryIO,
+        ends: Sequence[int],
+        read: Callable[[bytes], Any],
         places: Sequence[int] | None = None,
-    ):  # fmt: skip
+    ):
         self._file, self._ends, self._read = file, ends, read
         self._places = range(len(ends) - 1) if places is None else places
 

@@ -50,9 +50,11 @@ def pose_request(values: dict[str, float], speed: float, length: float = MM) -> 
 
 @contextmanager
 def connected(
-    name: str, namespace: str, domain: int | None,
+    name: str,
+    namespace: str,
+    domain: int | None,
     ready: Callable[[OperatorClient], bool] = lambda client: client.offers('move_axes'),
-) -> Iterator[tuple[OperatorClient, Machine]]:  # fmt: skip
+) -> Iterator[tuple[OperatorClient, Machine]]:
     domain = domain_of_nodes(domain)
     check_place(namespace, domain)
     with OperatorClient(name, namespace, domain) as client:
@@ -197,8 +199,9 @@ class LineEnd:
 def give_lines(lines: Sequence[str], namespace: str, domain: int | None) -> Iterator[LineEnd]:
     """Have lines executed until one is refused; yield their ends, or the modal state without."""
     with connected('mdi', namespace, domain, lambda one: not one.silent and bool(one.modes)) as (
-        client, machine,
-    ):  # fmt: skip
+        client,
+        machine,
+    ):
         if not lines:
             yield _end(client, machine, '', Answer(True, 'the modal state'))
         for line in lines:

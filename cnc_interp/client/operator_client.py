@@ -41,9 +41,13 @@ SWITCHES = ('single_block', 'optional_stop')  #: Stop at the end of each line; s
 SERVICES = {
     **dict.fromkeys(('cycle_start', 'feed_hold', 'reset', 'emergency_stop'), Trigger),
     **dict.fromkeys(SWITCHES, SetBool),
-    'switch_outputs': SwitchOutputs, 'move_axes': MoveAxes, 'home': Home,
-    'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff,
-}  # fmt: skip
+    'switch_outputs': SwitchOutputs,
+    'move_axes': MoveAxes,
+    'home': Home,
+    'set_offset': SetOffset,
+    'set_tool': SetTool,
+    'touch_off': TouchOff,
+}
 MACHINE = 'machine_node'
 OFFERED_BY = {
     'optional_stop': 'feedrate_node',
@@ -104,9 +108,12 @@ class OperatorClient:
     """
 
     def __init__(
-        self, name: str, namespace: str, domain: int | None = None,
+        self,
+        name: str,
+        namespace: str,
+        domain: int | None = None,
         on_state: Callable[[MachineState], None] = lambda _: None,
-    ):  # fmt: skip
+    ):
         stay_on_this_host()
         self._context = rclpy.Context()
         rclpy.init(
@@ -278,9 +285,11 @@ class OperatorClient:
         return self._program(RunProgram.Goal(text=text, mdi=True), ended)
 
     def _program(
-        self, goal: RunProgram.Goal, answer: Callable[[SentProgram], Answer | None],
+        self,
+        goal: RunProgram.Goal,
+        answer: Callable[[SentProgram], Answer | None],
         on_result: Callable[[RunProgram.Result], None] | None = None,
-    ) -> Future[Answer]:  # fmt: skip
+    ) -> Future[Answer]:
         """Send a program; ``answer``: asked again and again for what is answered."""
         wanted: Future[Answer] = Future()
 

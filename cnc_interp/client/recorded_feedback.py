@@ -58,10 +58,15 @@ def recorded_feedback(bag: Bag, machine: str) -> tuple[RecordedFeedback, Machine
         raise InterpError(f'{bag.path}: was recorded on a machine with other axes than {machine}')
     plans = [np.full(len(chunk.sequences), chunk.plan) for chunk in chunks]
     return RecordedFeedback(
-        float(chunks[0].period), setpoint, rate, feedback,
+        float(chunks[0].period),
+        setpoint,
+        rate,
+        feedback,
         np.concatenate([np.asarray(chunk.sequences, dtype=np.int64) for chunk in chunks]),
-        np.concatenate(plans), bool(chunks[-1].end_of_program), name,
-    ), loaded  # fmt: skip
+        np.concatenate(plans),
+        bool(chunks[-1].end_of_program),
+        name,
+    ), loaded
 
 
 #: States of a run that goes on without a stop.
@@ -106,10 +111,14 @@ def recorded_lesson(bag: Bag) -> Lesson:
     rate = None if before is None else before.rate
     rates = learning.learnt_rates(known, run.period, lead, setpoint, feedback, rate)
     motion = learning.LearntMotion(
-        setpoint, rates, run.period,
+        setpoint,
+        rates,
+        run.period,
         error if before is None else np.concatenate([before.error, error]),
-        ' '.join(machine.axis_names), learning.hash_of(name), learning.hash_of(model),
-    )  # fmt: skip
+        ' '.join(machine.axis_names),
+        learning.hash_of(name),
+        learning.hash_of(model),
+    )
     return Lesson(motion, float(error[0, 0]), float(error[0, 1]))
 
 

@@ -199,15 +199,17 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     states = (m for m in bag.messages('machine_state') if m.program_id == last.program_id)
     overrides = (m.feed_override * max(1.0, m.spindle_override) for m in states)
     return RecordedRun(
-        program_id=last.program_id, name=names.get(last.program_id, str(bag.path)),
+        program_id=last.program_id,
+        name=names.get(last.program_id, str(bag.path)),
         setup=tables.get(last.program_id, ''),
         machine=str(bag.parameters.get('machine_node.machine', '')),
-        blocks=stream_of(bag, 'blocks', last), segments=stream_of(bag, 'segments', last),
+        blocks=stream_of(bag, 'blocks', last),
+        segments=stream_of(bag, 'segments', last),
         chunks=executed.where(lambda message: message.program_id == last.program_id),
         largest_override=max(chain([1.0], overrides)),
         followed=[m for m in bag.messages('followed_spindle') if m.program_id == last.program_id],
         probed=probed.get(last.program_id, 0),
-    )  # fmt: skip
+    )
 
 
 def parts_of(bag: Bag) -> list[str]:

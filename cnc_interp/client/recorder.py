@@ -29,8 +29,13 @@ from cnc_interp.wire.run_messages import run_id_of
 
 #: Topics from which plan files are written.
 NEEDED = (
-    'loaded_program', 'blocks', 'block_batches', 'segments', 'executed_setpoints', 'machine_state',
-)  # fmt: skip
+    'loaded_program',
+    'blocks',
+    'block_batches',
+    'segments',
+    'executed_setpoints',
+    'machine_state',
+)
 #: Topics of which the bag must hold every executed setpoint.
 COUNTED = {'executed_setpoints', 'axis_feedback'}
 #: Streams by topic: what is numbered, and the parts of a message: run, first number, count.

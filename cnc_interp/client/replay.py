@@ -92,15 +92,19 @@ def _compare_run(
     goes_on = blocks[0].continue_at > 0.0
     wanted = replace(
         own_settings(bag, 'feedrate_node'),
-        flank_height=blocks[0].flank_height, interpolation_period=period,
-    )  # fmt: skip
+        flank_height=blocks[0].flank_height,
+        interpolation_period=period,
+    )
     place = float(told[0].s[0])
     planner = RunPlanner(
-        transform, wanted, float(bag.parameters.get('feedrate_node.chunk_time', 0.005)),
+        transform,
+        wanted,
+        float(bag.parameters.get('feedrate_node.chunk_time', 0.005)),
         told[0].position[0],
         (place if place > 0.0 else float(blocks[0].continue_at)) if goes_on else math.nan,
-        followed, asks=run_id.attempt == 0,
-    )  # fmt: skip
+        followed,
+        asks=run_id.attempt == 0,
+    )
     settings = settings_of_block(blocks[0], own_settings(bag))
     smoother = smoother_of(transform, settings)
     stops = {m.sequence: Wait.PROGRAM_STOP for m in blocks if m.program_stop == G1Block.STOP}
@@ -120,9 +124,11 @@ def _compare_run(
             planner.resume(rests[plan - 1], samples.position[0], followed)
         again = _all_samples(planner, len(samples))
         yield Comparison(
-            replace(run_id, plan=plan), len(samples), *_compared(samples, again),
+            replace(run_id, plan=plan),
+            len(samples),
+            *_compared(samples, again),
             len(set(overrides)) > 1,
-        )  # fmt: skip
+        )
 
 
 def own_settings(bag: Bag, node: str = 'lookahead_node') -> Settings:

@@ -209,16 +209,22 @@ def probe_rotary_centres(
 
 
 def _touch_all(
-    toucher: _Toucher, wanted: BallProbing, machine: Machine, state: Any,
+    toucher: _Toucher,
+    wanted: BallProbing,
+    machine: Machine,
+    state: Any,
     told: Callable[[str], None],
-) -> None:  # fmt: skip
+) -> None:
     transform, names = Transform.of(machine), machine.axis_names[3:5]
     tip, axis = transform.forward(np.array([state.commanded_positions]))
     if not machine.has_rotary or axis[0, 2] < 1.0 - UPRIGHT:
         raise InterpError('stand upright above the ball, with the rotary axes at zero')
     way, reach = wanted.beside, wanted.reach
-    for line in ('G21 G90 G94 M428', f'#<_probe_feed>={wanted.feed:g}',
-                 f'#<_probe_slow>={wanted.slow:g}'):  # fmt: skip
+    for line in (
+        'G21 G90 G94 M428',
+        f'#<_probe_feed>={wanted.feed:g}',
+        f'#<_probe_slow>={wanted.slow:g}',
+    ):
         toucher.give(line)
     toucher.touch(_call('probe_touch', 0, 0, -1, 4 * way / MM))
     ball = transform.forward(toucher.touched[0][None])[0][0] - [0, 0, wanted.beyond + reach]

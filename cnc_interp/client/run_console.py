@@ -57,17 +57,29 @@ SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked
 
 #: Figures of a result that are told as they are, and those with a value for each axis.
 AS_TOLD = (
-    'message', 'program_id', 'cycle_time', 'approach_time', 'path_length', 'blocks_sent',
-    'blocks_executed', 'samples', 'starvations', 'least_buffered_time', 'contour_error',
-)  # fmt: skip
+    'message',
+    'program_id',
+    'cycle_time',
+    'approach_time',
+    'path_length',
+    'blocks_sent',
+    'blocks_executed',
+    'samples',
+    'starvations',
+    'least_buffered_time',
+    'contour_error',
+)
 BY_AXIS = ('following_error', 'velocity_use', 'acceleration_use', 'jerk_use')
 
 
 class RunConsole:
     def __init__(
-        self, client: OperatorClient, children: Children, request: RunRequest,
+        self,
+        client: OperatorClient,
+        children: Children,
+        request: RunRequest,
         recorder: Recorder | None,
-    ):  # fmt: skip
+    ):
         self._client, self._children, self._request = client, children, request
         self._recorder = recorder
         self._progress = ProgressBar(None if request.quiet else sys.stderr)
@@ -129,13 +141,16 @@ class RunConsole:
 
         return RunResult(
             ok=outcome.code == Result.SUCCEEDED and outcome.blocks_executed == outcome.blocks_sent,
-            program=program, machine=machine.name, start_to_motion=self._first_motion - started,
+            program=program,
+            machine=machine.name,
+            start_to_motion=self._first_motion - started,
             axis_units={axis.name: axis.unit for axis in machine.axes},
             **{name: getattr(outcome, name) for name in AS_TOLD},
             **{name: by_axis(getattr(outcome, name)) for name in BY_AXIS},
             position=by_axis(state.positions if state is not None else ()),
-            notices=tuple(outcome.notices), faults=tuple(self._children.faults.values()),
-        )  # fmt: skip
+            notices=tuple(outcome.notices),
+            faults=tuple(self._children.faults.values()),
+        )
 
     def _wait_for_nodes(self) -> None:
         """Wait until program_node takes programs and a recorder hears all nodes."""
@@ -313,9 +328,12 @@ def enter_pressed() -> bool:
 
 
 def run_recorded(
-    request: RunRequest, machine: Machine, client: OperatorClient, children: Children,
+    request: RunRequest,
+    machine: Machine,
+    client: OperatorClient,
+    children: Children,
     started: float,
-) -> list[RunResult]:  # fmt: skip
+) -> list[RunResult]:
     """Run programs; they are recorded also for ``out`` and for a limit of the tool error."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None

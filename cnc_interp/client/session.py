@@ -45,9 +45,16 @@ class RunRequest:
     def from_options(options: Namespace) -> RunRequest:
         """Take the options of the command line, in the shop's units."""
         return RunRequest(
-            options.program, tuple(options.then), options.machine, settings_from(options),
-            options.out, options.record, options.json, options.pass_stops, options.drives,
-        )  # fmt: skip
+            options.program,
+            tuple(options.then),
+            options.machine,
+            settings_from(options),
+            options.out,
+            options.record,
+            options.json,
+            options.pass_stops,
+            options.drives,
+        )
 
     @property
     def programs(self) -> tuple[Path, ...]:
@@ -143,8 +150,10 @@ class RunResult:
         if self.excesses:
             lines.append(f'NOT proven     {"; ".join(self.excesses)}')
         elif self.ok:
-            lines.append('proven         every executed setpoint kept the limits, every curve '
-                         'the tolerances')  # fmt: skip
+            lines.append(
+                'proven         every executed setpoint kept the limits, every curve '
+                'the tolerances'
+            )
         return '\n'.join(lines)
 
     @property

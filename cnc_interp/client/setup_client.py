@@ -153,12 +153,17 @@ class SetupConsole:
         table, setup, state = self._now
         machine = dict(zip(table.axes, state.positions, strict=False))
         return {
-            'file': table.file, 'machine': machine, 'work': self._work(), 'active': setup.offset,
+            'file': table.file,
+            'machine': machine,
+            'work': self._work(),
+            'active': setup.offset,
             'work_offsets': {k: dict(v) for k, v in setup.work_offsets.items()},
-            'g92': dict(setup.g92), 'g92_on': setup.g92_on,
+            'g92': dict(setup.g92),
+            'g92_on': setup.g92_on,
             'tools': {str(number): vars(tool) for number, tool in setup.tools.items()},
-            'tool': setup.tool, 'in_use': list(table.in_use),
-        }  # fmt: skip
+            'tool': setup.tool,
+            'in_use': list(table.in_use),
+        }
 
     def _work(self) -> dict[str, float]:
         table, setup, state = self._now

@@ -48,8 +48,11 @@ def add_batch_commands(commands: Any) -> None:
     cluster.option(
         '--workers',
         'programs that are planned here at the same time, 0: a scheduler only (one for '
-        'each processor)', int, 'N', default=len(os.sched_getaffinity(0)),
-    )  # fmt: skip
+        'each processor)',
+        int,
+        'N',
+        default=len(os.sched_getaffinity(0)),
+    )
     text = 'address of the scheduler; whoever reaches it can run any code here (127.0.0.1)'
     cluster.add_argument('--host', default='127.0.0.1', help=text)
     cluster.option('--port', 'its port, 0 for any (8786)', int, default=8786)
@@ -90,8 +93,10 @@ def batch_command(options: argparse.Namespace) -> int:
     else:
         told = ', '.join(f'{counts[verdict]} {verdict}' for verdict in Verdict if counts[verdict])
         print(f'programs       {len(results)}: {told}')
-        print(f'cycle time     {total:.1f} s of all'
-              + (f', cost {total * options.rate / HOUR:.2f}' if options.rate else ''))  # fmt: skip
+        print(
+            f'cycle time     {total:.1f} s of all'
+            + (f', cost {total * options.rate / HOUR:.2f}' if options.rate else '')
+        )
         print(f'page           {options.out / "batch.html"}')
         print(f'tables         {", ".join(str(file) for file in files)}')
     return parser.FINE if counts[Verdict.PROVEN] == len(results) else parser.FAILED
@@ -124,10 +129,14 @@ def add_sweep_command(commands: Any, main: Callable[[Sequence[str]], int]) -> No
     sweep = command(commands, sweep_command, example)
     sweep.set_defaults(main=main, commands=commands)
     sweep.add_argument(
-        '--vary', nargs='+', action='append', required=True, metavar=('OPTION', 'VALUE'),
+        '--vary',
+        nargs='+',
+        action='append',
+        required=True,
+        metavar=('OPTION', 'VALUE'),
         help='an option of the command, without its dashes, and its values; with --search the '
         'lowest and the highest',
-    )  # fmt: skip
+    )
     text = 'search with at most N points, instead of all combinations'
     sweep.option('--search', text, count, 'N')
     sweep.option('--out', 'folder to write', Path, 'DIR', required=True)
@@ -147,9 +156,12 @@ def sweep_command(options: argparse.Namespace) -> int:
     bar = ProgressBar(sys.stderr)
     workers = Processes(options.workers, total_memory() / options.workers, HOUR)
     sweep = points.Sweep(
-        options.main, options.words, options.out, workers,
+        options.main,
+        options.words,
+        options.out,
+        workers,
         lambda done: bar.show('sweeping', min(1.0, done / total), f'{done} points'),
-    )  # fmt: skip
+    )
     try:
         if options.search:
             sweep.search(ranges, options.search)

@@ -25,24 +25,32 @@ def add_cam_commands(commands: Any) -> None:
     make.option('--out', 'folder to write', Path, 'DIR', required=True)
     _mill(make)
     make.add_argument(
-        '--strategy', choices=('planes', 'classical'), default='planes',
+        '--strategy',
+        choices=('planes', 'classical'),
+        default='planes',
         help='along parallel planes with a variable tilt, or, to compare, the classical '
         'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
-    )  # fmt: skip
+    )
     make.number('--scallop', 10.0, 'scallop height', 'UM')
     text = 'part of the scallop height for smoothing and drives: passes leave the rest'
     make.number('--reserve', 0.0, text, 'UM')
     make.option(
         '--stepover',
-        'distance of the guiding planes; without it the largest that --tilt allows, pass '
-        'by pass', positive, 'MM',
-    )  # fmt: skip
-    make.number('--tilt', 3.0, 'tilt of a constant start, and the smallest for the largest '
-           'stepover', 'DEG')  # fmt: skip
+        'distance of the guiding planes; without it the largest that --tilt allows, pass by pass',
+        positive,
+        'MM',
+    )
+    make.number(
+        '--tilt', 3.0, 'tilt of a constant start, and the smallest for the largest stepover', 'DEG'
+    )
     make.add_argument(
-        '--tilt-limits', type=positive, nargs=2, default=(0.5, 60.0), metavar=('LOW', 'HIGH'),
+        '--tilt-limits',
+        type=positive,
+        nargs=2,
+        default=(0.5, 60.0),
+        metavar=('LOW', 'HIGH'),
         help='smallest and largest tilt (0.5 60 deg)',
-    )  # fmt: skip
+    )
     text = 'the angle that sets the width of a strip (tilt)'
     make.option('--freedom', text, choices=('tilt', 'yaw'), default='tilt')
     make.option('--yaw', 'yaw (0 deg)', float, 'DEG', default=0.0)
@@ -82,16 +90,20 @@ def add_cam_commands(commands: Any) -> None:
     simulate.option(
         '--tiles',
         'cut the needles in tiles, for millions of them; writes heights (Zarr) and a page '
-        'that zooms; a second start goes on', Path, 'DIR',
-    )  # fmt: skip
+        'that zooms; a second start goes on',
+        Path,
+        'DIR',
+    )
     text = 'tiles that are cut at the same time (one for each processor)'
     simulate.option('--workers', text, int, 'N')
     text = 'let the workers of `cluster` cut the tiles'
     simulate.option('--scheduler', text, metavar='ADDRESS')
     simulate.add_argument(
-        '--device', choices=('cpu', 'warp-cpu', 'cuda'), default='cpu',
+        '--device',
+        choices=('cpu', 'warp-cpu', 'cuda'),
+        default='cpu',
         help='what cuts: numba on the processor, or Warp there or on a graphics card (cpu)',
-    )  # fmt: skip
+    )
     simulate.set_defaults(pool=tile_workers)
     simulate.flag('--json', 'print the figures as JSON')
 
@@ -112,9 +124,12 @@ def _cutting(added: CommandParser) -> None:
     added.option('--direction', text, float, 'DEG', default=0.0)
     for name in 'XYZ':
         added.add_argument(
-            f'--turn-{name.lower()}', type=float, default=0.0, metavar='DEG',
+            f'--turn-{name.lower()}',
+            type=float,
+            default=0.0,
+            metavar='DEG',
             help=f'turn of the surface about {name} as it stands on the table (0 deg)',
-        )  # fmt: skip
+        )
     added.number('--spacing', 0.1, 'distance of the needles')
     added.number('--margin', 2.0, 'distance from the border for the figures')
     added.machine_option()

@@ -106,11 +106,20 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(required=True, metavar='COMMAND')
 
     for add in (
-        add_run_command, add_plan_command, add_batch_commands,
-        partial(add_sweep_command, main=main), identify.add_convert_command, add_check_commands,
-        add_panel_command, add_operate_commands, identify.add_machine_commands, add_bag_commands,
-        identify.add_identify_commands, add_cam_commands, add_problems_command,
-    ):  # fmt: skip
+        add_run_command,
+        add_plan_command,
+        add_batch_commands,
+        partial(add_sweep_command, main=main),
+        identify.add_convert_command,
+        add_check_commands,
+        add_panel_command,
+        add_operate_commands,
+        identify.add_machine_commands,
+        add_bag_commands,
+        identify.add_identify_commands,
+        add_cam_commands,
+        add_problems_command,
+    ):
         add(commands)
     example = 'completion bash > ~/.local/share/bash-completion/completions/cnc-interp'
     completion = command(commands, completion_command, example)

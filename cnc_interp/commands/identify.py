@@ -17,15 +17,19 @@ def add_convert_command(commands: Any) -> None:
     convert = command(commands, convert_command, example)
     convert.program_options()
     convert.add_argument(
-        '--to', choices=('siemens-bspline', 'gcode', 'cl'), required=True,
+        '--to',
+        choices=('siemens-bspline', 'gcode', 'cl'),
+        required=True,
         help='the smooth path as native B-splines, or the program as G1 blocks or GOTO points',
-    )  # fmt: skip
+    )
     convert.option('--out', 'file to write (the terminal)', Path, 'FILE')
     convert.add_argument(
-        '--join', choices=('polynomial', 'parametrization'), default='polynomial',
+        '--join',
+        choices=('polynomial', 'parametrization'),
+        default='polynomial',
         help='native curves continue their neighbours by a small polynomial on their second '
         'points, or by sliding the tool axis along their top curves (polynomial)',
-    )  # fmt: skip
+    )
     convert.number('--fit-tolerance', 1e-5, 'how closely cubic curves follow the smooth path')
 
 
@@ -180,11 +184,13 @@ def identify_command(options: Namespace) -> int:
     for line in identified_lines(machine, found):
         print(line)
     text = with_drives(
-        find_machine_file(name).read_text(encoding='utf-8'), machine,
+        find_machine_file(name).read_text(encoding='utf-8'),
+        machine,
         {**machine.drives, **{axis: each.drive for axis, each in found.items()}},
         {**machine.loads, **{axis: each.load for axis, each in found.items() if each.load}},
-        {axis: each.half_width for axis, each in found.items()}, options.bag.name,
-    )  # fmt: skip
+        {axis: each.half_width for axis, each in found.items()},
+        options.bag.name,
+    )
     options.out.write_text(text, encoding='utf-8')
     Machine.load(options.out)
     page = options.html or options.out.with_suffix('.html')

@@ -32,7 +32,7 @@ def add_operate_commands(commands: Any) -> None:
         '--pose',
         'the values are a tool pose in the workpiece frame: X Y Z of the tip [mm], I J K of '
         'the tool axis; what is not named stays',
-    )  # fmt: skip
+    )
     text = 'move along the tool instead, away from the workpiece where positive'
     jog.add_argument('--tool', type=float, default=0.0, metavar='MM', help=text)
     text = 'part of the largest velocities of the axes (100)'
@@ -46,8 +46,10 @@ def add_operate_commands(commands: Any) -> None:
     offsets.option(
         'words',
         'letter of an axis, and machine coordinate of the zero [mm, deg]; R: rotation of the '
-        'offset about Z [deg]; may be repeated', metavar='AXIS VALUE', nargs='*',
-    )  # fmt: skip
+        'offset about Z [deg]; may be repeated',
+        metavar='AXIS VALUE',
+        nargs='*',
+    )
     offsets.flag('--clear', 'remove the values it had before')
     offsets.flag('--use', 'make it the active one')
     example = 'tools; cnc-interp tools 3 --length 75 --radius 5 --remark ball --load'
@@ -98,9 +100,13 @@ def add_operate_commands(commands: Any) -> None:
     for name, default in (('primary', (-30.0, 30.0)), ('secondary', (-90.0, 0.0, 90.0))):
         angles = ' '.join(f'{angle:g}' for angle in default)
         rotary.add_argument(
-            f'--{name}', nargs='+', type=float, default=default, metavar='DEG',
+            f'--{name}',
+            nargs='+',
+            type=float,
+            default=default,
+            metavar='DEG',
             help=f'positions of the {name} axis ({angles})',
-        )  # fmt: skip
+        )
     rotary.option('--out', 'machine file to write', Path, 'FILE')
     rotary.nodes_options()
 
@@ -131,9 +137,14 @@ def jog_command(options: argparse.Namespace) -> int:
     from cnc_interp.client.hand_move import move_by_hand
 
     ended = move_by_hand(
-        options.namespace, options.domain, values, options.pose, relative=not options.to,
-        speed=options.speed / 100.0, tool=options.tool * MM,
-    )  # fmt: skip
+        options.namespace,
+        options.domain,
+        values,
+        options.pose,
+        relative=not options.to,
+        speed=options.speed / 100.0,
+        tool=options.tool * MM,
+    )
     if options.json:
         print(json.dumps(ended.to_json(), indent=2))
     else:
@@ -201,11 +212,15 @@ def probe_rotary_command(options: argparse.Namespace) -> int:
     from cnc_interp.machine_model.machine import with_geometry
 
     wanted = BallProbing(
-        ball=options.ball * MM, tip=options.tip * MM, longer=options.longer * MM,
-        beside=options.beside * MM, feed=options.feed, slow=options.slow,
+        ball=options.ball * MM,
+        tip=options.tip * MM,
+        longer=options.longer * MM,
+        beside=options.beside * MM,
+        feed=options.feed,
+        slow=options.slow,
         primary=[angle * DEG for angle in options.primary],
         secondary=[angle * DEG for angle in options.secondary],
-    )  # fmt: skip
+    )
     tell = partial(print, flush=True)
     fit, name = probe_rotary_centres(wanted, options.namespace, options.domain, tell)
     print(f'{len(fit.residuals)} touches fit within {np.abs(fit.residuals).max() / UM:.1f} um')
@@ -246,9 +261,11 @@ def touch_off_command(options: argparse.Namespace) -> int:
 
 
 def _do(
-    options: argparse.Namespace, service: str, wanted: dict[str, Any] | None,
+    options: argparse.Namespace,
+    service: str,
+    wanted: dict[str, Any] | None,
     words: dict[str, float] | None = None,
-) -> int:  # fmt: skip
+) -> int:
     from cnc_interp.client.setup_client import setup_console
 
     with setup_console(options.namespace, options.domain) as console:

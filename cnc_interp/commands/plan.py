@@ -73,10 +73,11 @@ def plan_command(options: argparse.Namespace) -> int:
             print(sketch(options.out))
         print(f'plan files     {options.out}')
         print(
-            f'NOT proven     {"; ".join(over)}' if over
+            f'NOT proven     {"; ".join(over)}'
+            if over
             else 'proven         every setpoint keeps the limits, every curve the tolerances; '
             f'all of it: cnc-interp check {options.out}'
-        )  # fmt: skip
+        )
     return parser.FAILED if over else parser.FINE
 
 
@@ -167,16 +168,20 @@ def add_run_command(commands: Any) -> None:
     run.program_options(live=True)
     run.drives_option()
     run.add_argument(
-        '--then', type=Path, action='append', default=[], metavar='PROGRAM',
+        '--then',
+        type=Path,
+        action='append',
+        default=[],
+        metavar='PROGRAM',
         help='a further program, which waits for the end of the one before; may be repeated',
-    )  # fmt: skip
+    )
     run.option('--out', 'write what the machine executed as plan files', Path, 'DIR')
     run.option('--record', 'record all messages of the run into a bag', Path, 'BAG')
     run.flag(
         '--pass-stops',
         'go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
         '--from-line',
-    )  # fmt: skip
+    )
     run.flag('--panel', 'the operator page beside it, until Ctrl-C')
     run.page_options()
 

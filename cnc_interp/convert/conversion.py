@@ -32,9 +32,13 @@ class Converted:
 
 
 def convert(
-    program: Program, machine: Machine, settings: Settings, to: str, fit_tolerance: float,
+    program: Program,
+    machine: Machine,
+    settings: Settings,
+    to: str,
+    fit_tolerance: float,
     slide: bool = False,
-) -> Converted:  # fmt: skip
+) -> Converted:
     """Write a program in another dialect.
 
     ``fit_tolerance``: largest distance of cubic curves from the smooth path [m]; ``slide``:
@@ -89,10 +93,12 @@ def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
 
     counts = np.ones(len(blocks), dtype=np.int64)
     counts[linear] = piece_counts(
-        poses, np.abs(last - first)[linear].sum(axis=1),
+        poses,
+        np.abs(last - first)[linear].sum(axis=1),
         CHORD_SHARE * blocks.contour_tolerance[linear],
-        CHORD_SHARE * blocks.orientation_tolerance[linear], height,
-    )  # fmt: skip
+        CHORD_SHARE * blocks.orientation_tolerance[linear],
+        height,
+    )
     row, piece = ragged(counts)
     u, final = (piece + 1.0) / counts[row], piece + 1 == counts[row]
     columns = {name: values[row] for name, values in blocks.columns().items()}
@@ -153,8 +159,10 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
         notes.append('G64 P holds the contour tolerance only; the orientation tolerance differs')
     moves = (
         WrittenMove(
-            tip=blocks.tip[i], rotary=None if rotary is None else rotary[i],
-            feedrate=float(blocks.feedrate[i]), duration=float(blocks.duration[i]),
+            tip=blocks.tip[i],
+            rotary=None if rotary is None else rotary[i],
+            feedrate=float(blocks.feedrate[i]),
+            duration=float(blocks.duration[i]),
             rapid=bool(blocks.rapid[i]) or i == 0,
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
             program_stop=int(blocks.program_stop[i]),
@@ -162,7 +170,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
             tolerance=float(blocks.contour_tolerance[i]),
         )
         for i in range(len(blocks))
-    )  # fmt: skip
+    )
     names = transform.machine.axis_names
     return Converted(gcode(moves, tuple(names[3:5]), notes), notes)
 
@@ -212,12 +220,15 @@ def _cl(blocks: Blocks, source: str) -> Converted:
         notes.append('inverse-time feeds (G93) are written as feedrates')
     moves = (
         WrittenMove(
-            tip=blocks.tip[i], axis=blocks.axis[i], feedrate=float(feed[i]),
-            rapid=bool(blocks.rapid[i]) and i > 0, program_stop=int(blocks.program_stop[i]),
+            tip=blocks.tip[i],
+            axis=blocks.axis[i],
+            feedrate=float(feed[i]),
+            rapid=bool(blocks.rapid[i]) and i > 0,
+            program_stop=int(blocks.program_stop[i]),
             exact_stop=bool(blocks.exact_stop[i]) and i < len(blocks) - 1,
         )
         for i in range(len(blocks))
-    )  # fmt: skip
+    )
     return Converted(cl_data(moves, source.rsplit('/', 1)[-1], notes), notes)
 
 

@@ -14,9 +14,18 @@ from cnc_interp.machine_model.machine import from_mapping
 JERK = 10.0  #: Jerk where the INI has none, over the acceleration [1/s].
 #: Names of units in ``[TRAJ]`` [m, rad].
 UNITS = {
-    'mm': MM, 'metric': MM, 'inch': INCH, 'in': INCH, 'imperial': INCH,
-    'deg': DEG, 'degree': DEG, 'rad': 1.0, 'radian': 1.0, 'grad': 0.9 * DEG, 'gon': 0.9 * DEG,
-}  # fmt: skip
+    'mm': MM,
+    'metric': MM,
+    'inch': INCH,
+    'in': INCH,
+    'imperial': INCH,
+    'deg': DEG,
+    'degree': DEG,
+    'rad': 1.0,
+    'radian': 1.0,
+    'grad': 0.9 * DEG,
+    'gon': 0.9 * DEG,
+}
 #: Kinematics that are known: rotary axes, the first one carries the second one.
 KINEMATICS = {'trivkins': '', 'xyzac-trt-kins': 'AC', 'xyzbc-trt-kins': 'BC'}
 ABOUT = {'A': [1, 0, 0], 'B': [0, 1, 0], 'C': [0, 0, 1]}
@@ -69,8 +78,9 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
     if sorted(letters) != sorted(f'XYZ{rotary}'):
         raise MachineError(
             f'{name} with {joints or "no axes"}: known are XYZ{rotary or ", XYZA and XYZB"}; '
-            'write the file from an example in config/machines', 'COORDINATES',
-        )  # fmt: skip
+            'write the file from an example in config/machines',
+            'COORDINATES',
+        )
     linear, angular = _unit(traj, 'LINEAR_UNITS', 'mm'), _unit(traj, 'ANGULAR_UNITS', 'deg')
     notes: list[str] = []
     limits = {}
@@ -86,9 +96,10 @@ def _content(ini: Sections) -> tuple[dict[str, Any], list[str]]:
             told = f'taken as acceleration times {JERK:g}/s'
             notes.append(f'jerk of {letter}: none in the INI, {told}')
     content: dict[str, Any] = {
-        'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')), 'signals': 'milling',
+        'name': str(dict(ini.get('EMC', ())).get('MACHINE', 'linuxcnc')),
+        'signals': 'milling',
         'control': {'dialect': 'linuxcnc'},
-    }  # fmt: skip
+    }
     if len(rotary) == 1:
         content['rotary'] = _turntable(rotary, notes)
     elif rotary:
@@ -154,8 +165,9 @@ def _turntable(letter: str, notes: list[str]) -> dict[str, Any]:
     return {
         'primary': {'name': letter, 'about': ABOUT[letter], 'carries': 'workpiece'},
         'secondary': {'name': other, 'about': ABOUT[other], 'carries': 'tool', 'locked': True},
-        'workpiece_offset_mm': [0.0] * 3, 'primary_offset_mm': [0.0] * 3,
-    }  # fmt: skip
+        'workpiece_offset_mm': [0.0] * 3,
+        'primary_offset_mm': [0.0] * 3,
+    }
 
 
 def _table(
@@ -179,8 +191,9 @@ def _table(
         {'name': letter, 'about': ABOUT[letter], 'carries': 'workpiece'} for letter in rotary
     )
     return {
-        'primary': primary, 'secondary': secondary,
+        'primary': primary,
+        'secondary': secondary,
         'workpiece_offset_mm': [0.0 - x for x in point],
         'secondary_offset_mm': [0.0 - x for x in offset],
         'primary_offset_mm': [x + y for x, y in zip(point, offset, strict=True)],
-    }  # fmt: skip
+    }

@@ -68,9 +68,13 @@ def join(
 
 
 def linked(
-    portion: Portion, before: Jets | None, after: Jets | None, height: float,
-    tolerance: float = 1e-8, septic: bool = False,
-) -> Linked:  # fmt: skip
+    portion: Portion,
+    before: Jets | None,
+    after: Jets | None,
+    height: float,
+    tolerance: float = 1e-8,
+    septic: bool = False,
+) -> Linked:
     """Join a portion with the paths before and after it, if any; InterpError if no f increases."""
     from scipy.interpolate import BPoly
 

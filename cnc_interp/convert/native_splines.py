@@ -97,10 +97,12 @@ def cubic_curve(
         if deviation <= tolerance:
             size = float(norm(np.diff(values[:, :3], axis=0)).sum())
             return CubicCurve(
-                bottom=spline.c[:, :3].copy(), top=spline.c[:, 3:].copy(),
-                knot_interval=size * (spline.t[3:-1] - spline.t[2:-2]), late=1 + (count + 1) // 2,
+                bottom=spline.c[:, :3].copy(),
+                top=spline.c[:, 3:].copy(),
+                knot_interval=size * (spline.t[3:-1] - spline.t[2:-2]),
+                late=1 + (count + 1) // 2,
                 deviation=deviation,
-            )  # fmt: skip
+            )
         count *= 2
     raise BlockError(
         f'no cubic spline with {MOST_INTERVALS} knot intervals follows this curve within '
@@ -211,11 +213,13 @@ class SplineMoves:
         stops = bool(self.segments.stop[i]) and i < len(self.segments) - 1
         for k in range(1, count):
             yield WrittenMove(
-                tip=curve.bottom[k], rapid=False, exact_stop=stops and k == count - 1,
+                tip=curve.bottom[k],
+                rapid=False,
+                exact_stop=stops and k == count - 1,
                 second=curve.top[k] if self.transform.machine.has_rotary else None,
                 feedrate=float(feed[0] if k < curve.late else feed[1]),
                 knot_interval=float(curve.knot_interval[k]),
-            )  # fmt: skip
+            )
 
     def _constant_height(self, first: int, last: int) -> bool:
         """Return whether second points are at flank height: corners, and curves with gaps."""

@@ -81,8 +81,13 @@ def bezier_jet(points: FloatArray, i: int, u: float) -> Jet:
 def quintic_jet(points: FloatArray, i: int, u: float) -> Jet:
     """Return the jet in u of coordinate i of a quintic Bezier curve, fast: no work array."""
     p0, p1, p2, p3, p4, p5 = (
-        points[0, i], points[1, i], points[2, i], points[3, i], points[4, i], points[5, i],
-    )  # fmt: skip
+        points[0, i],
+        points[1, i],
+        points[2, i],
+        points[3, i],
+        points[4, i],
+        points[5, i],
+    )
     d1, d2, d3, d4, d5 = p1 - p0, p2 - p1, p3 - p2, p4 - p3, p5 - p4
     a1 = 5.0 * d1
     d1, d2, d3, d4 = d2 - d1, d3 - d2, d4 - d3, d5 - d4
@@ -240,8 +245,14 @@ def quintic_basis(
         s = span[m]
         t = (x[m] - knots[s]) / (knots[s + 1] - knots[s])
         v = 1.0 - t
-        weight = (v**5, 5.0 * t * v**4, 10.0 * t * t * v**3, 10.0 * t**3 * v * v,
-                  5.0 * t**4 * v, t**5)  # fmt: skip
+        weight = (
+            v**5,
+            5.0 * t * v**4,
+            10.0 * t * t * v**3,
+            10.0 * t**3 * v * v,
+            5.0 * t**4 * v,
+            t**5,
+        )
         for k in range(6):
             for i in range(6):
                 basis[m, i] += weight[k] * matrices[s, k, i]
@@ -288,9 +299,11 @@ def corner_spline_points(points: FloatArray, u: FloatArray | float) -> FloatArra
 def _corner_basis(x: Any) -> tuple[Any, Any, Any, Any]:
     """Return the four basis functions that are not zero at x in [0, 0.5] [B2013, Eq. A.2]."""
     return (
-        (1.0 - 2.0 * x) ** 3, 2.0 * x * (3.0 + x * (7.0 * x - 9.0)), 2.0 * x * x * (3.0 - 4.0 * x),
+        (1.0 - 2.0 * x) ** 3,
+        2.0 * x * (3.0 + x * (7.0 * x - 9.0)),
+        2.0 * x * x * (3.0 - 4.0 * x),
         2.0 * x**3,
-    )  # fmt: skip
+    )
 
 
 def sum_of(terms: Iterable[FloatArray]) -> FloatArray:

@@ -101,11 +101,13 @@ class Table:
     @classmethod
     def of_columns(cls, columns: Mapping[str, NDArray[Any]]) -> Self:
         """Return a table of columns by name, such as an archive; KeyError if one is missing."""
-        return cls(**{
-            name: columns[name]
-            for name, declared in cls.declared.items()
-            if declared.default is None or name in columns
-        })  # fmt: skip
+        return cls(
+            **{
+                name: columns[name]
+                for name, declared in cls.declared.items()
+                if declared.default is None or name in columns
+            }
+        )
 
     @classmethod
     def none(cls) -> Self:

@@ -89,9 +89,10 @@ SLIDES = (
     Shape((0.09, 0.09, 0.75), (0.02, 0.0, 0.63), SLIDE),
 )
 TOOL = (
-    Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER), Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
+    Shape((0.004, 0.05), (0.0, 0.0, 0.025), CUTTER),
+    Shape((0.018, 0.06), (0.0, 0.0, 0.08), STEEL),
     Shape((0.038, 0.15), (0.0, 0.0, 0.185), IRON),
-)  # fmt: skip
+)
 
 
 def cradle_shapes(machine: Machine) -> tuple[Shape, ...]:

@@ -134,9 +134,7 @@ def compensate_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
             rates = carray(pointer(np.uintp(head[RATES])), shape)[head[ROW]]
             for j in range(n):
                 told[1, j] += weight * rates[j]
-    return call_drives(
-        np.uintp(head[STEP]), np.uintp(head[MEMORY]), told.ctypes.data, feedback, n
-    )  # fmt: skip
+    return call_drives(np.uintp(head[STEP]), np.uintp(head[MEMORY]), told.ctypes.data, feedback, n)
 
 
 @njit(cache=True, nogil=True)
@@ -179,9 +177,12 @@ class Compensation:
             columns[STATE] = position[j]
 
     def memory(
-        self, step: int, memory: FloatArray, period: float,
+        self,
+        step: int,
+        memory: FloatArray,
+        period: float,
         learnt: tuple[FloatArray, FloatArray] | None,
-    ) -> FloatArray:  # fmt: skip
+    ) -> FloatArray:
         """Return the memory of ``compensate_once`` around a step of drives and its memory."""
         axes, count = self.words.shape
         head = np.zeros(HEAD, dtype=np.int64)
@@ -217,9 +218,12 @@ def _friction(drive: AxisDrive, load: DriveLoad | None) -> tuple[float, float, f
 
 
 def _write_weights(
-    columns: FloatArray, drive: AxisDrive, load: DriveLoad | None, period: float,
+    columns: FloatArray,
+    drive: AxisDrive,
+    load: DriveLoad | None,
+    period: float,
     timing: tuple[float, int, int],
-) -> None:  # fmt: skip
+) -> None:
     later, beside, turning = timing
     kv, f, tau = drive.position_gain, drive.feed_forward, drive.time_constant
     viscous = load.viscous / load.inertia if load is not None else 0.0

@@ -193,13 +193,20 @@ def _loop(
     # Relative to the last setpoint, so that rounding does not depend on where the axis is.
     gap = m - r0
     position = (
-        r0 + words[LOOP] * gap + words[LOOP + 1] * v
-        + words[LOOP + 5] * f0 + words[LOOP + 8] * dr + words[LOOP + 9] * df
-    )  # fmt: skip
+        r0
+        + words[LOOP] * gap
+        + words[LOOP + 1] * v
+        + words[LOOP + 5] * f0
+        + words[LOOP + 8] * dr
+        + words[LOOP + 9] * df
+    )
     velocity = (
-        words[LOOP + 2] * gap + words[LOOP + 3] * v
-        + words[LOOP + 7] * f0 + words[LOOP + 10] * dr + words[LOOP + 11] * df
-    )  # fmt: skip
+        words[LOOP + 2] * gap
+        + words[LOOP + 3] * v
+        + words[LOOP + 7] * f0
+        + words[LOOP + 10] * dr
+        + words[LOOP + 11] * df
+    )
     return position, velocity
 
 

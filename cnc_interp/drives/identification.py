@@ -43,13 +43,16 @@ class Parameter:
 
 #: What is fitted, in SI; friction over the inertia.
 LOOPS = (
-    Parameter('position_gain', 50.0, 3.0, 900.0), Parameter('feed_forward', 0.95, 0.0, 1.2),
-    Parameter('time_constant', 4e-3, 2e-4, 0.09), Parameter('delay', 1e-3, 0.0, 0.03),
-)  # fmt: skip
+    Parameter('position_gain', 50.0, 3.0, 900.0),
+    Parameter('feed_forward', 0.95, 0.0, 1.2),
+    Parameter('time_constant', 4e-3, 2e-4, 0.09),
+    Parameter('delay', 1e-3, 0.0, 0.03),
+)
 MECHANICS = (
-    Parameter('backlash', 5e-6, 0.0, 2e-3), Parameter('mode_frequency', 40.0, 8.0, 300.0),
+    Parameter('backlash', 5e-6, 0.0, 2e-3),
+    Parameter('mode_frequency', 40.0, 8.0, 300.0),
     Parameter('mode_damping', 0.05, 1e-3, 0.9),
-)  # fmt: skip
+)
 FRICTION = (
     Parameter('coulomb', 0.2, 0.0, 50.0),
     Parameter('static', 0.1, 0.0, 50.0),  # what it exceeds Coulomb friction by
@@ -71,9 +74,13 @@ class IdentifiedAxis:
 
 
 def identify_axis(
-    machine: Machine, axis: int, period: float, setpoints: FloatArray, rates: FloatArray,
+    machine: Machine,
+    axis: int,
+    period: float,
+    setpoints: FloatArray,
+    rates: FloatArray,
     feedback: FloatArray,
-) -> IdentifiedAxis | None:  # fmt: skip
+) -> IdentifiedAxis | None:
     """Fit the model of one axis; None where it did not move.
 
     ``setpoints``, ``rates``, ``feedback`` (K, n_axes): with measured positions [m, rad, per s].
@@ -93,9 +100,15 @@ def identify_axis(
     drive, load, half_width = fit.solve()
     drive = replace(drive, resolution=resolution_of(y))
     return IdentifiedAxis(
-        axis, drive, load, half_width, rows[counts], r[counts], y[counts],
+        axis,
+        drive,
+        load,
+        half_width,
+        rows[counts],
+        r[counts],
+        y[counts],
         fit.answer(drive, load)[counts],
-    )  # fmt: skip
+    )
 
 
 def resolution_of(positions: FloatArray) -> float:
@@ -172,9 +185,14 @@ def spreads_of(
 
 class _Fit:
     def __init__(
-        self, period: float, setpoint: FloatArray, rate: FloatArray, measured: FloatArray,
-        counts: BoolArray, load: DriveLoad | None,
-    ):  # fmt: skip
+        self,
+        period: float,
+        setpoint: FloatArray,
+        rate: FloatArray,
+        measured: FloatArray,
+        counts: BoolArray,
+        load: DriveLoad | None,
+    ):
         self._period, self._counts, self._load = period, counts, load
         self._setpoint, self._rate, self._measured = setpoint, rate, measured
         self._largest = max(each.high for each in LOOPS if each.name == 'delay')
@@ -232,17 +250,25 @@ class _Fit:
 
         first = np.clip([start[name] for name in names] / scale, low + 1e-6, high - 1e-6)
         done = least_squares(
-            residual, first, bounds=(low, high), max_nfev=steps, x_scale='jac', diff_step=1e-4,
+            residual,
+            first,
+            bounds=(low, high),
+            max_nfev=steps,
+            x_scale='jac',
+            diff_step=1e-4,
             ftol=1e-11,
-        )  # fmt: skip
+        )
         values = dict(zip(names, (done.x * scale).tolist(), strict=True))
         jacobian: FloatArray = done.jac * spread / scale
         return values, float(done.cost), jacobian, done.fun * spread
 
     def _widths(
-        self, parameters: tuple[Parameter, ...], values: Mapping[str, float], jacobian: FloatArray,
+        self,
+        parameters: tuple[Parameter, ...],
+        values: Mapping[str, float],
+        jacobian: FloatArray,
         residual: FloatArray,
-    ) -> dict[str, float]:  # fmt: skip
+    ) -> dict[str, float]:
         """Return half widths of 95 % intervals: SIGMAS times the spreads of the fitted numbers."""
         place = self.answer(*self._model(values))[self._counts]
         lags = min(len(residual) - 1, round(CORRELATED / self._period))
@@ -261,9 +287,13 @@ SECTIONS = ('loads', 'drives')
 
 
 def with_drives(
-    text: str, machine: Machine, drives: Mapping[int, AxisDrive], loads: Mapping[int, DriveLoad],
-    half_widths: Mapping[int, Mapping[str, float]], origin: str,
-) -> str:  # fmt: skip
+    text: str,
+    machine: Machine,
+    drives: Mapping[int, AxisDrive],
+    loads: Mapping[int, DriveLoad],
+    half_widths: Mapping[int, Mapping[str, float]],
+    origin: str,
+) -> str:
     """Write drives, loads and half of the 95 % intervals [SI] into the text of a machine file."""
     parts = [_without_sections(text).rstrip('\n'), '']
     if loads:

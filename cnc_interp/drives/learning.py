@@ -44,9 +44,13 @@ def start_of(setpoints: FloatArray) -> int:
 
 
 def learnt_rates(
-    model: Machine, period: float, lead: float, setpoints: FloatArray, feedback: FloatArray,
+    model: Machine,
+    period: float,
+    lead: float,
+    setpoints: FloatArray,
+    feedback: FloatArray,
     before: FloatArray | None = None,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return what is added to the feed-forward in the next run, (K, n_axes) [m, rad, per s].
 
     ``lead``: time by which all axes are late [s]; ``setpoints``: from ``with_hold``; ``feedback``
@@ -81,10 +85,13 @@ def measured_error(
     """Return errors of measured positions, (F, 2) [m, rad], late by ``lead`` [s], from rest."""
     transform, ahead = Transform.of(machine), math.ceil(AHEAD / period)
     before = memory_of(period, lead)
-    commanded = np.concatenate([
-        np.repeat(setpoints[:1], before, axis=0), setpoints[: len(feedback) + ahead],
-        np.repeat(setpoints[-1:], max(len(feedback) + ahead - len(setpoints), 0), axis=0),
-    ])  # fmt: skip
+    commanded = np.concatenate(
+        [
+            np.repeat(setpoints[:1], before, axis=0),
+            setpoints[: len(feedback) + ahead],
+            np.repeat(setpoints[-1:], max(len(feedback) + ahead - len(setpoints), 0), axis=0),
+        ]
+    )
     path, actual = transform.forward(commanded), transform.forward(feedback)
     return np.asarray(path_and_axis_errors(*path, *actual, before + ahead))
 
@@ -131,10 +138,11 @@ class LearntMotion:
                 found = {name: file[name] for name in ARRAYS}
             motion = LearntMotion(
                 np.ascontiguousarray(found['setpoint'], dtype=float),
-                np.ascontiguousarray(found['rate'], dtype=float), float(found['period']),
+                np.ascontiguousarray(found['rate'], dtype=float),
+                float(found['period']),
                 np.asarray(found['error'], dtype=float),
                 *(str(found[name]) for name in ('axes', 'machine', 'model')),
-            )  # fmt: skip
+            )
         except OSError as fault:
             why = fault.strerror or 'not a file that `learn` wrote'
             raise InterpError(f'{path}: cannot be read ({why})') from None

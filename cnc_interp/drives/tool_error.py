@@ -86,9 +86,12 @@ class ToolMotion:
 
 
 def tool_error(
-    machine: Machine, period: float, positions: FloatArray, velocities: FloatArray,
+    machine: Machine,
+    period: float,
+    positions: FloatArray,
+    velocities: FloatArray,
     model: Machine | None = None,
-) -> ToolError:  # fmt: skip
+) -> ToolError:
     """Simulate drives on setpoints (K, n_axes) until they settle; return the error at the tool."""
     motion = ToolMotion(machine, period, np.asarray(positions[0], dtype=float), model)
     parts = motion.push(positions, velocities), motion.settle()

@@ -61,12 +61,32 @@ def constant_of(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_rows(
-    c0: FloatArray, c1: FloatArray, c2: FloatArray, constant: FloatArray, x0: FloatArray,
-    x1: FloatArray, x2: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
-    s00: FloatArray, s01: FloatArray, s02: FloatArray, s11: FloatArray, s12: FloatArray,
-    s22: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, u0: FloatArray,
-    u1: FloatArray, u2: FloatArray, gap: FloatArray, use: FloatArray,
-) -> None:  # fmt: skip
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    constant: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    s00: FloatArray,
+    s01: FloatArray,
+    s02: FloatArray,
+    s11: FloatArray,
+    s12: FloatArray,
+    s22: FloatArray,
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    u0: FloatArray,
+    u1: FloatArray,
+    u2: FloatArray,
+    gap: FloatArray,
+    use: FloatArray,
+) -> None:
     """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
@@ -93,12 +113,28 @@ def _sum_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sums_by_coefficients(
-    s00: FloatArray, s01: FloatArray, s02: FloatArray, s11: FloatArray, s12: FloatArray,
-    s22: FloatArray, e00: FloatArray, e01: FloatArray, e02: FloatArray, e10: FloatArray,
-    e11: FloatArray, e12: FloatArray, e20: FloatArray, e21: FloatArray, e22: FloatArray,
-    h00: FloatArray, h01: FloatArray, h02: FloatArray, h11: FloatArray, h12: FloatArray,
+    s00: FloatArray,
+    s01: FloatArray,
+    s02: FloatArray,
+    s11: FloatArray,
+    s12: FloatArray,
+    s22: FloatArray,
+    e00: FloatArray,
+    e01: FloatArray,
+    e02: FloatArray,
+    e10: FloatArray,
+    e11: FloatArray,
+    e12: FloatArray,
+    e20: FloatArray,
+    e21: FloatArray,
+    e22: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h02: FloatArray,
+    h11: FloatArray,
+    h12: FloatArray,
     h22: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Add sums of squares in the terms to the matrix of the cell: h += e s e^T."""
     for j in range(len(e00)):
         a, b, c = e00[j], e01[j], e02[j]
@@ -123,10 +159,22 @@ def _sums_by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def by_coefficients(
-    p0: FloatArray, p1: FloatArray, p2: FloatArray, e00: FloatArray, e01: FloatArray,
-    e02: FloatArray, e10: FloatArray, e11: FloatArray, e12: FloatArray, e20: FloatArray,
-    e21: FloatArray, e22: FloatArray, out0: FloatArray, out1: FloatArray, out2: FloatArray,
-) -> None:  # fmt: skip
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    e00: FloatArray,
+    e01: FloatArray,
+    e02: FloatArray,
+    e10: FloatArray,
+    e11: FloatArray,
+    e12: FloatArray,
+    e20: FloatArray,
+    e21: FloatArray,
+    e22: FloatArray,
+    out0: FloatArray,
+    out1: FloatArray,
+    out2: FloatArray,
+) -> None:
     """Add forces on the terms to the forces on m_{i-1}, m_i, m_{i+1} of each cell."""
     for j in range(len(e00)):
         out0[j] += p0[j] * e00[j] + p1[j] * e01[j] + p2[j] * e02[j]
@@ -136,11 +184,27 @@ def by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _time_of_cells(
-    width: FloatArray, v0: FloatArray, v1: FloatArray, l0: FloatArray, r0: FloatArray,
-    l1: FloatArray, r1: FloatArray, bl0: FloatArray, br0: FloatArray, bl1: FloatArray,
-    br1: FloatArray, h00: FloatArray, h01: FloatArray, h02: FloatArray, h11: FloatArray,
-    h12: FloatArray, h22: FloatArray, g0: FloatArray, g1: FloatArray, g2: FloatArray,
-) -> None:  # fmt: skip
+    width: FloatArray,
+    v0: FloatArray,
+    v1: FloatArray,
+    l0: FloatArray,
+    r0: FloatArray,
+    l1: FloatArray,
+    r1: FloatArray,
+    bl0: FloatArray,
+    br0: FloatArray,
+    bl1: FloatArray,
+    br1: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h02: FloatArray,
+    h11: FloatArray,
+    h12: FloatArray,
+    h22: FloatArray,
+    g0: FloatArray,
+    g1: FloatArray,
+    g2: FloatArray,
+) -> None:
     """Write gradient g and Hessian h of the time t = 2 H/S of each cell, S = v_i + v_{i+1}.
 
     d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative. ``l`` and ``r`` are the derivatives of v
@@ -166,11 +230,26 @@ def _time_of_cells(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_caps(
-    cap0: FloatArray, cap1: FloatArray, m: FloatArray, b: FloatArray, bl: FloatArray,
-    br: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
-    h00: FloatArray, h01: FloatArray, h11: FloatArray, push0: FloatArray, push1: FloatArray,
-    pull0: FloatArray, pull1: FloatArray, gap: FloatArray, use: FloatArray,
-) -> None:  # fmt: skip
+    cap0: FloatArray,
+    cap1: FloatArray,
+    m: FloatArray,
+    b: FloatArray,
+    bl: FloatArray,
+    br: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    h00: FloatArray,
+    h01: FloatArray,
+    h11: FloatArray,
+    push0: FloatArray,
+    push1: FloatArray,
+    pull0: FloatArray,
+    pull1: FloatArray,
+    gap: FloatArray,
+    use: FloatArray,
+) -> None:
     for j in range(len(m)):
         g0, g1 = m[j] * cap0[j], b[j] * cap1[j]
         use[j] = max(use[j], max(g0, g1))
@@ -195,11 +274,24 @@ def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def add_rows(
-    rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, width: FloatArray, v: FloatArray,
-    terms: FloatArray, slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
-    edges: IntArray, d0: FloatArray, d1: FloatArray, d2: FloatArray, residual: FloatArray,
-    rhs: FloatArray, weighted: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
+    rows: FloatArray,
+    inverse_caps: FloatArray,
+    m: FloatArray,
+    width: FloatArray,
+    v: FloatArray,
+    terms: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    edges: IntArray,
+    d0: FloatArray,
+    d1: FloatArray,
+    d2: FloatArray,
+    residual: FloatArray,
+    rhs: FloatArray,
+    weighted: FloatArray,
+) -> tuple[float, float]:
     """Write Newton matrix ``d0`` to ``d2``, right-hand side of the predictor step and residual.
 
     ``width`` has the effective widths [m], ``v`` s_dot at the nodes. ``weighted``: of each chunk,
@@ -219,10 +311,27 @@ def add_rows(
         left, right = slice(lo, hi), slice(lo + 1, hi + 1)
         gap[:], use[:] = 0.0, 0.0
         _time_of_cells(
-            width[left], v[left], v[right], e[11, left], e[12, left], e[11, right], e[12, right],
-            e[9, left], e[10, left], e[9, right], e[10, right],
-            x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
-        )  # fmt: skip
+            width[left],
+            v[left],
+            v[right],
+            e[11, left],
+            e[12, left],
+            e[11, right],
+            e[12, right],
+            e[9, left],
+            e[10, left],
+            e[9, right],
+            e[10, right],
+            x[0],
+            x[1],
+            x[2],
+            x[3],
+            x[4],
+            x[5],
+            x[6],
+            x[7],
+            x[8],
+        )
         x[9:12] = x[6:9]
         for q in range(places):
             s[:] = 0.0
@@ -230,12 +339,32 @@ def add_rows(
             for k in range(n_axes):
                 c, r = 3 * q, 2 * (places * k + q)
                 _sum_rows(
-                    rows[k, c, left], rows[k, c + 1, left], rows[k, c + 2, left],
-                    constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
-                    slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
-                    s[0], s[1], s[2], s[3], s[4], s[5],
-                    s[6], s[7], s[8], s[9], s[10], s[11], gap, use,
-                )  # fmt: skip
+                    rows[k, c, left],
+                    rows[k, c + 1, left],
+                    rows[k, c + 2, left],
+                    constant_of(rows, k, q, lo, hi, zero),
+                    x0,
+                    x1,
+                    x2,
+                    slack[r, left],
+                    slack[r + 1, left],
+                    dual[r, left],
+                    dual[r + 1, left],
+                    s[0],
+                    s[1],
+                    s[2],
+                    s[3],
+                    s[4],
+                    s[5],
+                    s[6],
+                    s[7],
+                    s[8],
+                    s[9],
+                    s[10],
+                    s[11],
+                    gap,
+                    use,
+                )
             z = slope_rows(slopes, q, lo, hi)
             _sums_by_coefficients(
                 s[0], s[1], s[2], s[3], s[4], s[5], *z, x[0], x[1], x[2], x[3], x[4], x[5]
@@ -244,11 +373,26 @@ def add_rows(
             by_coefficients(s[9], s[10], s[11], *z, x[9], x[10], x[11])
         r = 2 * places * n_axes
         _sum_caps(
-            inverse_caps[0, left], inverse_caps[1, left], m[left], terms[4, left],
-            e[9, left], e[10, left],
-            slack[r, left], slack[r + 1, left], dual[r, left], dual[r + 1, left],
-            x[0], x[1], x[3], x[6], x[7], x[9], x[10], gap, use,
-        )  # fmt: skip
+            inverse_caps[0, left],
+            inverse_caps[1, left],
+            m[left],
+            terms[4, left],
+            e[9, left],
+            e[10, left],
+            slack[r, left],
+            slack[r + 1, left],
+            dual[r, left],
+            dual[r + 1, left],
+            x[0],
+            x[1],
+            x[3],
+            x[6],
+            x[7],
+            x[9],
+            x[10],
+            gap,
+            use,
+        )
         weighted[chunk] = 0.0
         for j in range(hi - lo):
             total_gap += gap[j]
@@ -267,10 +411,18 @@ def add_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
-    total: float, rows: FloatArray, inverse_caps: FloatArray, m: FloatArray, terms: FloatArray,
-    width: FloatArray, v: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray,
+    total: float,
+    rows: FloatArray,
+    inverse_caps: FloatArray,
+    m: FloatArray,
+    terms: FloatArray,
+    width: FloatArray,
+    v: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
     warm: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Set the cell weights by time, and start slacks and duals.
 
     ``total`` is the time of the starting point [s]. A warm start, from nearly the same problem,

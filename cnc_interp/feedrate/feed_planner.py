@@ -62,9 +62,16 @@ def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _window_end(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
-    last: int, ratio: float, most_cells: int, state: FloatArray,
-) -> int:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    last: int,
+    ratio: float,
+    most_cells: int,
+    state: FloatArray,
+) -> int:
     """Continue the search for the window end up to a grid point; return its own, or -1.
 
     It is full after ``ratio`` horizons at the fastest speed of an optimistic guess, or after
@@ -86,9 +93,13 @@ def _window_end(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def commit_node(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
     v: FloatArray,
-) -> int:  # fmt: skip
+) -> int:
     """Find the last grid point with a whole horizon between it and the end of the plan."""
     bounds = speed_bounds(s[1:] - s[:-1], left, right, feed, table)
     n = len(bounds)
@@ -179,9 +190,13 @@ class FeedPlanner:
     """Plan a path arriving in parts, from a state ``start`` of a law within the same limits."""
 
     def __init__(
-        self, limits: AxisLimits, options: PlanOptions | None = None,
-        start: tuple[float, float] = AT_REST, time: float = 0.0, tool: ToolLimit | None = None,
-    ):  # fmt: skip
+        self,
+        limits: AxisLimits,
+        options: PlanOptions | None = None,
+        start: tuple[float, float] = AT_REST,
+        time: float = 0.0,
+        tool: ToolLimit | None = None,
+    ):
         self.options = options or PlanOptions()
         self._table = limits.limit_table
         self._parts: list[AxisPath] = []
@@ -401,9 +416,12 @@ class FeedPlanner:
 
 
 def plan_path(
-    path: AxisPath, limits: AxisLimits, options: PlanOptions | None = None,
-    start: tuple[float, float] = AT_REST, tool: ToolLimit | None = None,
-) -> PlannedPiece:  # fmt: skip
+    path: AxisPath,
+    limits: AxisLimits,
+    options: PlanOptions | None = None,
+    start: tuple[float, float] = AT_REST,
+    tool: ToolLimit | None = None,
+) -> PlannedPiece:
     """Plan the fastest motion along a complete path, which may contain stops, from rest to rest.
 
     Parameters

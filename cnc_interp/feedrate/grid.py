@@ -37,9 +37,14 @@ NEAR = 1e-6  #: A kink nearer to a border of its cell gets no grid point: part o
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_times(
-    s: FloatArray, feed: FloatArray, bounds: FloatArray, v: FloatArray, inside: FloatArray,
-    capped: BoolArray, tau: float,
-) -> FloatArray:  # fmt: skip
+    s: FloatArray,
+    feed: FloatArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    inside: FloatArray,
+    capped: BoolArray,
+    tau: float,
+) -> FloatArray:
     """Return the wanted cell time at every grid point [s].
 
     It grows from ``tau`` only where the programmed feed alone limits the speed: there the law
@@ -58,9 +63,15 @@ def cell_times(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def cell_nodes(
-    h: float, v0: float, v1: float, bound: FloatArray, start: float, end: float, least: float,
+    h: float,
+    v0: float,
+    v1: float,
+    bound: FloatArray,
+    start: float,
+    end: float,
+    least: float,
     out: FloatArray,
-) -> int:  # fmt: skip
+) -> int:
     """Write the inner nodes of one cell, evenly spaced in time; return their number."""
     x, count = np.empty(SAMPLES + 1), np.zeros(SAMPLES + 1)
     time, cruise = np.zeros(SAMPLES + 1), np.zeros(SAMPLES + 1, dtype=np.bool_)
@@ -137,9 +148,17 @@ class PlanGrid:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _grid_nodes(
-    s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray, bounds: FloatArray,
-    v: FloatArray, inside: FloatArray, wanted: FloatArray, most_bend: float, whole: int,
-) -> FloatArray:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    inside: FloatArray,
+    wanted: FloatArray,
+    most_bend: float,
+    whole: int,
+) -> FloatArray:
     n = len(bounds)
     found = np.empty(4096)
     total = 0
@@ -171,9 +190,15 @@ def _grid_nodes(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _lies_on_line(
-    first: int, last: int, s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray,
-    v: float, most: float,
-) -> bool:  # fmt: skip
+    first: int,
+    last: int,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    v: float,
+    most: float,
+) -> bool:
     """Tell whether q_ss and q_sss of cells first ... last are linear in s, within ``most``."""
     span = s[last + 1] - s[first]
     for k in range(left.shape[2]):
@@ -192,10 +217,19 @@ def _lies_on_line(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _group_cells(
-    kept: FloatArray, s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray,
-    table: FloatArray, bounds: FloatArray, v: FloatArray, inside: FloatArray, wanted: FloatArray,
-    most_bend: float, given: FloatArray,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    kept: FloatArray,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    inside: FloatArray,
+    wanted: FloatArray,
+    most_bend: float,
+    given: FloatArray,
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """Return the nodes, and the bounds and the guess there; path cells after ``kept`` are grouped.
 
     Only at points that were ``given`` a group may hold more than one wanted cell time.
@@ -236,10 +270,18 @@ def _group_cells(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _divided(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
-    start: tuple[float, float], cell_time: tuple[float, float], share: float, ease: float,
-    most_bend: float, whole: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    start: tuple[float, float],
+    cell_time: tuple[float, float],
+    share: float,
+    ease: float,
+    most_bend: float,
+    whole: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return bounds, speed at and in cells, wanted cell times, and where cells are divided."""
     h = s[1:] - s[:-1]
     bounds = speed_guess.speed_bounds(h, left, right, feed, table)
@@ -253,9 +295,14 @@ def _divided(
 
 
 def planning_grid(
-    path: AxisPath, table: FloatArray, start: tuple[float, float], cell_time: tuple[float, float],
-    share: float, most_bend: float, kept: FloatArray,
-) -> PlanGrid:  # fmt: skip
+    path: AxisPath,
+    table: FloatArray,
+    start: tuple[float, float],
+    cell_time: tuple[float, float],
+    share: float,
+    most_bend: float,
+    kept: FloatArray,
+) -> PlanGrid:
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     given = path.s
     for attempt in range(MOST_ROUNDS + 1):

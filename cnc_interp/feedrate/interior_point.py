@@ -27,11 +27,26 @@ SOLVED, STALLED, BROKEN = 0, 1, 2
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_rows(
-    c0: FloatArray, c1: FloatArray, c2: FloatArray, constant: FloatArray, x0: FloatArray,
-    x1: FloatArray, x2: FloatArray, w0: FloatArray, w1: FloatArray, y0: FloatArray, y1: FloatArray,
-    a0: FloatArray, a1: FloatArray, a2: FloatArray, b0: FloatArray, b1: FloatArray, b2: FloatArray,
-    square: FloatArray, worst: FloatArray,
-) -> None:  # fmt: skip
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    constant: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    a0: FloatArray,
+    a1: FloatArray,
+    a2: FloatArray,
+    b0: FloatArray,
+    b1: FloatArray,
+    b2: FloatArray,
+    square: FloatArray,
+    worst: FloatArray,
+) -> None:
     """Predict the steps of the rows of one axis and place; x are the linearised terms."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
@@ -53,9 +68,15 @@ def _predict_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_cap(
-    cap: FloatArray, x: FloatArray, w: FloatArray, y: FloatArray, a: FloatArray, b: FloatArray,
-    square: FloatArray, worst: FloatArray,
-) -> None:  # fmt: skip
+    cap: FloatArray,
+    x: FloatArray,
+    w: FloatArray,
+    y: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    square: FloatArray,
+    worst: FloatArray,
+) -> None:
     for j in range(len(cap)):
         inverse = 1.0 / w[j]
         dw = 1.0 - w[j] - cap[j] * x[j]
@@ -74,10 +95,19 @@ def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> Non
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def predict(
-    rows: FloatArray, inverse_caps: FloatArray, m_reached: FloatArray, reached: FloatArray,
-    slopes: FloatArray, weight: FloatArray, slack: FloatArray, dual: FloatArray, edges: IntArray,
-    forces: FloatArray, step: FloatArray, square: FloatArray,
-) -> None:  # fmt: skip
+    rows: FloatArray,
+    inverse_caps: FloatArray,
+    m_reached: FloatArray,
+    reached: FloatArray,
+    slopes: FloatArray,
+    weight: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    edges: IntArray,
+    forces: FloatArray,
+    step: FloatArray,
+    square: FloatArray,
+) -> None:
     """Compute how far the predictor step may go, and what the corrector needs of it.
 
     With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is dy = -y (1
@@ -102,11 +132,26 @@ def predict(
             for k in range(n_axes):
                 c, r = 3 * q, 2 * (places * k + q)
                 _predict_rows(
-                    rows[k, c, here], rows[k, c + 1, here], rows[k, c + 2, here],
-                    barrier.constant_of(rows, k, q, lo, hi, zero), x0, x1, x2,
-                    slack[r, here], slack[r + 1, here], dual[r, here], dual[r + 1, here],
-                    s[0], s[1], s[2], s[3], s[4], s[5], x[0], x[1],
-                )  # fmt: skip
+                    rows[k, c, here],
+                    rows[k, c + 1, here],
+                    rows[k, c + 2, here],
+                    barrier.constant_of(rows, k, q, lo, hi, zero),
+                    x0,
+                    x1,
+                    x2,
+                    slack[r, here],
+                    slack[r + 1, here],
+                    dual[r, here],
+                    dual[r + 1, here],
+                    s[0],
+                    s[1],
+                    s[2],
+                    s[3],
+                    s[4],
+                    s[5],
+                    x[0],
+                    x[1],
+                )
             z = jerk_rows.slope_rows(slopes, q, lo, hi)
             barrier.by_coefficients(
                 s[0], s[1], s[2], *z, forces[0, here], forces[1, here], forces[2, here]
@@ -116,13 +161,25 @@ def predict(
             )
         r = 2 * places * n_axes
         _predict_cap(
-            inverse_caps[0, here], m_reached[here], slack[r, here], dual[r, here],
-            s[0], s[1], x[0], x[1],
-        )  # fmt: skip
+            inverse_caps[0, here],
+            m_reached[here],
+            slack[r, here],
+            dual[r, here],
+            s[0],
+            s[1],
+            x[0],
+            x[1],
+        )
         _predict_cap(
-            inverse_caps[1, here], reached[4, here], slack[r + 1, here], dual[r + 1, here],
-            s[2], s[3], x[0], x[1],
-        )  # fmt: skip
+            inverse_caps[1, here],
+            reached[4, here],
+            slack[r + 1, here],
+            dual[r + 1, here],
+            s[2],
+            s[3],
+            x[0],
+            x[1],
+        )
         barrier.add_to(forces[1, here], s[0], 1.0)
         barrier.add_to(forces[4, here], s[1], 1.0)
         left, right = slopes[9, here], slopes[10, here]
@@ -149,12 +206,30 @@ def _dual_step(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
-    target: FloatArray, second_order: FloatArray, c0: FloatArray, c1: FloatArray, c2: FloatArray,
-    constant: FloatArray, p0: FloatArray, p1: FloatArray, p2: FloatArray, x0: FloatArray,
-    x1: FloatArray, x2: FloatArray, weight: FloatArray, w0: FloatArray, w1: FloatArray,
-    y0: FloatArray, y1: FloatArray, dw0: FloatArray, dw1: FloatArray, dy0: FloatArray,
-    dy1: FloatArray, primal: FloatArray, adjoint: FloatArray,
-) -> None:  # fmt: skip
+    target: FloatArray,
+    second_order: FloatArray,
+    c0: FloatArray,
+    c1: FloatArray,
+    c2: FloatArray,
+    constant: FloatArray,
+    p0: FloatArray,
+    p1: FloatArray,
+    p2: FloatArray,
+    x0: FloatArray,
+    x1: FloatArray,
+    x2: FloatArray,
+    weight: FloatArray,
+    w0: FloatArray,
+    w1: FloatArray,
+    y0: FloatArray,
+    y1: FloatArray,
+    dw0: FloatArray,
+    dw1: FloatArray,
+    dy0: FloatArray,
+    dy1: FloatArray,
+    primal: FloatArray,
+    adjoint: FloatArray,
+) -> None:
     """Write the steps of the rows of one axis and place; p, x are terms after both steps."""
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
@@ -170,10 +245,19 @@ def _step_rows(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_cap(
-    target: FloatArray, second_order: FloatArray, cap: FloatArray, p: FloatArray, x: FloatArray,
-    weight: FloatArray, w: FloatArray, y: FloatArray, dw: FloatArray, dy: FloatArray,
-    primal: FloatArray, adjoint: FloatArray,
-) -> None:  # fmt: skip
+    target: FloatArray,
+    second_order: FloatArray,
+    cap: FloatArray,
+    p: FloatArray,
+    x: FloatArray,
+    weight: FloatArray,
+    w: FloatArray,
+    y: FloatArray,
+    dw: FloatArray,
+    dy: FloatArray,
+    primal: FloatArray,
+    adjoint: FloatArray,
+) -> None:
     for j in range(len(cap)):
         inverse, there = 1.0 / w[j], 1.0 - w[j]
         step = there - cap[j] * x[j]
@@ -198,11 +282,21 @@ def _blend(values: FloatArray, edges: IntArray, chunk: int, below: bool, out: Fl
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def advance(
-    target: FloatArray, second_order: FloatArray, rows: FloatArray, inverse_caps: FloatArray,
-    m_predicted: FloatArray, predicted: FloatArray, m_reached: FloatArray, reached: FloatArray,
-    weight: FloatArray, edges: IntArray, m: FloatArray, slack: FloatArray, dual: FloatArray,
+    target: FloatArray,
+    second_order: FloatArray,
+    rows: FloatArray,
+    inverse_caps: FloatArray,
+    m_predicted: FloatArray,
+    predicted: FloatArray,
+    m_reached: FloatArray,
+    reached: FloatArray,
+    weight: FloatArray,
+    edges: IntArray,
+    m: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
     floor: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Take the corrected step while slacks, duals and coefficients stay positive.
 
     ``target``: wanted product of slack and dual, per unit of cell weight; ``second_order``: factor
@@ -226,21 +320,42 @@ def advance(
                 for k in range(n_axes):
                     c, r = 3 * q, 2 * (places * k + q)
                     _step_rows(
-                        target[here], second_order[here], rows[k, c, here], rows[k, c + 1, here],
-                        rows[k, c + 2, here], barrier.constant_of(rows, k, q, lo, hi, zero),
-                        *p, *x, weight[here], slack[r, here], slack[r + 1, here], dual[r, here],
-                        dual[r + 1, here], dw[new, r, cells], dw[new, r + 1, cells],
-                        dy[new, r, cells], dy[new, r + 1, cells], f[0], f[1],
-                    )  # fmt: skip
+                        target[here],
+                        second_order[here],
+                        rows[k, c, here],
+                        rows[k, c + 1, here],
+                        rows[k, c + 2, here],
+                        barrier.constant_of(rows, k, q, lo, hi, zero),
+                        *p,
+                        *x,
+                        weight[here],
+                        slack[r, here],
+                        slack[r + 1, here],
+                        dual[r, here],
+                        dual[r + 1, here],
+                        dw[new, r, cells],
+                        dw[new, r + 1, cells],
+                        dy[new, r, cells],
+                        dy[new, r + 1, cells],
+                        f[0],
+                        f[1],
+                    )
             for which in range(2):
                 r = 2 * places * n_axes + which
                 _step_cap(
-                    target[here], second_order[here], inverse_caps[which, here],
+                    target[here],
+                    second_order[here],
+                    inverse_caps[which, here],
                     m_predicted[here] if which == 0 else predicted[4, here],
-                    m_reached[here] if which == 0 else reached[4, here], weight[here],
-                    slack[r, here], dual[r, here], dw[new, r, cells], dy[new, r, cells],
-                    f[0], f[1],
-                )  # fmt: skip
+                    m_reached[here] if which == 0 else reached[4, here],
+                    weight[here],
+                    slack[r, here],
+                    dual[r, here],
+                    dw[new, r, cells],
+                    dy[new, r, cells],
+                    f[0],
+                    f[1],
+                )
             primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
             for j in range(hi - lo):
                 primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])
@@ -324,10 +439,18 @@ def _inverse_caps(caps: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def solve(
-    h: FloatArray, rows: FloatArray, caps: FloatArray, ends: FloatArray, m: FloatArray,
-    width: FloatArray, slack: FloatArray, dual: FloatArray, warm: bool, tolerance: float,
+    h: FloatArray,
+    rows: FloatArray,
+    caps: FloatArray,
+    ends: FloatArray,
+    m: FloatArray,
+    width: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    warm: bool,
+    tolerance: float,
     most_iterations: int,
-) -> tuple[int, int, float]:  # fmt: skip
+) -> tuple[int, int, float]:
     """Minimise the time over one part of the path; return status, iterations and time [s].
 
     ``h`` has the cell widths, ``width`` the effective ones, in and out [m]. ``rows`` are those of
@@ -362,9 +485,24 @@ def solve(
             for c in range(chunks):
                 count[c] = max((dual[:, edges[c] : edges[c + 1]] > 0.0).sum(), 1)
         gap, violation = barrier.add_rows(
-            rows, inverse_caps, m, width, v, terms, slopes, weight, slack, dual, edges,
-            d0, d1, d2, residual, rhs, weighted,
-        )  # fmt: skip
+            rows,
+            inverse_caps,
+            m,
+            width,
+            v,
+            terms,
+            slopes,
+            weight,
+            slack,
+            dual,
+            edges,
+            d0,
+            d1,
+            d2,
+            residual,
+            rhs,
+            weighted,
+        )
         off = 0.0
         for i in range(n):
             off += abs(residual[i + 1]) * m[i]
@@ -379,9 +517,19 @@ def solve(
         jerk_rows.linearise(terms, slopes, dm, predicted)
         m_predicted = m + dm[inner]
         predict(
-            rows, inverse_caps, m_predicted, predicted, slopes, weight, slack, dual, edges,
-            forces, step, square,
-        )  # fmt: skip
+            rows,
+            inverse_caps,
+            m_predicted,
+            predicted,
+            slopes,
+            weight,
+            slack,
+            dual,
+            edges,
+            forces,
+            step,
+            square,
+        )
         # The gap may stay at the tolerance: the jerk rows converge linearly in the meantime.
         least = 0.2 * tolerance * total / (n * (n_rows / 2 + 1))
         for c in range(chunks):
@@ -405,9 +553,21 @@ def solve(
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
         jerk_rows.linearise(terms, slopes, dm, reached)
         advance(
-            target, second, rows, inverse_caps, m_predicted, predicted, m + dm[inner], reached,
-            weight, edges, m, slack, dual, floor,
-        )  # fmt: skip
+            target,
+            second,
+            rows,
+            inverse_caps,
+            m_predicted,
+            predicted,
+            m + dm[inner],
+            reached,
+            weight,
+            edges,
+            m,
+            slack,
+            dual,
+            floor,
+        )
         jerk_rows.node_states(m, width, ends, b, a, v)
         calm = jerk_rows.follow_widths(h, a, v, width) < 1e-3
     return STALLED, most_iterations, total

@@ -80,10 +80,22 @@ def _nodes_by_coefficients(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _products(
-    a: FloatArray, b: FloatArray, v: FloatArray, va: FloatArray, vb: FloatArray, va_l: FloatArray,
-    va_r: FloatArray, vb_l: FloatArray, vb_r: FloatArray, al: FloatArray, ar: FloatArray,
-    bl: FloatArray, br: FloatArray, vl: FloatArray, vr: FloatArray,
-) -> None:  # fmt: skip
+    a: FloatArray,
+    b: FloatArray,
+    v: FloatArray,
+    va: FloatArray,
+    vb: FloatArray,
+    va_l: FloatArray,
+    va_r: FloatArray,
+    vb_l: FloatArray,
+    vb_r: FloatArray,
+    al: FloatArray,
+    ar: FloatArray,
+    bl: FloatArray,
+    br: FloatArray,
+    vl: FloatArray,
+    vr: FloatArray,
+) -> None:
     """Write v a and v b at the nodes, and the derivatives of v, v a and v b."""
     for i in range(len(v)):
         half = 0.5 / v[i] if v[i] > 0.0 else 0.0
@@ -96,10 +108,18 @@ def _products(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _jerks(
-    width: FloatArray, a: FloatArray, v: FloatArray, al: FloatArray, ar: FloatArray,
-    vl: FloatArray, vr: FloatArray, j: FloatArray, j_l: FloatArray, j_m: FloatArray,
+    width: FloatArray,
+    a: FloatArray,
+    v: FloatArray,
+    al: FloatArray,
+    ar: FloatArray,
+    vl: FloatArray,
+    vr: FloatArray,
+    j: FloatArray,
+    j_l: FloatArray,
+    j_m: FloatArray,
     j_r: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     for i in range(len(width)):
         sum_v = v[i] + v[i + 1]
         twice = 0.5 / width[i]
@@ -112,9 +132,13 @@ def _jerks(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def terms_and_time(
-    width: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray, terms: FloatArray,
+    width: FloatArray,
+    b: FloatArray,
+    a: FloatArray,
+    v: FloatArray,
+    terms: FloatArray,
     slopes: FloatArray,
-) -> float:  # fmt: skip
+) -> float:
     """Return the time, and write the terms of the rows with their derivatives.
 
     ``terms``: j in cell i; v a, v b, a, b at node i; zero; v. ``slopes``: derivatives of j by
@@ -150,9 +174,13 @@ def _linearised(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _linearised_jerk(
-    j: FloatArray, left: FloatArray, middle: FloatArray, right: FloatArray, dm: FloatArray,
+    j: FloatArray,
+    left: FloatArray,
+    middle: FloatArray,
+    right: FloatArray,
+    dm: FloatArray,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     for i in range(len(dm) - 2):
         out[i] = j[i] + left[i] * dm[i] + middle[i] * dm[i + 1] + right[i] * dm[i + 2]
 

@@ -108,9 +108,14 @@ def without_braking(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _cells(
-    s: FloatArray, left: FloatArray, right: FloatArray, nodes: IntArray, bounds: FloatArray,
-    v: FloatArray, most: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    nodes: IntArray,
+    bounds: FloatArray,
+    v: FloatArray,
+    most: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
     """Return widths, both ends and first coefficients of the planner cells; points of others.
 
     The coefficients are a moving minimum, then a mean, as no law follows corners. ``most`` points
@@ -136,18 +141,34 @@ def _cells(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def solve_cells(
-    first: int, end: int, h: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray,
-    scale: FloatArray, bounds: FloatArray, ends: FloatArray, more: FloatArray, factors: int,
-    m: FloatArray, width: FloatArray, slack: FloatArray, dual: FloatArray, warm: bool, gap: float,
-) -> int:  # fmt: skip
+    first: int,
+    end: int,
+    h: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    table: FloatArray,
+    scale: FloatArray,
+    bounds: FloatArray,
+    ends: FloatArray,
+    more: FloatArray,
+    factors: int,
+    m: FloatArray,
+    width: FloatArray,
+    slack: FloatArray,
+    dual: FloatArray,
+    warm: bool,
+    gap: float,
+) -> int:
     """Solve cells ``first`` ... ``end`` between two states; ``more`` are rows of the tool."""
     cells, count, n_axes = slice(first, end), end - first, left.shape[2]
     some_scale, fast = scale[cells], bounds[cells, 4:].copy()
     rows = np.zeros((n_axes + len(more), factors, count))
     some_left, some_right, some_slack, some_dual = (
-        np.ascontiguousarray(left[:, cells]), np.ascontiguousarray(right[:, cells]),
-        np.ascontiguousarray(slack[:, cells]), np.ascontiguousarray(dual[:, cells]),
-    )  # fmt: skip
+        np.ascontiguousarray(left[:, cells]),
+        np.ascontiguousarray(right[:, cells]),
+        np.ascontiguousarray(slack[:, cells]),
+        np.ascontiguousarray(dual[:, cells]),
+    )
     build_rows(some_left, some_right, table, some_scale, rows[:n_axes])
     if len(more) > 0 and count > 2:
         # The first node of the solved cells is given.
@@ -160,9 +181,18 @@ def solve_cells(
         node = fast[i, 0] if i == 0 else min(fast[i, 0], fast[i - 1, 1])
         caps[i, 0], caps[i, 1] = fast[i, 0] * fast[i, 1], node * node
     status, _, _ = solve(
-        h[cells], rows, caps, ends, m[cells], width[cells], some_slack, some_dual, warm, gap,
+        h[cells],
+        rows,
+        caps,
+        ends,
+        m[cells],
+        width[cells],
+        some_slack,
+        some_dual,
+        warm,
+        gap,
         MOST_ITERATIONS,
-    )  # fmt: skip
+    )
     if status != BROKEN:
         slack[:, cells], dual[:, cells] = some_slack, some_dual
     return status
@@ -170,10 +200,19 @@ def solve_cells(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _spread(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, nodes: IntArray,
-    v: FloatArray, a: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
-    accepted: FloatArray, use: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    nodes: IntArray,
+    v: FloatArray,
+    a: FloatArray,
+    duration: FloatArray,
+    table: FloatArray,
+    points: IntArray,
+    accepted: FloatArray,
+    use: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
     cells, n_axes, worst = len(s) - 1, left.shape[2], 0.0
     all_v, all_a = np.empty(cells + 1), np.empty(cells + 1)
     jerk, all_duration = np.empty(cells), np.empty(cells)
@@ -208,9 +247,14 @@ class StretchProblem:
     """One stretch on its grid, with the limits that the corrections lower; see ``plan``."""
 
     def __init__(
-        self, grid: PlanGrid, table: FloatArray, start: tuple[float, float], options: PlanOptions,
-        kept: KeptCells, tool: ToolLimit | None = None,
-    ):  # fmt: skip
+        self,
+        grid: PlanGrid,
+        table: FloatArray,
+        start: tuple[float, float],
+        options: PlanOptions,
+        kept: KeptCells,
+        tool: ToolLimit | None = None,
+    ):
         self.grid, self.table, self.options = grid, table, options
         path, nodes, guess = grid.path, grid.nodes, grid.guess
         if options.below_ceiling:
@@ -279,11 +323,27 @@ class StretchProblem:
         if end < len(m):
             ends[2:] = self.v[end] ** 2, self.a[end]
         more = NO_ROWS if self.tool is None else self.tool.within_parts()
-        return int(solve_cells(
-            first, end, self.h, self.left, self.right, self.table, self.scale, self.grid.bounds,
-            ends, more, 13 if self.places > 3 else 9, m, width, self.slack, self.dual, warm,
-            self.options.gap,
-        ))  # fmt: skip
+        return int(
+            solve_cells(
+                first,
+                end,
+                self.h,
+                self.left,
+                self.right,
+                self.table,
+                self.scale,
+                self.grid.bounds,
+                ends,
+                more,
+                13 if self.places > 3 else 9,
+                m,
+                width,
+                self.slack,
+                self.dual,
+                warm,
+                self.options.gap,
+            )
+        )
 
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
         if self.tool is None:
@@ -365,10 +425,13 @@ def _better(one: Stretch, other: Stretch) -> bool:
 
 
 def plan(
-    path: AxisPath, table: FloatArray, start: tuple[float, float] = (0.0, 0.0),
-    options: PlanOptions | None = None, kept: KeptCells | None = None,
+    path: AxisPath,
+    table: FloatArray,
+    start: tuple[float, float] = (0.0, 0.0),
+    options: PlanOptions | None = None,
+    kept: KeptCells | None = None,
     tool: ToolLimit | None = None,
-) -> Stretch | None:  # fmt: skip
+) -> Stretch | None:
     """Plan from a state of motion to rest at the end of the path."""
     options = options or PlanOptions()
     kept = kept or KeptCells(np.empty(0), np.empty((0, 4, table.shape[1])), np.empty(0))

@@ -56,10 +56,18 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def limit_use(
-    h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, v: FloatArray,
-    a: FloatArray, jerk: FloatArray, duration: FloatArray, table: FloatArray, points: IntArray,
+    h: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    jerk: FloatArray,
+    duration: FloatArray,
+    table: FloatArray,
+    points: IntArray,
     use: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Write the use of velocity, acceleration, jerk and feed by a law in cells, (2, n, 4, n_axes).
 
     First the largest at all instants, then at both ends only; the torque of a drive counts as

@@ -75,9 +75,12 @@ def axis_motion(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _axis_motion(
-    law: tuple[FloatArray, ...], grid: FloatArray, left: FloatArray, right: FloatArray,
+    law: tuple[FloatArray, ...],
+    grid: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
     time: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, IntArray, FloatArray]:
     start, duration, s, s_dot, s_ddot, s_dddot, cells = law
     n_axes = left.shape[2]
     out, place = np.empty((4, len(time), n_axes)), np.empty(len(time))
@@ -140,12 +143,18 @@ class Stretch:
     def after(self, cell: int) -> Stretch:
         first = int(self.nodes[cell])
         return Stretch(
-            path=cut(self.path, first, len(self.duration)), v=self.v[first:], a=self.a[first:],
-            jerk=self.jerk[first:], duration=self.duration[first:],
-            nodes=self.nodes[cell:] - first, scale=self.scale[cell:], use=self.use,
-            converged=self.converged, tool=None if self.tool is None else self.tool[:, cell:],
+            path=cut(self.path, first, len(self.duration)),
+            v=self.v[first:],
+            a=self.a[first:],
+            jerk=self.jerk[first:],
+            duration=self.duration[first:],
+            nodes=self.nodes[cell:] - first,
+            scale=self.scale[cell:],
+            use=self.use,
+            converged=self.converged,
+            tool=None if self.tool is None else self.tool[:, cell:],
             tool_use=self.tool_use,
-        )  # fmt: skip
+        )
 
     def law(self, start_time: float, last: int) -> MotionLaw:
         time = start_time + np.concatenate([[0.0], np.cumsum(self.duration[:last])])
@@ -155,9 +164,14 @@ class Stretch:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def settle_widths(
-    h: FloatArray, m: FloatArray, width: FloatArray, ends: FloatArray, v: FloatArray,
-    a: FloatArray, duration: FloatArray,
-) -> float:  # fmt: skip
+    h: FloatArray,
+    m: FloatArray,
+    width: FloatArray,
+    ends: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    duration: FloatArray,
+) -> float:
     """Iterate the widths to rounding: at 1 ms, an error of 1e-12 m appears as 1e-3 m/s3.
 
     Returns what is left, infinite if a cell takes no time, or no finite one.
@@ -199,10 +213,16 @@ def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def spread_law(
-    s: FloatArray, nodes: IntArray, v_node: FloatArray, a_node: FloatArray,
-    duration_node: FloatArray, v: FloatArray, a: FloatArray, jerk: FloatArray,
+    s: FloatArray,
+    nodes: IntArray,
+    v_node: FloatArray,
+    a_node: FloatArray,
+    duration_node: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    jerk: FloatArray,
     duration: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Spread the law of the planner cells between ``nodes`` over the path cells inside them."""
     for i in range(len(nodes) - 1):
         first, last = nodes[i], nodes[i + 1]

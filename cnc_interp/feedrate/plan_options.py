@@ -33,9 +33,13 @@ class PlanOptions:
 
     def finer(self) -> PlanOptions:
         return replace(
-            self, cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2), share=self.share / 2,
-            bend=self.bend / 2, below_ceiling=True, step=self.step / 2,
-        )  # fmt: skip
+            self,
+            cell_time=(self.cell_time[0] / 2, self.cell_time[1] / 2),
+            share=self.share / 2,
+            bend=self.bend / 2,
+            below_ceiling=True,
+            step=self.step / 2,
+        )
 
 
 @dataclass(frozen=True)

@@ -97,9 +97,17 @@ def _may_release(release: float, straight: float, v: float, a: float) -> bool:
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
-    s_grid: FloatArray, left: FloatArray, right: FloatArray, stop: BoolArray, table: FloatArray,
-    leeway: float, braking: float, release: float, begin: int, steps: FloatArray,
-) -> tuple[int, int]:  # fmt: skip
+    s_grid: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    stop: BoolArray,
+    table: FloatArray,
+    leeway: float,
+    braking: float,
+    release: float,
+    begin: int,
+    steps: FloatArray,
+) -> tuple[int, int]:
     """Brake from s, v, a and cell of step ``begin`` to rest; write the columns of ``steps``.
 
     Duration, s, v, a, j, cell, and highest j if straight. Returns FOUND and the number of steps,
@@ -181,10 +189,17 @@ def _brake(
 
 @numba.njit(cache=True, nogil=True)
 def _first_stop(
-    s_grid: FloatArray, left: FloatArray, right: FloatArray, stop: BoolArray, start: FloatArray,
-    table: FloatArray, leeway: float, brakings: FloatArray, releases: FloatArray,
+    s_grid: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    stop: BoolArray,
+    start: FloatArray,
+    table: FloatArray,
+    leeway: float,
+    brakings: FloatArray,
+    releases: FloatArray,
     steps: FloatArray,
-) -> int:  # fmt: skip
+) -> int:
     """Try all ways to brake, which share first steps; return the steps of the first, or 0."""
     cell = max(min(np.searchsorted(s_grid, start[0], side='right') - 1, len(s_grid) - 2), 0)
     steps[0, 1:4], steps[0, 5] = start, cell
@@ -208,18 +223,29 @@ def _first_stop(
 
 
 def stop_law(
-    path: AxisPath, state: tuple[float, float, float], table: FloatArray, time: float,
+    path: AxisPath,
+    state: tuple[float, float, float],
+    table: FloatArray,
+    time: float,
     leeway: float = LEEWAY,
-) -> PlannedPiece | None:  # fmt: skip
+) -> PlannedPiece | None:
     """Return a stop from s, s_dot and s_ddot at ``time``; None if none keeps all limits."""
     if state[1] <= 0.0:
         return None
     steps = np.empty((round(LONGEST_STOP / STEP), 7))
     begin = grid_place(path, state[0])
     count = _first_stop(
-        path.s, path.cell_left, path.cell_right, path.stop, np.array([begin, *state[1:]]), table,
-        leeway, np.array(BRAKINGS), np.array(RELEASES), steps,
-    )  # fmt: skip
+        path.s,
+        path.cell_left,
+        path.cell_right,
+        path.stop,
+        np.array([begin, *state[1:]]),
+        table,
+        leeway,
+        np.array(BRAKINGS),
+        np.array(RELEASES),
+        steps,
+    )
     if count == 0:
         return None
     duration, s, v, a, j, cell, _ = np.ascontiguousarray(steps[:count].T)

@@ -141,9 +141,13 @@ def stroke_time(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _least_times(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, largest: FloatArray,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    largest: FloatArray,
     b: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     n, n_axes = len(feed), left.shape[2]
     time = np.empty(n)
     for i in range(n):
@@ -194,9 +198,15 @@ def _last_conflict(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _ceiling(
-    s: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray,
-    nodes: IntArray, start: float, rests: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:  # fmt: skip
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    feed: FloatArray,
+    table: FloatArray,
+    nodes: IntArray,
+    start: float,
+    rests: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
     """Return b by the first two lines, the largest limits and rooms; TOPP-RA's points and rows."""
     largest = _largest_limits(left, right, table)
     ways = _ways(s[1:] - s[:-1], left, right)

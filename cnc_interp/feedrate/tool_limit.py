@@ -69,9 +69,12 @@ class ToolLimit:
 
     @staticmethod
     def of(
-        machine: Machine, period: float, largest: float, flank_height: float,
+        machine: Machine,
+        period: float,
+        largest: float,
+        flank_height: float,
         model: Machine | None = None,
-    ) -> ToolLimit:  # fmt: skip
+    ) -> ToolLimit:
         series = error_series(machine, model)
         return ToolLimit(machine, model, period, largest, flank_height, series)
 

@@ -107,9 +107,12 @@ def septic_jet(c: FloatArray, u: float, h: float) -> tuple[float, float, float, 
 
 @numba.njit(cache=True, nogil=True)
 def evaluate_cells(
-    s_grid: FloatArray, cell_left: FloatArray, cell_right: FloatArray, along: FloatArray,
+    s_grid: FloatArray,
+    cell_left: FloatArray,
+    cell_right: FloatArray,
+    along: FloatArray,
     cell: IntArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Evaluate q and its derivatives in cells, ``along`` from their starts, (4, M, n_axes)."""
     n_axes = cell_left.shape[2]
     out = np.empty((4, len(along), n_axes))
@@ -151,9 +154,15 @@ def evaluate(
 
 @numba.njit(cache=True, nogil=True)
 def _between(
-    s: FloatArray, cell_right: FloatArray, tip: FloatArray, axis: FloatArray, at: IntArray,
-    new: BoolArray, way: FloatArray, left: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    s: FloatArray,
+    cell_right: FloatArray,
+    tip: FloatArray,
+    axis: FloatArray,
+    at: IntArray,
+    new: BoolArray,
+    way: FloatArray,
+    left: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return right ends of cells, tips and axes; points lie ``way`` after old ones ``at``."""
     right, tips, axes = np.empty_like(left), np.empty((len(at), 3)), np.empty((len(at), 3))
     for i, p in enumerate(at):

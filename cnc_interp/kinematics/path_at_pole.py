@@ -86,9 +86,20 @@ class PathAtPole:
                 transform.packed, *some, posed.parametrization, rates[rows, polar.TURN], limits
             )
         return cls(
-            transform, height, segments, motion.copy(), np.tile(axes.NO_GUIDE, (n, 1)),
-            np.zeros(n), np.full(n, np.nan), shapes, beside, lengths, near, sine, rates,
-        )  # fmt: skip
+            transform,
+            height,
+            segments,
+            motion.copy(),
+            np.tile(axes.NO_GUIDE, (n, 1)),
+            np.zeros(n),
+            np.full(n, np.nan),
+            shapes,
+            beside,
+            lengths,
+            near,
+            sine,
+            rates,
+        )
 
     def __len__(self) -> int:
         return len(self.segments)
@@ -136,10 +147,19 @@ class PathAtPole:
         rotary[outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
         q = axes.sample(
-            self.transform.packed, segments.kind[i], axes.FOLLOWING, self.shapes[i],
-            self.beside[i], segments.parametrization[i], segments.length[i], rotary,
-            axes.NO_GUIDE, 0.0, u, inside,
-        )[0]  # fmt: skip
+            self.transform.packed,
+            segments.kind[i],
+            axes.FOLLOWING,
+            self.shapes[i],
+            self.beside[i],
+            segments.parametrization[i],
+            segments.length[i],
+            rotary,
+            axes.NO_GUIDE,
+            0.0,
+            u,
+            inside,
+        )[0]
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
@@ -183,9 +203,17 @@ class PathAtPole:
             turning[order - 1] = np.abs(TO_BEZIER[order - 1] @ slope).max()
         exact = EXACT * np.maximum(segments.room, 1e-9) / self.height
         bounds = polar.gap_bounds(
-            self.transform.packed, segments.kind, self.shapes[rows], self.beside[rows],
-            segments.parametrization, segments.length, guides, self.rates[rows], turning, exact,
-        )  # fmt: skip
+            self.transform.packed,
+            segments.kind,
+            self.shapes[rows],
+            self.beside[rows],
+            segments.parametrization,
+            segments.length,
+            guides,
+            self.rates[rows],
+            turning,
+            exact,
+        )
         return np.asarray(bounds), float(turning[0])
 
 

@@ -159,11 +159,13 @@ class AxisPathBuilder:
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
         turn = target - self._rotary
         still = replace(
-            one, kind=np.array([kinds.ROTATION]),
+            one,
+            kind=np.array([kinds.ROTATION]),
             extra=np.repeat(one.extra[:, :1], kinds.POINTS, axis=1),
             length=np.array([self.flank_height * float(np.linalg.norm(turn))]),
-            feed=np.full((1, 2), np.inf), stop=np.array([True]),
-        )  # fmt: skip
+            feed=np.full((1, 2), np.inf),
+            stop=np.array([True]),
+        )
         return self._cells(_turning(still, self._rotary, target), np.array([axes.LINEAR]))
 
     def _stand_at(self, run: PathSegments) -> list[Cells]:
@@ -193,10 +195,18 @@ class AxisPathBuilder:
         guides = np.tile(axes.NO_GUIDE, (len(segments), 1)) if guides is None else guides
         rotary = np.array([*self._rotary, self._branch, self.flank_height])
         status, counts, early, steps, left, right, tips, tools = sample_segments(
-            self.transform.packed, float(np.sin(self.machine.singular_cone)), self._axes,
-            segments.kind, axes.shapes_of(segments), axes.beside_of(segments),
-            segments.parametrization, segments.length, motion, guides, rotary,
-        )  # fmt: skip
+            self.transform.packed,
+            float(np.sin(self.machine.singular_cone)),
+            self._axes,
+            segments.kind,
+            axes.shapes_of(segments),
+            axes.beside_of(segments),
+            segments.parametrization,
+            segments.length,
+            motion,
+            guides,
+            rotary,
+        )
         self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
@@ -220,9 +230,16 @@ class AxisPathBuilder:
         stop = np.zeros(len(steps), dtype=bool)
         stop[ends[counts > 0] - 1] = segments.stop[counts > 0]
         return Cells(
-            steps, left, right, tips, tools,
-            segments.feed[segment, half], segments.block[segment, half], stop, counts,
-        )  # fmt: skip
+            steps,
+            left,
+            right,
+            tips,
+            tools,
+            segments.feed[segment, half],
+            segments.block[segment, half],
+            stop,
+            counts,
+        )
 
     def _join(self, parts: list[Cells]) -> AxisPath:
         steps = np.concatenate([part.steps for part in parts])
@@ -238,11 +255,15 @@ class AxisPathBuilder:
         stop[1:-1] |= self._kinks(right[:, :-1], feed[:-1], left[:, 1:], feed[1:])
         self._s, self._stopped = float(s[-1]), bool(stop[-1])
         return AxisPath(
-            s=s, cell_left=left, cell_right=right,
+            s=s,
+            cell_left=left,
+            cell_right=right,
             tip=np.concatenate([parts[0].tips[:1]] + [part.tips[1:] for part in parts]),
             axis=np.concatenate([parts[0].tools[:1]] + [part.tools[1:] for part in parts]),
-            cell_feed=feed, cell_block=np.concatenate([part.block for part in parts]), stop=stop,
-        )  # fmt: skip
+            cell_feed=feed,
+            cell_block=np.concatenate([part.block for part in parts]),
+            stop=stop,
+        )
 
     def _kinks(
         self, left: FloatArray, feed_left: FloatArray, right: FloatArray, feed_right: FloatArray

@@ -103,9 +103,14 @@ def pole_sine(packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, u
 
 @njit(cache=True, nogil=True)
 def way_to_pole(
-    packed: FloatArray, kind: int, shape: FloatArray, f: FloatArray, turn: float, limit: float,
+    packed: FloatArray,
+    kind: int,
+    shape: FloatArray,
+    f: FloatArray,
+    turn: float,
+    limit: float,
     back: bool,
-) -> float:  # fmt: skip
+) -> float:
     """Return how far in u from an end a segment is first near the pole; 2 if it nowhere is.
 
     ``turn`` bounds |o_u|, ``limit`` is the sine that counts as near; ``back`` starts at u = 1.
@@ -123,9 +128,13 @@ def way_to_pole(
 
 @njit(cache=True, nogil=True)
 def near_pole(
-    packed: FloatArray, kinds: IntArray, shapes: FloatArray, f: FloatArray, turns: FloatArray,
+    packed: FloatArray,
+    kinds: IntArray,
+    shapes: FloatArray,
+    f: FloatArray,
+    turns: FloatArray,
     limits: FloatArray,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray]:
     """Return first and last parameter where the sine is within ``limits``, and the sine at u = 0.
 
     They are 2 and -1 where a segment is not near the pole.
@@ -195,10 +204,17 @@ def lengths_of(
 
 @njit(cache=True, nogil=True)
 def gap_bounds(
-    packed: FloatArray, kinds: IntArray, shapes: FloatArray, beside: FloatArray, f: FloatArray,
-    lengths: FloatArray, guides: FloatArray, rates: FloatArray, turning: FloatArray,
+    packed: FloatArray,
+    kinds: IntArray,
+    shapes: FloatArray,
+    beside: FloatArray,
+    f: FloatArray,
+    lengths: FloatArray,
+    guides: FloatArray,
+    rates: FloatArray,
+    turning: FloatArray,
     allowed: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
 
     ``turning`` bounds both derivatives of the outer axis by path length, ``allowed`` says how
@@ -218,8 +234,10 @@ def gap_bounds(
             continue
         a_u, a_uu = turning[0] * s_u, turning[1] * s_u * s_u + turning[0] * s_uu
         sine = pole_sine(packed, kind, shape, spans, first)
-        sine = min(1.0, max(sine, pole_sine(packed, kind, shape, spans, last))
-                   + 0.5 * o_u * (last - first))  # fmt: skip
+        sine = min(
+            1.0,
+            max(sine, pole_sine(packed, kind, shape, spans, last)) + 0.5 * o_u * (last - first),
+        )
         rate = o_u + a_u * sine
         second = o_uu + 2.0 * a_u * o_u + (a_uu + a_u * a_u) * sine
         likely = second + tan(latitude) * rate * rate

@@ -27,9 +27,14 @@ FINE, UNREACHABLE, SINGULAR, STANDSTILL = 0, 1, 2, 3  #: What became of a segmen
 
 @njit(cache=True, nogil=True)
 def septic_fits(
-    left: FloatArray, right: FloatArray, h: float, x: float, exact: FloatArray, axes: IntArray,
+    left: FloatArray,
+    right: FloatArray,
+    h: float,
+    x: float,
+    exact: FloatArray,
+    axes: IntArray,
     rounding: float,
-) -> bool:  # fmt: skip
+) -> bool:
     """Tell whether the septic of a cell has the exact axes and third derivatives at one place."""
     coefficients = np.empty(8)
     for i in axes:
@@ -78,12 +83,27 @@ def roomier(array: FloatArray, cells: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def sample_segments(
-    packed: FloatArray, cone_sine: float, axes: IntArray, kinds: IntArray, shapes: FloatArray,
-    extra: FloatArray, f: FloatArray, lengths: FloatArray, motion: IntArray, guides: FloatArray,
+    packed: FloatArray,
+    cone_sine: float,
+    axes: IntArray,
+    kinds: IntArray,
+    shapes: FloatArray,
+    extra: FloatArray,
+    f: FloatArray,
+    lengths: FloatArray,
+    motion: IntArray,
+    guides: FloatArray,
     rotary: FloatArray,
 ) -> tuple[
-    int, IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray,
-]:  # fmt: skip
+    int,
+    IntArray,
+    IntArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+]:
     """Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
 
     ``axes`` are the machine's own among X Y Z, rotary and extra axes; ``rotary`` has the positions
@@ -140,9 +160,19 @@ def sample_segments(
             h = segment_axes.arc_length(kind, how, shape, beside, height, length, a, b)
             half = segment_axes.arc_length(kind, how, shape, beside, height, length, a, middle)
             q_m, _, _, sine = segment_axes.sample(
-                packed, kind, how, shape, beside, spans, length, rotary, guide, way + half, middle,
+                packed,
+                kind,
+                how,
+                shape,
+                beside,
+                spans,
+                length,
+                rotary,
+                guide,
+                way + half,
                 middle,
-            )  # fmt: skip
+                middle,
+            )
             if sine < least:
                 break
             if free:
@@ -173,6 +203,12 @@ def sample_segments(
         if guided and guide[segment_axes.GUIDE_TO] <= 1.0:
             rotary[segment_axes.BRANCH] = guide[segment_axes.BRANCH_AFTER]
     return (
-        status, counts[: row + 1], early[: row + 1], steps[:count], left[:count], right[:count],
-        tips[: count + 1], tools[: count + 1],
-    )  # fmt: skip
+        status,
+        counts[: row + 1],
+        early[: row + 1],
+        steps[:count],
+        left[:count],
+        right[:count],
+        tips[: count + 1],
+        tools[: count + 1],
+    )

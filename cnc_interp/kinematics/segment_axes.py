@@ -29,8 +29,10 @@ FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
 BOTTOM, TOP = slice(0, kinds.POINTS), slice(kinds.POINTS, 2 * kinds.POINTS)
 AXIS, ROTATION, CONNECTION = (
-    2 * kinds.POINTS, 2 * kinds.POINTS + 1, slice(2 * kinds.POINTS + 2, None),
-)  # fmt: skip
+    2 * kinds.POINTS,
+    2 * kinds.POINTS + 1,
+    slice(2 * kinds.POINTS + 2, None),
+)
 # Gauss-Legendre points and weights for the arc length of half a corner
 _GAUSS = np.array(np.polynomial.legendre.leggauss(10))  # type: ignore[no-untyped-call]
 
@@ -49,10 +51,19 @@ def shapes_of(segments: PathSegments) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def sample(
-    packed: FloatArray, kind: int, motion: int, shape: FloatArray, beside: FloatArray,
-    f: FloatArray, length: float, rotary: FloatArray, guide: FloatArray, way: float, u: float,
+    packed: FloatArray,
+    kind: int,
+    motion: int,
+    shape: FloatArray,
+    beside: FloatArray,
+    f: FloatArray,
+    length: float,
+    rotary: FloatArray,
+    guide: FloatArray,
+    way: float,
+    u: float,
     inside: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the axes at one point of a segment.
 
     ``beside`` (6, 2 + k): control values of rotary axes [rad] and k extra axes [m]; ``way``: path
@@ -181,9 +192,15 @@ def speed_of(p: VectorJet) -> Jet:
 
 @njit(cache=True, nogil=True)
 def arc_length(
-    kind: int, motion: int, shape: FloatArray, beside: FloatArray, height: float, length: float,
-    a: float, b: float,
-) -> float:  # fmt: skip
+    kind: int,
+    motion: int,
+    shape: FloatArray,
+    beside: FloatArray,
+    height: float,
+    length: float,
+    a: float,
+    b: float,
+) -> float:
     """Return the path length between two u of one half of a segment [m], flank height as lever."""
     if kind != kinds.CORNER and kind != kinds.SPLINE:
         return length * (b - a)

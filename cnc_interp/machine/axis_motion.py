@@ -127,9 +127,12 @@ class AxisMotion:
         self._contour = ContourErrors(self.period, self._lag, self._tip[0])
 
     def measure(
-        self, setpoints: FloatArray, x: FloatArray, v: FloatArray,
+        self,
+        setpoints: FloatArray,
+        x: FloatArray,
+        v: FloatArray,
         answered: FloatArray | None = None,
-    ) -> Recording:  # fmt: skip
+    ) -> Recording:
         """Compare what was asked for with what the drives did, in the periods that follow."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
@@ -145,10 +148,16 @@ class AxisMotion:
         moves = np.diff(np.concatenate([self._tip, tip]), axis=0)
         self._tip = tip[-1:]
         return Recording(
-            setpoint=setpoints, position=x, velocity=v, following_error=answered - x, tip=tip,
-            axis=axis, contour_error=self._contour.push(commanded, tip),
-            feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period, largest_use=use,
-        )  # fmt: skip
+            setpoint=setpoints,
+            position=x,
+            velocity=v,
+            following_error=answered - x,
+            tip=tip,
+            axis=axis,
+            contour_error=self._contour.push(commanded, tip),
+            feedrate=np.sqrt(np.sum(moves**2, axis=1)) / self.period,
+            largest_use=use,
+        )
 
     def take_recent_use(self) -> FloatArray:
         """Return the largest use of each limit since the last call, shape (3, n_axes) [-]."""

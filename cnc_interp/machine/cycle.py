@@ -51,10 +51,19 @@ class Cycle:
     """The compiled cycle, as the threads of Python use it; bounds are those of ``Memory``."""
 
     def __init__(
-        self, period: float, travel: FloatArray, jump: FloatArray, slots: int, step: int,
-        drives: FloatArray, outputs: FloatArray = NO_SIGNALS, inputs: FloatArray = NO_SIGNALS,
-        probe: tuple[int, ...] = (), together: float = 0.0, spindle: Spindle | None = None,
-    ):  # fmt: skip
+        self,
+        period: float,
+        travel: FloatArray,
+        jump: FloatArray,
+        slots: int,
+        step: int,
+        drives: FloatArray,
+        outputs: FloatArray = NO_SIGNALS,
+        inputs: FloatArray = NO_SIGNALS,
+        probe: tuple[int, ...] = (),
+        together: float = 0.0,
+        spindle: Spindle | None = None,
+    ):
         n, kept = len(jump), round(KEPT / period)
         self._step, self._period = step, round(period * 1e9)
         self._together = max(1, round(together / period))  # periods in which calm drives wait
@@ -62,13 +71,19 @@ class Cycle:
             control=np.zeros(kernel.WORDS, dtype=np.int64),
             chunks=np.zeros((slots, kernel.COLUMNS), dtype=np.int64),
             travel=np.ascontiguousarray(travel, dtype=float),
-            jump=np.ascontiguousarray(jump, dtype=float), setpoint=np.zeros((2, n)),
-            feedback=np.zeros((4, n)), drives=drives, outputs=outputs, inputs=inputs,
-            probe=np.array(probe, dtype=np.int64), stands=np.zeros(n),
+            jump=np.ascontiguousarray(jump, dtype=float),
+            setpoint=np.zeros((2, n)),
+            feedback=np.zeros((4, n)),
+            drives=drives,
+            outputs=outputs,
+            inputs=inputs,
+            probe=np.array(probe, dtype=np.int64),
+            stands=np.zeros(n),
             spindle=spindle or Spindle.without(outputs),
-            records=np.zeros((kept, 4), dtype=np.int64), measured=np.zeros((kept, 5, n)),
+            records=np.zeros((kept, 4), dtype=np.int64),
+            measured=np.zeros((kept, 5, n)),
             late=np.zeros(RECORD, dtype=np.int64),
-        )  # fmt: skip
+        )
         self._control = self._memory.control
         self._kept: deque[tuple[int, tuple[FloatArray, ...]]] = deque()
         self._written = 0  # chunks

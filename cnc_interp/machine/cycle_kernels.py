@@ -184,9 +184,12 @@ def advance(memory: Memory, step: int) -> None:
     spin.set_outputs(memory.spindle, memory.outputs, memory.setpoint[0, 0])
     memory.feedback[2], memory.feedback[3] = memory.setpoint[0], 0.0
     fault = call_drives(
-        np.uintp(step), memory.drives.ctypes.data, memory.setpoint.ctypes.data,
-        memory.feedback.ctypes.data, memory.setpoint.shape[1],
-    )  # fmt: skip
+        np.uintp(step),
+        memory.drives.ctypes.data,
+        memory.setpoint.ctypes.data,
+        memory.feedback.ctypes.data,
+        memory.setpoint.shape[1],
+    )
     spin.see_angle(memory.spindle, memory.outputs, memory.inputs)
     if fault > 0 and source != REST:
         events |= FAILED

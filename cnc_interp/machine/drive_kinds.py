@@ -101,18 +101,31 @@ KINDS = {
         'a controller of ros2_control',
         (
             Declared('controller', '/joint_trajectory_controller', 'Name of the controller'),
-            Declared('controller_feedback', '/joint_state_broadcaster/joint_states',
-                     'Topic on which ros2_control reports the joints'),
+            Declared(
+                'controller_feedback',
+                '/joint_state_broadcaster/joint_states',
+                'Topic on which ros2_control reports the joints',
+            ),
             Declared('controller_joints', [''], 'Joint of each axis; if empty named as the axes'),
-            Declared('controller_delay', 0.2,
-                     'Time from a setpoint to its execution by the controller [s]', 0.05, 2),
-            Declared('controller_silence', 1.0,
-                     'Silence of the controller that stops the machine [s]', 0.1, 60),
+            Declared(
+                'controller_delay',
+                0.2,
+                'Time from a setpoint to its execution by the controller [s]',
+                0.05,
+                2,
+            ),
+            Declared(
+                'controller_silence',
+                1.0,
+                'Silence of the controller that stops the machine [s]',
+                0.1,
+                60,
+            ),
             *LIMITS,
         ),
         _trajectory,
     ),
-}  # fmt: skip
+}
 CHOICE = '; '.join(f'{name}: {kind.what}' for name, kind in KINDS.items())  #: All kinds in words.
 
 

@@ -31,9 +31,7 @@ PATIENCE = 10.0  #: Longest wait for ``halcmd`` [s].
 class _Stream(ctypes.Structure):
     """A stream as one of its users knows it: component, id of the shared memory, its address."""
 
-    _fields_ = [
-        ('component', ctypes.c_int), ('memory', ctypes.c_int), ('fifo', ctypes.c_void_p)
-    ]  # fmt: skip
+    _fields_ = [('component', ctypes.c_int), ('memory', ctypes.c_int), ('fifo', ctypes.c_void_p)]
 
 
 class HalStream:
@@ -122,9 +120,13 @@ def thread_period(functions: tuple[str, ...]) -> float:
         raise DriveFaultError('halcmd is not found; install LinuxCNC (Debian: linuxcnc-uspace)')
     try:
         told = subprocess.run(
-            [halcmd, '-s', 'show', 'thread'], stdin=subprocess.DEVNULL, capture_output=True,
-            text=True, timeout=PATIENCE, check=True,
-        ).stdout  # fmt: skip
+            [halcmd, '-s', 'show', 'thread'],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=True,
+        ).stdout
     except (OSError, subprocess.SubprocessError) as problem:
         raise DriveFaultError(f'halcmd show thread: {problem}') from None
     # period [ns], uses floating point, name, time, largest time, functions in their order
@@ -150,7 +152,7 @@ CAUSES = {
     hal_step.UNSEEN: 'samples of HAL were lost, because they were not read in time',
     hal_step.FULL: 'HAL takes no more setpoints; its thread is too slow or stands',
     hal_step.STOPPED: "HAL's thread has stopped; start it again: halcmd start",
-}  # fmt: skip
+}
 
 
 class HalDrives(HomedDrives):
@@ -224,17 +226,24 @@ class HalDrives(HomedDrives):
             )
 
     def _fill(
-        self, machine: Machine, period: float, depth: int, limits: tuple[float, float],
-        stream: HalStream, samples: HalStream,
-    ) -> None:  # fmt: skip
+        self,
+        machine: Machine,
+        period: float,
+        depth: int,
+        limits: tuple[float, float],
+        stream: HalStream,
+        samples: HalStream,
+    ) -> None:
         block, words, session = self._block, self._block.words, self._session
         linear = machine.is_linear
         block.units[:] = np.where(linear, MM, DEG)
         block.limits[:] = np.where(linear, *limits)
         for word, function in (
-            (hal_step.WRITE, 'hal_stream_write'), (hal_step.READ, 'hal_stream_read'),
-            (hal_step.DEPTH, 'hal_stream_depth'), (hal_step.OVERRUNS, 'hal_stream_num_overruns'),
-        ):  # fmt: skip
+            (hal_step.WRITE, 'hal_stream_write'),
+            (hal_step.READ, 'hal_stream_read'),
+            (hal_step.DEPTH, 'hal_stream_depth'),
+            (hal_step.OVERRUNS, 'hal_stream_num_overruns'),
+        ):
             words[word] = session.address_of(function)
         words[hal_step.STREAM], words[hal_step.SAMPLES] = stream.address, samples.address
         words[hal_step.WANTED] = words[hal_step.LEAST] = depth

@@ -23,13 +23,17 @@ POWER, STOP = 'cnc-power', 'cnc-released'
 
 #: Pins of LinuxCNC whose signals outputs and inputs of these names take over.
 PINS = {
-    'spindle_speed': 'spindle.0.speed-out-abs', 'spindle_forward': 'spindle.0.forward',
-    'spindle_reverse': 'spindle.0.reverse', 'spindle_at_speed': 'spindle.0.at-speed',
+    'spindle_speed': 'spindle.0.speed-out-abs',
+    'spindle_forward': 'spindle.0.forward',
+    'spindle_reverse': 'spindle.0.reverse',
+    'spindle_at_speed': 'spindle.0.at-speed',
     'spindle_angle': 'spindle.0.revs',
-    'coolant_flood': 'iocontrol.0.coolant-flood', 'coolant_mist': 'iocontrol.0.coolant-mist',
-    'tool_change': 'iocontrol.0.tool-change', 'tool_changed': 'iocontrol.0.tool-changed',
+    'coolant_flood': 'iocontrol.0.coolant-flood',
+    'coolant_mist': 'iocontrol.0.coolant-mist',
+    'tool_change': 'iocontrol.0.tool-change',
+    'tool_changed': 'iocontrol.0.tool-changed',
     'probe': 'motion.probe-input',
-}  # fmt: skip
+}
 
 LOADED = """loadrt threads {threads}
 loadrt streamer depth=1000 cfg={columns[0]}
@@ -38,15 +42,20 @@ loadrt bitslice names={slices} personality={sizes}
 loadrt weighted_sum wsum_sizes={sums}"""
 #: What else is loaded, by module; HAL loads each module once.
 NAMES = {
-    'not': ['stream-alive'], 'and2': ['power-wanted', 'power-given'], 'timedelay': ['stream-late'],
-}  # fmt: skip
+    'not': ['stream-alive'],
+    'and2': ['power-wanted', 'power-given'],
+    'timedelay': ['stream-late'],
+}
 #: Functions that take the place of those of the motion controller, with those of ``INDEXED``.
 HANDLER, CONTROLLER = 'motion-command-handler', 'motion-controller'
 LAST = 'stream-late', 'stream-alive', 'power-wanted', 'power-given'
 MODULES = {
-    'edge': ('found', 'asks'), 'tristate_bit': ('ask',), 'sum2': ('jump',), 'mux2': ('off',),
+    'edge': ('found', 'asks'),
+    'tristate_bit': ('ask',),
+    'sum2': ('jump',),
+    'mux2': ('off',),
     'offset': ('index',),
-}  # fmt: skip
+}
 IN_ORDER = 'found', 'jump', 'off', 'index.update-feedback', 'index.update-output', 'asks', 'ask'
 #: At its index pulse an encoder counts anew from 0. So ``index`` takes the jump off its position,
 #: and adds it to the command, in that period: the machine sees a position that goes on.
@@ -70,8 +79,9 @@ def columns_of(n: int, signals: Signals) -> tuple[str, str]:
     """
     found = []
     for what, declared, bits, letter in (
-        ('streamer', signals.wires, 1, 'u'), ('sampler', signals.inputs, n + 2, 's')
-    ):  # fmt: skip
+        ('streamer', signals.wires, 1, 'u'),
+        ('sampler', signals.inputs, n + 2, 's'),
+    ):
         numbers = sum(signal.is_number for signal in declared)
         packed = math.ceil((bits + len(declared) - numbers) / BITS)
         found.append('f' * (2 * n + numbers) + letter * packed)
@@ -97,8 +107,9 @@ def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
     """Return the pins of outputs and inputs by name: numbers have columns after the velocities."""
     outputs, inputs = dict[str, str](), dict[str, str]()
     for pins, declared, name, bit, pin in (
-        (outputs, signals.wires, STREAMER, 1, sent), (inputs, signals.inputs, SAMPLER, n + 2, seen)
-    ):  # fmt: skip
+        (outputs, signals.wires, STREAMER, 1, sent),
+        (inputs, signals.inputs, SAMPLER, n + 2, seen),
+    ):
         number = 2 * n
         for signal in declared:
             pins[signal.name] = f'{name}.pin.{number}' if signal.is_number else pin(bit)
@@ -152,8 +163,9 @@ def hal_file(
     made, left_out = [], []
     names = NAMES | {
         module: [f'{x}-{name}' for x in indexed for name in each]
-        for module, each in MODULES.items() if indexed
-    }  # fmt: skip
+        for module, each in MODULES.items()
+        if indexed
+    }
     given = {words[1] for _, words in rows if words[:1] == ['loadrt'] and len(words) > 1}
     for line, words in rows:
         needed -= set(words)
@@ -169,8 +181,9 @@ def hal_file(
             expected = {RELEASED} if kept else {RELEASED, LOOP}
             lost = {pin for pin in pins if not ENABLE.fullmatch(pin)} - {*kept, *expected}
             left_out += [line.strip()] if lost else []
-            made.append(' '.join(['net', renamed.get(words[1], words[1]), *kept]) if kept else
-                        f'# {line}')  # fmt: skip
+            made.append(
+                ' '.join(['net', renamed.get(words[1], words[1]), *kept]) if kept else f'# {line}'
+            )
         elif any(map(ABSENT.fullmatch, words)):
             made.append(f'# {line}')
             left_out.append(line.strip())
@@ -186,17 +199,24 @@ def hal_file(
     for k, x in enumerate(name.lower() for name in axes):
         if x in indexed:
             asked, _, offset = index_signals(x)
-            made.append(INDEXED.format(
-                x=x, asked=outputs[asked], offset=inputs[offset],
-                command=f'{STREAMER}.pin.{k} {SAMPLER}.pin.{k}', position=f'{SAMPLER}.pin.{n + k}',
-            ))  # fmt: skip
+            made.append(
+                INDEXED.format(
+                    x=x,
+                    asked=outputs[asked],
+                    offset=inputs[offset],
+                    command=f'{STREAMER}.pin.{k} {SAMPLER}.pin.{k}',
+                    position=f'{SAMPLER}.pin.{n + k}',
+                )
+            )
     sends, sees = columns[0].index('u'), columns[1].index('s')
     made += [
         f'net cnc-sent-{k} {STREAMER}.pin.{sends + k} => bits-{k}.in'
         for k in range(len(columns[0]) - sends)
     ]
-    made += [f'net cnc-seen-{k} wsum.{k}.sum => {SAMPLER}.pin.{sees + k}'
-             for k in range(len(columns[1]) - sees)]  # fmt: skip
+    made += [
+        f'net cnc-seen-{k} wsum.{k}.sum => {SAMPLER}.pin.{sees + k}'
+        for k in range(len(columns[1]) - sees)
+    ]
     made.append(POWERED.format(wanted=sent(0), power=seen(n), empty=seen(n + 1), stop=stop))
     return '\n'.join(made) + '\n', left_out
 

@@ -25,9 +25,10 @@ class AxisHoming(Enum):
 
 
 MISSED = {
-    AxisHoming.SEARCHES: 'without a switch', AxisHoming.LEAVES: 'and its switch stays pressed',
+    AxisHoming.SEARCHES: 'without a switch',
+    AxisHoming.LEAVES: 'and its switch stays pressed',
     AxisHoming.INDEX: 'without an index pulse',
-}  # fmt: skip
+}
 
 
 class SimulatedSwitches:

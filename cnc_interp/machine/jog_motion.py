@@ -57,10 +57,11 @@ class Slides:
         moves = line.direction != 0.0
         part = np.abs(line.direction[moves])
         return Slides(
-            origin=np.array(stands, dtype=float), direction=line.direction[None, :],
+            origin=np.array(stands, dtype=float),
+            direction=line.direction[None, :],
             limits=(machine.lowest_limits[:, moves] / part).min(axis=1, keepdims=True),
             travel=line.travel[None, :],
-        )  # fmt: skip
+        )
 
 
 class JogMotion:
@@ -189,7 +190,10 @@ class JogMotion:
         jerk = np.diff(np.concatenate([before[None, :], rows[:, 2]]), axis=0) / self._period
         return Setpoints(
             time=(number + np.arange(count)) * self._period,
-            position=self.slides.positions(rows[:, 0]), velocity=rows[:, 1] @ direction,
-            acceleration=rows[:, 2] @ direction, jerk=jerk @ direction,
-            block=np.zeros(count, dtype=np.int64), s=np.zeros(count),
-        )  # fmt: skip
+            position=self.slides.positions(rows[:, 0]),
+            velocity=rows[:, 1] @ direction,
+            acceleration=rows[:, 2] @ direction,
+            jerk=jerk @ direction,
+            block=np.zeros(count, dtype=np.int64),
+            s=np.zeros(count),
+        )

@@ -36,13 +36,15 @@ from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.
 RESTS = {
-    Wait.NOTHING: (Event.FILL, Reason.NONE), Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
+    Wait.NOTHING: (Event.FILL, Reason.NONE),
+    Wait.OVERRIDE: (Event.PAUSE, Reason.OVERRIDE),
     Wait.PROGRAM_STOP: (Event.WAIT, Reason.PROGRAM_STOP),
     Wait.OPTIONAL_STOP: (Event.WAIT, Reason.OPTIONAL_STOP),
     Wait.SINGLE_BLOCK: (Event.WAIT, Reason.SINGLE_BLOCK),
-    Wait.APPROACH: (Event.WAIT, Reason.APPROACH), Wait.FUNCTION: (Event.FILL, Reason.NONE),
+    Wait.APPROACH: (Event.WAIT, Reason.APPROACH),
+    Wait.FUNCTION: (Event.FILL, Reason.NONE),
     Wait.END: (Event.FINISH, Reason.NONE),
-}  # fmt: skip
+}
 EMERGENCY = 'emergency_stop'  #: What switches off, as in ``signals.STOPS``.
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
 LOST = 2.0  #: After so long without setpoints the planner counts as lost [s].
@@ -106,9 +108,17 @@ class Playback:
         ahead = -1.0 if self._delayed else max(drives.ahead, period)
         self.spindle, self._later = Spindle.of(machine, period, ahead), round(ahead / period) - 1
         self.cycle = Cycle(
-            period, *self.axes.bounds, full + SPARE_CHUNKS, step, memory, drives.outputs,
-            drives.inputs, machine.signals.probe or (), drives.calm, self.spindle,
-        )  # fmt: skip
+            period,
+            *self.axes.bounds,
+            full + SPARE_CHUNKS,
+            step,
+            memory,
+            drives.outputs,
+            drives.inputs,
+            machine.signals.probe or (),
+            drives.calm,
+            self.spindle,
+        )
         self._signals, self._commanded = machine.signals, self.spindle.commanded
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published

@@ -83,9 +83,12 @@ class SimulatedDrives(CycleDrives):
 
 
 def simulate(
-    machine: Machine, period: float, positions: FloatArray, velocities: FloatArray | None = None,
+    machine: Machine,
+    period: float,
+    positions: FloatArray,
+    velocities: FloatArray | None = None,
     model: Machine | None = None,
-) -> Recording:  # fmt: skip
+) -> Recording:
     """Run simulated drives through all setpoints, from rest, to the bits of ``SimulatedDrives``.
 
     Parameters

@@ -36,9 +36,12 @@ PLANE, BALL, BORE, BOSS, BOX = range(5)
 KINDS = {'plane': PLANE, 'ball': BALL, 'bore': BORE, 'boss': BOSS, 'box': BOX}
 #: What a surface of a kind has beside its place, and what it is if left out.
 GIVEN: Mapping[int, Mapping[str, Any]] = {
-    PLANE: {'normal': [0.0, 0.0, 1.0]}, BALL: {'radius_mm': None}, BORE: {'radius_mm': None},
-    BOSS: {'radius_mm': None}, BOX: {'half': None, 'turned_deg': 0.0},
-}  # fmt: skip
+    PLANE: {'normal': [0.0, 0.0, 1.0]},
+    BALL: {'radius_mm': None},
+    BORE: {'radius_mm': None},
+    BOSS: {'radius_mm': None},
+    BOX: {'half': None, 'turned_deg': 0.0},
+}
 PROBE = {'radius_mm': 1.5, 'length_mm': 0.0, 'noise_um': 0.0, 'delay_ms': 0.0}
 COLUMNS = 8  #: Of a surface: kind, place, normal or half sizes, radius or angle.
 #: Words of the memory, as integers: the step and the memory of the drives, the input, surfaces,
@@ -75,9 +78,7 @@ def probe_once(memory: int, setpoint: int, feedback: int, n: int) -> int:
     """Step the drives, then set the input of the probe; see ``drives.CycleDrives``."""
     numbers = carray(pointer(memory), (SIZE_OF_MEMORY,))
     head = numbers.view(np.int64)
-    fault = call_drives(
-        np.uintp(head[STEP]), np.uintp(head[MEMORY]), setpoint, feedback, n
-    )  # fmt: skip
+    fault = call_drives(np.uintp(head[STEP]), np.uintp(head[MEMORY]), setpoint, feedback, n)
     extra = head[EXTRA]
     geometry = carray(pointer(np.uintp(head[GEOMETRY])), (SIZE + 3 * extra,))
     actual = carray(pointer(feedback), (n,))

@@ -74,8 +74,10 @@ class ActsOfChunk(NamedTuple):
     @property
     def switches(self) -> tuple[FloatArray, FloatArray]:
         """Row, output and value of both parts, as the cycle takes them, (k, 3)."""
-        parts = ([(row, act.step.output, act.value) for row, act in acts]
-                 for acts in (self.rows, self.tail))  # fmt: skip
+        parts = (
+            [(row, act.step.output, act.value) for row, act in acts]
+            for acts in (self.rows, self.tail)
+        )
         first, second = (np.array(part, dtype=float).reshape(-1, 3) for part in parts)
         return first, second
 

@@ -71,9 +71,14 @@ class TrajectoryDrives(DelayedDrives):
     lag = 0.02  #: What drives with a following error of about that lag by [s].
 
     def __init__(
-        self, machine: Machine, period: float, controller: Controller, delay: float,
-        limits: tuple[float, float], silence: float,
-    ):  # fmt: skip
+        self,
+        machine: Machine,
+        period: float,
+        controller: Controller,
+        delay: float,
+        limits: tuple[float, float],
+        silence: float,
+    ):
         self._names, self._controller = machine.axis_names, controller
         self.outputs = np.zeros(machine.signals.wired)
         self.inputs = np.zeros(len(machine.signals.inputs))

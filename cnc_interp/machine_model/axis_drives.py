@@ -112,14 +112,12 @@ ENTRIES = (
     Entry('time_constant', 'velocity_lag_ms', 'velocity_lag_ms', 1e-3, 1e-3, 0.1, 100.0),
     Entry('delay', 'delay_ms', 'delay_ms', 1e-3, 1e-3, 0.0, 50.0),
     Entry('static', 'static_N', 'static_Nm', 1.0, 1.0, 0.0, 1e7),
-    Entry(
-        'stribeck_velocity', 'stribeck_mm_per_s', 'stribeck_deg_per_s', MM, DEG, 0.0, 1e3
-    ),
+    Entry('stribeck_velocity', 'stribeck_mm_per_s', 'stribeck_deg_per_s', MM, DEG, 0.0, 1e3),
     Entry('backlash', 'backlash_um', 'backlash_arcsec', UM, ARCSEC, 0.0, 5e3),
     Entry('mode_frequency', 'mode_Hz', 'mode_Hz', 1.0, 1.0, 0.0, 500.0),
     Entry('mode_damping', 'mode_damping', 'mode_damping', 1.0, 1.0, 0.0, 1.0),
     Entry('resolution', 'resolution_um', 'resolution_arcsec', UM, ARCSEC, 0.0, 100.0),
-)  # fmt: skip
+)
 NEEDED = 3
 
 

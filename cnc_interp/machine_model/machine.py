@@ -275,17 +275,23 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     loads = drive_loads(content, names, linear, table[:, 0])
     switches = homing(content, travel)
     return Machine(
-        name=str(content.get('name', 'unnamed')), axis_names=tuple(names),
-        max_velocity=table[:, 0], max_acceleration=table[:, 1], max_jerk=table[:, 2],
+        name=str(content.get('name', 'unnamed')),
+        axis_names=tuple(names),
+        max_velocity=table[:, 0],
+        max_acceleration=table[:, 1],
+        max_jerk=table[:, 2],
         travel=np.array([row[1] for row in rows]),
-        places=entries.limits_by_position(content, names, linear, rows), loads=loads,
+        places=entries.limits_by_position(content, names, linear, rows),
+        loads=loads,
         drives=axis_drives(content, names, linear, loads),
-        extra_direction=np.array(list(extra.values())).reshape(-1, 3), homing=switches,
+        extra_direction=np.array(list(extra.values())).reshape(-1, 3),
+        homing=switches,
         pace=entries.block_pace(content, float(table[:3, 2].min())),
-        standstill=standstill(content), control=control(content),
+        standstill=standstill(content),
+        control=control(content),
         signals=signals(content, switches.index),
         **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
-    )  # fmt: skip
+    )
 
 
 DIGITS = 9  #: Digits after the point of the new offset [mm].

@@ -14,17 +14,24 @@ from cnc_interp.settings.options import Settings
 #: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
 #: Keys of ``rotary``: the rows of ``Machine.offsets`` and ``Machine.tool_offset``.
 GEOMETRY = (
-    'workpiece_offset_mm', 'secondary_offset_mm', 'primary_offset_mm', 'tip_to_secondary_pivot_mm',
+    'workpiece_offset_mm',
+    'secondary_offset_mm',
+    'primary_offset_mm',
+    'tip_to_secondary_pivot_mm',
     'secondary_to_primary_pivot_mm',
-)  # fmt: skip
+)
 LINEAR_KEYS = {
-    'velocity_m_per_min': M_PER_MIN, 'acceleration_m_per_s2': 1.0, 'jerk_m_per_s3': 1.0,
+    'velocity_m_per_min': M_PER_MIN,
+    'acceleration_m_per_s2': 1.0,
+    'jerk_m_per_s3': 1.0,
     'travel_mm': MM,
-}  # fmt: skip
+}
 ROTARY_KEYS = {
-    'velocity_rev_per_min': REV_PER_MIN, 'acceleration_rev_per_s2': REV, 'jerk_rev_per_s3': REV,
+    'velocity_rev_per_min': REV_PER_MIN,
+    'acceleration_rev_per_s2': REV,
+    'jerk_rev_per_s3': REV,
     'travel_deg': DEG,
-}  # fmt: skip
+}
 #: Choices of the reader that a machine file may make.
 CONTROL = ('dialect', 'arc_centres', 'units', 'numbers')
 #: How its control goes through short blocks, with the plausible range of each value.
@@ -32,9 +39,10 @@ PACE = {'velocity_jump_mm_per_s': (1e-3, 1e4), 'block_time_ms': (1e-3, 1e3)}
 STOPS = 'stops_at_rapids'
 #: Times at which the path rests, with their units.
 STANDSTILL = {
-    'tool_change_s': 1.0, 'spindle_start_s_per_1000_rev_per_min': 1e-3,
+    'tool_change_s': 1.0,
+    'spindle_start_s_per_1000_rev_per_min': 1e-3,
     'spindle_stop_s_per_1000_rev_per_min': 1e-3,
-}  # fmt: skip
+}
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
 #: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
 LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
@@ -96,10 +104,12 @@ class Standstill:
 
 def standstill(content: dict[str, Any]) -> Standstill:
     given = section(content, 'standstill', STANDSTILL)
-    return Standstill(*(
-        number(given[key], f'standstill.{key}', 1e-3, 3600.0) * unit if key in given else 0.0
-        for key, unit in STANDSTILL.items()
-    ))  # fmt: skip
+    return Standstill(
+        *(
+            number(given[key], f'standstill.{key}', 1e-3, 3600.0) * unit if key in given else 0.0
+            for key, unit in STANDSTILL.items()
+        )
+    )
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:
@@ -127,9 +137,12 @@ def linear_geometry(content: dict[str, Any]) -> dict[str, Any]:
     offsets = np.zeros((3, 3))
     offsets[0] = vector(content, 'workpiece_zero_mm', optional=True)
     return {
-        'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]), 'rotary_on_head': (False, False),
-        'offsets': offsets, 'tool_offset': np.zeros((2, 3)), 'singular_cone': 0.0,
-    }  # fmt: skip
+        'rotary_direction': np.array([[1.0, 0, 0], [0, 0, 1.0]]),
+        'rotary_on_head': (False, False),
+        'offsets': offsets,
+        'tool_offset': np.zeros((2, 3)),
+        'singular_cone': 0.0,
+    }
 
 
 def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
@@ -157,9 +170,12 @@ def rotary_geometry(rotary: dict[str, Any]) -> dict[str, Any]:
     ]
     arms = [vector(rotary, key, locked or not any(on_head)) for key in GEOMETRY[3:]]
     return {
-        'rotary_direction': np.array(directions), 'rotary_on_head': (on_head[0], on_head[1]),
-        'offsets': np.array(offsets), 'tool_offset': np.array(arms), 'singular_cone': cone,
-    }  # fmt: skip
+        'rotary_direction': np.array(directions),
+        'rotary_on_head': (on_head[0], on_head[1]),
+        'offsets': np.array(offsets),
+        'tool_offset': np.array(arms),
+        'singular_cone': cone,
+    }
 
 
 @dataclass(frozen=True)
@@ -235,9 +251,11 @@ def axis_limits(
 
 
 def limits_by_position(
-    content: dict[str, Any], names: list[str], linear: list[bool],
+    content: dict[str, Any],
+    names: list[str],
+    linear: list[bool],
     rows: list[tuple[list[float], list[float]]],
-) -> dict[int, FloatArray]:  # fmt: skip
+) -> dict[int, FloatArray]:
     given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
     return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}
 

@@ -70,9 +70,13 @@ def jerk_rates(
 
 @njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite
 def rates(
-    packed: FloatArray, outer: int, tip: FloatArray, axis: FloatArray, step: FloatArray,
+    packed: FloatArray,
+    outer: int,
+    tip: FloatArray,
+    axis: FloatArray,
+    step: FloatArray,
     turn: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return q_s of the branch with the positive tilt, shape (n, 5); rows as in ``jerk_rates``."""
     found = np.full((len(tip), 5), np.nan)
     for i in range(len(tip)):

@@ -45,15 +45,21 @@ THREAD = ('thread_x', 'thread_y', 'thread_z', 'thread_turns')
 STATES: Mapping[str, str] = {
     **dict.fromkeys((PER_TURN, FEED_FIXED, SPINDLE_FIXED), ''),
     **dict(zip(SURFACE, ('mm', 'rev/min', 'm/min'), strict=True)),
-    **dict.fromkeys(THREAD[:3], 'mm'), THREAD[3]: '', DWELL: 's',
-}  # fmt: skip
+    **dict.fromkeys(THREAD[:3], 'mm'),
+    THREAD[3]: '',
+    DWELL: 's',
+}
 #: Words that set states; a name stands for a value that the reader gives.
 OF_STATES: Mapping[str, Mapping[str, float | str]] = {
-    'G94': {PER_TURN: 0.0}, 'G95': {PER_TURN: 1.0},
-    'G96': {name: name for name in SURFACE}, 'G97': {SURFACE[2]: 0.0},
-    'M48': {FEED_FIXED: 0.0, SPINDLE_FIXED: 0.0}, 'M49': {FEED_FIXED: 1.0, SPINDLE_FIXED: 1.0},
-    'M50': {FEED_FIXED: FIXED}, 'M51': {SPINDLE_FIXED: FIXED},
-}  # fmt: skip
+    'G94': {PER_TURN: 0.0},
+    'G95': {PER_TURN: 1.0},
+    'G96': {name: name for name in SURFACE},
+    'G97': {SURFACE[2]: 0.0},
+    'M48': {FEED_FIXED: 0.0, SPINDLE_FIXED: 0.0},
+    'M49': {FEED_FIXED: 1.0, SPINDLE_FIXED: 1.0},
+    'M50': {FEED_FIXED: FIXED},
+    'M51': {SPINDLE_FIXED: FIXED},
+}
 #: The same with an encoder. The path rests before both, and follows the spindle between them.
 FOLLOWS, FREE = 'G33', 'G33 ends'
 LONGEST_START = 20.0  #: Longest wait for the speed before a thread [s].
@@ -219,9 +225,11 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
 
 
 def _add_states(
-    outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], steps: list[Step],
+    outputs: tuple[Signal, ...],
+    inputs: tuple[Signal, ...],
+    steps: list[Step],
     words: dict[str, range],
-) -> None:  # fmt: skip
+) -> None:
     names, known = ([signal.name for signal in signals] for signals in (outputs, inputs))
     found = dict(OF_STATES)
     if ANGLE in known and {FORWARD, REVERSE} <= set(names):
@@ -270,9 +278,14 @@ def _signals(given: Mapping[str, Any], section: str, outputs: Any) -> Iterator[S
             yield Signal(name, True, NUMBERS[name], -1e12, 1e12, ramp=ramp / 60.0)
             continue
         yield Signal(
-            name, 'range' in values, str(values.get('unit', '')), low, high,
-            tuple(outputs.index(each) for each in follows), _time(values, 'after_s', where, 0.0),
-        )  # fmt: skip
+            name,
+            'range' in values,
+            str(values.get('unit', '')),
+            low,
+            high,
+            tuple(outputs.index(each) for each in follows),
+            _time(values, 'after_s', where, 0.0),
+        )
 
 
 def _range(given: Any, where: str) -> tuple[float, float]:

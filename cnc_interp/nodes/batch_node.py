@@ -44,11 +44,14 @@ class BatchNode(Node):
         self._progress = Progress(0, 0, 0, 0.0)
         self._time_left = TimeLeft()
         self._server = ActionServer(
-            self, PlanBatch, 'plan_batch', lambda _: PlanBatch.Result(),
+            self,
+            PlanBatch,
+            'plan_batch',
+            lambda _: PlanBatch.Result(),
             goal_callback=lambda _: GoalResponse.ACCEPT,
             handle_accepted_callback=self._accept,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        )
         every(self, FEEDBACK, self._work)
 
     def _accept(self, handle: Any) -> None:
@@ -69,10 +72,14 @@ class BatchNode(Node):
             self._stop.set()
         if not self._result.done():
             now = self._progress
-            handle.publish_feedback(PlanBatch.Feedback(
-                done=now.done, total=now.total, progress=now.share,
-                remaining_time=self._time_left.after(time.monotonic(), now.share),
-            ))  # fmt: skip
+            handle.publish_feedback(
+                PlanBatch.Feedback(
+                    done=now.done,
+                    total=now.total,
+                    progress=now.share,
+                    remaining_time=self._time_left.after(time.monotonic(), now.share),
+                )
+            )
             return
         self._handle = None
         try:
@@ -109,10 +116,14 @@ class BatchNode(Node):
         counts = Counter(outcome.row.verdict for _, outcome in results)
         told = ', '.join(f'{counts[verdict]} {verdict}' for verdict in Verdict if counts[verdict])
         return PlanBatch.Result(
-            success=True, message=told, table=str(table), total=len(results),
-            proven=counts[Verdict.PROVEN], refused=counts[Verdict.REFUSED],
+            success=True,
+            message=told,
+            table=str(table),
+            total=len(results),
+            proven=counts[Verdict.PROVEN],
+            refused=counts[Verdict.REFUSED],
             cycle_time=sum(outcome.row.cycle_time or 0.0 for _, outcome in results),
-        )  # fmt: skip
+        )
 
     def close(self) -> None:
         self._stop.set()

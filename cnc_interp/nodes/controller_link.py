@@ -26,12 +26,13 @@ def joint_trajectory(trajectory: Trajectory, joints: Sequence[str]) -> JointTraj
     rows = trajectory.rows
     message.points = [
         JointTrajectoryPoint(
-            positions=packed(rows.position[k]), velocities=packed(rows.velocity[k]),
+            positions=packed(rows.position[k]),
+            velocities=packed(rows.velocity[k]),
             accelerations=packed(rows.acceleration[k]),
             time_from_start=Duration(**_parts(int(trajectory.times[k]))),
         )
         for k in range(len(rows))
-    ]  # fmt: skip
+    ]
     return message
 
 

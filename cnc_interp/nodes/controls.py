@@ -30,9 +30,13 @@ class Controls:
     """What acts on the playback at once, without the other nodes; motion by hand and homing."""
 
     def __init__(
-        self, node: Any, playback: Playback, diagnostics: Diagnostics,
-        give_up: Callable[[str], None], wake: Callable[[], None],
-    ):  # fmt: skip
+        self,
+        node: Any,
+        playback: Playback,
+        diagnostics: Diagnostics,
+        give_up: Callable[[str], None],
+        wake: Callable[[], None],
+    ):
         self._playback, self._diagnostics = playback, diagnostics
         self._give_up, self._wake = give_up, wake
         self._jog, self._transform = Jog(playback), Transform.of(playback.axes.machine)
@@ -41,10 +45,12 @@ class Controls:
             (Trigger, 'feed_hold', partial(self._press, playback.hold)),
             (Trigger, 'cycle_start', partial(self._press, playback.start)),
             (Trigger, 'emergency_stop', partial(self._press, playback.stop)),
-            (Trigger, 'reset', self._reset), (SetBool, 'single_block', self._set_single_block),
-            (MoveAxes, 'move_axes', self._move), (Home, 'home', self._home),
+            (Trigger, 'reset', self._reset),
+            (SetBool, 'single_block', self._set_single_block),
+            (MoveAxes, 'move_axes', self._move),
+            (Home, 'home', self._home),
             (SwitchOutputs, 'switch_outputs', self._switch),
-        ):  # fmt: skip
+        ):
             node.create_service(kind, name, answering(act, wake))
         node.create_subscription(JogMessage, 'jog', self._beat, BEATS)
         if not playback.drives.wired:
@@ -159,8 +165,10 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
 
 #: Smallest and largest value of each override, by its topic [-].
 RANGES = {
-    'feed_override': (0.0, 1.5), 'rapid_override': (0.01, 1.0), 'spindle_override': (0.5, 1.2)
-}  # fmt: skip
+    'feed_override': (0.0, 1.5),
+    'rapid_override': (0.01, 1.0),
+    'spindle_override': (0.5, 1.2),
+}
 
 
 class Overrides:

@@ -108,19 +108,32 @@ class FeedrateNode(LifecycleNode):
         if told:
             self._diagnostics.say('tool error', node_main.WARN, told[0].removeprefix(WARNING))
         self._watch = SenderWatch(
-            self, self._diagnostics, 'segments', 'lookahead_node', values['peer_timeout'],
+            self,
+            self._diagnostics,
+            'segments',
+            'lookahead_node',
+            values['peer_timeout'],
             heartbeat='blocks',
-        )  # fmt: skip
+        )
         self.outlet = Outlet(
-            self, 'setpoints', SetpointChunk, values['resend_after'], self._encode,
+            self,
+            'setpoints',
+            SetpointChunk,
+            values['resend_after'],
+            self._encode,
             profile=SETPOINTS,
-        )  # fmt: skip
+        )
         self._session = PlanningSession(self, period, values['plan_ahead'])
         self._inlet = Inlet(
-            self, WindowedReceiver('segments', values['segment_window']),
-            {'segments': PathSegmentBatch}, self._check, self._take, self._session.end_path,
-            self._diagnostics, gate=attrgetter('segments'),
-        )  # fmt: skip
+            self,
+            WindowedReceiver('segments', values['segment_window']),
+            {'segments': PathSegmentBatch},
+            self._check,
+            self._take,
+            self._session.end_path,
+            self._diagnostics,
+            gate=attrgetter('segments'),
+        )
         count = len(self._transform.machine.axis_names)
         watch_machine(self, self._see_machine, count, self._diagnostics)
         self._inputs = OperatorInputs(self)
@@ -198,11 +211,13 @@ class FeedrateNode(LifecycleNode):
     def _tell_planning(self) -> None:
         session, sender = self._session, self.outlet.sender
         self._diagnostics.say(
-            'planning', node_main.OK, 'no program' if self._idle else 'at work',
+            'planning',
+            node_main.OK,
+            'no program' if self._idle else 'at work',
             planned_ahead_s=round(session.ready, 2),
             longest_step_ms=round(self._thread.longest / MS, 1),
             setpoints_sent=session.sent_before + sender.sent,
-        )  # fmt: skip
+        )
         self._thread.longest = 0.0
 
     def make_planner(

@@ -43,12 +43,17 @@ def tiny_program(transform: Transform) -> Blocks:
     axis = transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (4, 1))
     return Blocks(
         tip=np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [5.0, 5.0, 1.0], [5.0, 8.0, 1.0]]) * MM,
-        axis=axis, rotary=np.full((4, 2), np.nan), feedrate=np.full(4, 300.0 * MM_PER_MIN),
-        duration=np.full(4, np.nan), rapid=np.zeros(4, dtype=np.bool_),
-        exact_stop=np.array([False, False, True, True]), contour_tolerance=np.full(4, 0.02 * MM),
-        orientation_tolerance=np.full(4, 0.02 * MM), line_number=np.arange(4),
+        axis=axis,
+        rotary=np.full((4, 2), np.nan),
+        feedrate=np.full(4, 300.0 * MM_PER_MIN),
+        duration=np.full(4, np.nan),
+        rapid=np.zeros(4, dtype=np.bool_),
+        exact_stop=np.array([False, False, True, True]),
+        contour_tolerance=np.full(4, 0.02 * MM),
+        orientation_tolerance=np.full(4, 0.02 * MM),
+        line_number=np.arange(4),
         extra=np.outer(np.arange(4), np.full(len(transform.machine.extra_names), 1.0 * MM)),
-    )  # fmt: skip
+    )
 
 
 def dense_program(transform: Transform) -> Blocks:
@@ -61,10 +66,11 @@ def dense_program(transform: Transform) -> Blocks:
     tip = np.stack([np.cos(u), np.sin(u), 0.1 * u], axis=1) * 30.0 * MM
     tip[[0, -1]] += 50.0 * (tip[[0, -1]] - tip[[1, -2]])
     return replace(
-        Blocks.concatenate([pose] * count), tip=tip,
+        Blocks.concatenate([pose] * count),
+        tip=tip,
         axis=transform.tool_axis(rotary) if rotating else np.tile([0.0, 0.0, 1.0], (count, 1)),
         line_number=np.arange(count),
-    )  # fmt: skip
+    )
 
 
 def pole_program(transform: Transform) -> Blocks:

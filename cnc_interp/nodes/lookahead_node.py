@@ -122,16 +122,24 @@ class LookaheadNode(Node):
         told, timeout = self._diagnostics, values['peer_timeout']
         self._watch = SenderWatch(self, told, 'blocks', 'program_node', timeout)
         self._outlet = Outlet(
-            self, 'segments', PathSegmentBatch, values['resend_after'],
+            self,
+            'segments',
+            PathSegmentBatch,
+            values['resend_after'],
             lambda segments, _: PathSegmentBatch(segments=segments),
-        )  # fmt: skip
+        )
         machine = self._transform.machine
         check = partial(check_block, extra_count=len(machine.extra_names), signals=machine.signals)
         self._inlet = Inlet(
-            self, WindowedReceiver('blocks', values['block_window']),
-            {'blocks': G1Block, 'block_batches': G1BlockBatch}, check,
-            self._take, self._end, self._diagnostics, gate=blocks_of,
-        )  # fmt: skip
+            self,
+            WindowedReceiver('blocks', values['block_window']),
+            {'blocks': G1Block, 'block_batches': G1BlockBatch},
+            check,
+            self._take,
+            self._end,
+            self._diagnostics,
+            gate=blocks_of,
+        )
         self._pace = Pace(self, WORK_PERIOD, self._work)
 
     def _take(self, block: G1Block) -> None:

@@ -64,9 +64,15 @@ class MachineNode(LifecycleNode):
         self._diagnostics = node_main.Diagnostics(self)
         self._gate = JoinGate(round(JOIN_RESERVE / self._period))
         self._inlet = Inlet(
-            self, WindowedReceiver('setpoints', window), {'setpoints': SetpointChunk},
-            self._check, self._take, self._see_refusal, self._diagnostics, gate=self._pass,
-        )  # fmt: skip
+            self,
+            WindowedReceiver('setpoints', window),
+            {'setpoints': SetpointChunk},
+            self._check,
+            self._take,
+            self._see_refusal,
+            self._diagnostics,
+            gate=self._pass,
+        )
         self._inlet.buffered_time = 0.0
         self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)

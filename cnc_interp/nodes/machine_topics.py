@@ -37,9 +37,14 @@ class Rate:
 
 class MachineTopics:
     def __init__(
-        self, node: Any, playback: Playback, values: dict[str, Any], overrides: Overrides,
-        homing: Homing, diagnostics: Diagnostics,
-    ):  # fmt: skip
+        self,
+        node: Any,
+        playback: Playback,
+        values: dict[str, Any],
+        overrides: Overrides,
+        homing: Homing,
+        diagnostics: Diagnostics,
+    ):
         self._node, self._playback = node, playback
         self._overrides, self._homing = overrides, homing
         self._diagnostics = diagnostics
@@ -96,9 +101,11 @@ class MachineTopics:
         while self._playback.contacts:
             contact = self._playback.contacts.popleft()
             message = msg.ProbeContact(
-                program_id=contact.run_id.program_id, line_number=contact.line,
-                at_once=contact.at_once, positions=contact.position.tolist(),
-            )  # fmt: skip
+                program_id=contact.run_id.program_id,
+                line_number=contact.line,
+                at_once=contact.at_once,
+                positions=contact.position.tolist(),
+            )
             message.header.stamp = self._now()
             self._contacts.publish(message)
 

@@ -53,9 +53,13 @@ class MarkerLine:
 
     def _empty(self, points: list[Point]) -> Marker:
         marker = Marker(
-            ns=self._name, id=len(self._markers), type=Marker.LINE_STRIP, action=Marker.ADD,
-            color=self._colour, points=points,
-        )  # fmt: skip
+            ns=self._name,
+            id=len(self._markers),
+            type=Marker.LINE_STRIP,
+            action=Marker.ADD,
+            color=self._colour,
+            points=points,
+        )
         marker.header.frame_id = FRAME
         marker.scale.x = self._width
         marker.pose.orientation.w = 1.0

@@ -204,10 +204,12 @@ class Diagnostics:
 
     def say(self, part: str, level: bytes, message: str, **values: object) -> None:
         status = DiagnosticStatus(
-            level=level, name=f'{self._node.get_name()}: {part}', message=message,
+            level=level,
+            name=f'{self._node.get_name()}: {part}',
+            message=message,
             hardware_id=self._node.get_namespace(),
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )  # fmt: skip
+        )
         known = self._parts.get(part)
         self._parts[part] = status
         if known is not None and (known.level, known.message) == (level, message):

@@ -39,50 +39,63 @@ PEER_TIMEOUT = Declared(
 )
 
 LOOKAHEAD = (
-    MACHINE, *of_settings(Stage.SMOOTHING),
-    Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1), RESEND,
+    MACHINE,
+    *of_settings(Stage.SMOOTHING),
+    Declared('block_window', 512, 'Blocks taken ahead of the look-ahead', 4, DEPTH - 1),
+    RESEND,
     PEER_TIMEOUT,
-)  # fmt: skip
+)
 FEEDRATE = (
-    MACHINE, AUTOSTART, *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
+    MACHINE,
+    AUTOSTART,
+    *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),
-    RESEND, PEER_TIMEOUT,
-)  # fmt: skip
+    RESEND,
+    PEER_TIMEOUT,
+)
 MACHINE_NODE = (
-    MACHINE, AUTOSTART, *of_settings(Stage.MOTION),
+    MACHINE,
+    AUTOSTART,
+    *of_settings(Stage.MOTION),
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
     *parameters_of_drives(),
     Declared('realtime_priority', 10, 'SCHED_FIFO priority of the clock; 0: ordinary', 0, 99),
     Declared('lock_memory', True, 'Keep the memory of this node from being paged out'),
-)  # fmt: skip
+)
 PROGRAM = (
-    MACHINE, *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
+    MACHINE,
+    *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
     Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
-    PEER_TIMEOUT, RESEND,
-)  # fmt: skip
+    PEER_TIMEOUT,
+    RESEND,
+)
 
 MARKERS = (
-    MACHINE, Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
+    MACHINE,
+    Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
     Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
-)  # fmt: skip
+)
 
 BATCH = (
-    MACHINE, *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
+    MACHINE,
+    *of_settings(*(stage for stage in Stage if stage is not Stage.START)),
     Declared('program_folders', [''], 'Programs that goals may name: folders, or single files'),
     Declared('batch_folder', '', 'Folder for tables and pages'),
     Declared('workers', 1, 'Programs that are planned at the same time', 1, 1024),
     Declared('longest_planning', 3600.0, 'Longest planning time of a program [s]', 1.0, 1e6),
-)  # fmt: skip
+)
 
 #: Parameters of the nodes that a run needs.
 NODES = {
-    'program_node': PROGRAM, 'lookahead_node': LOOKAHEAD, 'feedrate_node': FEEDRATE,
+    'program_node': PROGRAM,
+    'lookahead_node': LOOKAHEAD,
+    'feedrate_node': FEEDRATE,
     'machine_node': MACHINE_NODE,
-}  # fmt: skip
+}
 
 
 def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:

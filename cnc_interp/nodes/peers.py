@@ -23,22 +23,27 @@ RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints
 
 #: Each topic on which a node follows others, and who publishes there.
 OWNERS = {
-    'block_batches': {'program_node'}, 'segments': {'lookahead_node'},
-    'setpoints': {'feedrate_node'}, 'stream_status': {*RECEIVERS.values()},
+    'block_batches': {'program_node'},
+    'segments': {'lookahead_node'},
+    'setpoints': {'feedrate_node'},
+    'stream_status': {*RECEIVERS.values()},
     'machine_state': {'machine_node'},
-}  # fmt: skip
+}
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (
-    MachineState.WAITS_FOR_SETPOINTS, MachineState.WAITS_FOR_OVERRIDE,
+    MachineState.WAITS_FOR_SETPOINTS,
+    MachineState.WAITS_FOR_OVERRIDE,
     MachineState.WAITS_FOR_INPUT,
-)  # fmt: skip
+)
 
 
 def watch_machine(
-    node: Any, take: Callable[[MachineState], None], axis_count: int | None = None,
+    node: Any,
+    take: Callable[[MachineState], None],
+    axis_count: int | None = None,
     diagnostics: Diagnostics | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Pass on the states of the machine; drop one that is not sound, and tell why."""
 
     def see(state: MachineState) -> None:
@@ -146,9 +151,14 @@ class SenderWatch:
     """Reports the sender of a stream as lost, and withdraws that when it is heard again."""
 
     def __init__(
-        self, node: Any, diagnostics: Diagnostics, stream: str, sender: str, timeout: float,
+        self,
+        node: Any,
+        diagnostics: Diagnostics,
+        stream: str,
+        sender: str,
+        timeout: float,
         heartbeat: str = '',
-    ):  # fmt: skip
+    ):
         self._diagnostics, self._stream, self._sender = diagnostics, stream, sender
         self._timeout = timeout
         self._silence, self._lost, self._part = Silence(), False, f'sender of {stream}'

@@ -58,12 +58,16 @@ class Change(Enum):
 
 A, S = Activity, Change
 TABLE: dict[tuple[Activity, Change], Activity] = {
-    (A.WAITING, S.PLACE): A.PLANNING, (A.PLANNING, S.REVISE): A.REVISING,
-    (A.REVISING, S.DONE): A.PLANNING, (A.REVISING, S.JOIN): A.JOINING,
-    (A.JOINING, S.DONE): A.PLANNING, (A.PLANNING, S.RESUME): A.RESUMING,
-    (A.RESUMING, S.DONE): A.PLANNING, **{(activity, S.BEGIN): A.WAITING for activity in A},
+    (A.WAITING, S.PLACE): A.PLANNING,
+    (A.PLANNING, S.REVISE): A.REVISING,
+    (A.REVISING, S.DONE): A.PLANNING,
+    (A.REVISING, S.JOIN): A.JOINING,
+    (A.JOINING, S.DONE): A.PLANNING,
+    (A.PLANNING, S.RESUME): A.RESUMING,
+    (A.RESUMING, S.DONE): A.PLANNING,
+    **{(activity, S.BEGIN): A.WAITING for activity in A},
     **{(activity, S.END): A.ENDED for activity in A if activity is not A.NONE},
-}  # fmt: skip
+}
 
 
 class PathEnd(IntEnum):

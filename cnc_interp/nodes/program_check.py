@@ -63,9 +63,13 @@ class Prepared:
 
 
 def prepare(
-    goal: Any, transform: Transform, defaults: Settings, told: Callable[[float], None],
-    folders: Sequence[str] = (), of_machine: Callable[[], JobSetup] = JobSetup,
-) -> Prepared:  # fmt: skip
+    goal: Any,
+    transform: Transform,
+    defaults: Settings,
+    told: Callable[[float], None],
+    folders: Sequence[str] = (),
+    of_machine: Callable[[], JobSetup] = JobSetup,
+) -> Prepared:
     """Read and check the program of a goal before anything moves; memory stays flat."""
     machine = transform.machine
     if goal.machine and goal.machine != machine.name:
@@ -108,9 +112,13 @@ def prepare(
 
 
 def prepare_on(
-    before: Prepared, stands: FloatArray, at: FloatArray | None, setup: JobSetup,
-    transform: Transform, told: Callable[[float], None],
-) -> Prepared:  # fmt: skip
+    before: Prepared,
+    stands: FloatArray,
+    at: FloatArray | None,
+    setup: JobSetup,
+    transform: Transform,
+    told: Callable[[float], None],
+) -> Prepared:
     """Read a program on after its probe, as ``ProgramStream.go_on``, and check what follows."""
     assert before.stream is not None
     before.stream.go_on(stands, at)
@@ -120,9 +128,14 @@ def prepare_on(
 
 
 def prepare_line(
-    goal: Any, reader: MdiReader, setup: JobSetup, stands: FloatArray, transform: Transform,
-    settings: Settings, told: Callable[[float], None],
-) -> Prepared:  # fmt: skip
+    goal: Any,
+    reader: MdiReader,
+    setup: JobSetup,
+    stands: FloatArray,
+    transform: Transform,
+    settings: Settings,
+    told: Callable[[float], None],
+) -> Prepared:
     if settings_of_goal(goal, settings) != settings:
         raise InterpError('a line by hand has the settings of program_node; leave out others')
     line = reader.line(goal.text, stands, setup)
@@ -131,9 +144,14 @@ def prepare_line(
 
 
 def check(
-    stream: ProgramStream, setup: JobSetup, text: str, transform: Transform, settings: Settings,
-    told: Callable[[float], None], may_rest: bool = False,
-) -> Prepared:  # fmt: skip
+    stream: ProgramStream,
+    setup: JobSetup,
+    text: str,
+    transform: Transform,
+    settings: Settings,
+    told: Callable[[float], None],
+    may_rest: bool = False,
+) -> Prepared:
     """Lead a program through smoothing and kinematics to its last block; raises as ``prepare``."""
     blocks, length = BlockSpool(), 0.0
     chain, tolerances = PathChain(transform, settings), ToleranceUse()
@@ -176,10 +194,23 @@ def check(
     if start is not None:
         start = start.after(functions, transform.machine.signals)
     return Prepared(
-        blocks, (*stream.read_as, *stream.notices), text, settings, length, np.sort(chain.stops),
-        setup, settings.setup is not None, stream.changes, stream.used, stream.modes,
-        functions, start, stream.waits_first, probe=stream.probe, stream=stream,
-    )  # fmt: skip
+        blocks,
+        (*stream.read_as, *stream.notices),
+        text,
+        settings,
+        length,
+        np.sort(chain.stops),
+        setup,
+        settings.setup is not None,
+        stream.changes,
+        stream.used,
+        stream.modes,
+        functions,
+        start,
+        stream.waits_first,
+        probe=stream.probe,
+        stream=stream,
+    )
 
 
 class Preparation:

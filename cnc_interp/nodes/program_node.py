@@ -38,9 +38,12 @@ from cnc_interp.wire.run_messages import add_executed, modal_state, run_feedback
 
 class Mdi:
     def __init__(
-        self, node: Any, transform: Transform, settings: Settings,
+        self,
+        node: Any,
+        transform: Transform,
+        settings: Settings,
         of_machine: Callable[[], JobSetup],
-    ):  # fmt: skip
+    ):
         self._transform, self._settings, self._of_machine = transform, settings, of_machine
         self._reader = MdiReader(transform, settings)
         self._publisher = node.create_publisher(ModalState, 'modal_state', LOADED)
@@ -63,9 +66,14 @@ class Mdi:
     def prepare(self, run: ProgramRun, goal: Any) -> Prepared:
         assert run.stands is not None
         return prepare_line(
-            goal, self._reader, self._of_machine(), run.stands, self._transform, self._settings,
+            goal,
+            self._reader,
+            self._of_machine(),
+            run.stands,
+            self._transform,
+            self._settings,
             run.preparation.has_checked,
-        )  # fmt: skip
+        )
 
     def keep(self, prepared: Prepared | None) -> None:
         if prepared is not None and prepared.line is not None:
@@ -118,9 +126,13 @@ class ProgramNode(Node):
         self._feed = BlockFeed(self._signals)
         self._switch = self.create_client(SwitchOutputs, 'switch_outputs')
         self._outlet = Outlet(
-            self, 'blocks', G1BlockBatch, self._values['resend_after'], self._feed.message,
+            self,
+            'blocks',
+            G1BlockBatch,
+            self._values['resend_after'],
+            self._feed.message,
             topic='block_batches',
-        )  # fmt: skip
+        )
         self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
@@ -132,11 +144,14 @@ class ProgramNode(Node):
         self._modes = ActiveModesTopic(self)
         self._buttons = {k: self.create_client(Trigger, k) for k in ('feed_hold', 'reset')}
         self._server = ActionServer(
-            self, RunProgram, 'run_program', lambda _: Result(),
+            self,
+            RunProgram,
+            'run_program',
+            lambda _: Result(),
             handle_accepted_callback=self._accept,
             goal_callback=lambda _: GoalResponse.ACCEPT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
-        )  # fmt: skip
+        )
         self._pace = Pace(self, WORK_PERIOD, self._work)
         self._diagnostics.say('program', OK, 'no program')
 
@@ -159,9 +174,14 @@ class ProgramNode(Node):
         if handle.request.mdi:
             return self._worker.submit(self._mdi.prepare, run, handle.request)
         return self._worker.submit(
-            prepare, handle.request, self._transform, self._settings, run.preparation.has_checked,
-            self._values['program_folders'], lambda: self._table.setup,
-        )  # fmt: skip
+            prepare,
+            handle.request,
+            self._transform,
+            self._settings,
+            run.preparation.has_checked,
+            self._values['program_folders'],
+            lambda: self._table.setup,
+        )
 
     def _work(self) -> bool:
         now = time.monotonic()
@@ -236,9 +256,14 @@ class ProgramNode(Node):
         assert before is not None and state is not None
         self._keep_changes(run, Outcome(Code.SUCCEEDED, ''))
         future = self._worker.submit(
-            prepare_on, before, stands, at, self._table.setup, self._transform,
+            prepare_on,
+            before,
+            stands,
+            at,
+            self._table.setup,
+            self._transform,
             run.preparation.has_checked,
-        )  # fmt: skip
+        )
         run.read_on(future, state, self._outlet.sender.sent, now)
         self._feed.end(self._outlet.sender)
         self._state = None

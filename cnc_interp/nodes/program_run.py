@@ -174,9 +174,10 @@ class ProgramRun:
             self._change(PhaseChange.LOSE, now)
             return None
         return Outcome(
-            Code.BUSY, 'the look-ahead is in a run that is not over; reset, or else restart '
+            Code.BUSY,
+            'the look-ahead is in a run that is not over; reset, or else restart '
             'lookahead_node and feedrate_node, then run this again',
-        )  # fmt: skip
+        )
 
     def _ended(self, machine: MachineReport | None, kind: Refusal, reason: str) -> Outcome | None:
         if machine is not None and machine.state is State.FAULT:
@@ -373,9 +374,12 @@ class BlockFeed:
             raise StreamError('a block was asked for after its run')
         blocks = prepared.blocks
         made = block_messages(
-            prepared[rows], self._run_id, first, prepared.settings.flank_height,
+            prepared[rows],
+            self._run_id,
+            first,
+            prepared.settings.flank_height,
             end=rows.stop == len(blocks),
-        )  # fmt: skip
+        )
         functions = prepared.functions
         after = len(functions) if rows.stop == len(blocks) else functions.until(rows.stop - 1)
         begin = functions.until(rows.start - 1)

@@ -7,13 +7,16 @@ RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFOR
 
 
 def _last(
-    depth: int, reliability: ReliabilityPolicy = RELIABLE,
+    depth: int,
+    reliability: ReliabilityPolicy = RELIABLE,
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
-) -> QoSProfile:  # fmt: skip
+) -> QoSProfile:
     return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability,
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=reliability,
         durability=durability,
-    )  # fmt: skip
+    )
 
 
 def listening_to(profile: QoSProfile) -> QoSProfile:

@@ -45,9 +45,14 @@ class SetupServices:
     def _message(self) -> SetupMessage:
         table, file = self._table, self._table.file
         return setup_table(
-            table.setup, str(file) if file else '', self._zero, self._program_id, self._in_use,
-            table.changed_by, table.change,
-        )  # fmt: skip
+            table.setup,
+            str(file) if file else '',
+            self._zero,
+            self._program_id,
+            self._in_use,
+            table.changed_by,
+            table.change,
+        )
 
     def use(self, program: str, program_id: str, in_use: frozenset[str]) -> None:
         self._program, self._program_id, self._in_use = program, program_id, in_use

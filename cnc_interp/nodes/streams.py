@@ -69,11 +69,16 @@ def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
 
 class Inlet:
     def __init__(
-        self, node: Any, receiver: WindowedReceiver, kinds: dict[str, Any],
-        check: Callable[[Any], None], on_message: Callable[[Any], None],
-        on_refusal: Callable[[], None], diagnostics: Diagnostics,
+        self,
+        node: Any,
+        receiver: WindowedReceiver,
+        kinds: dict[str, Any],
+        check: Callable[[Any], None],
+        on_message: Callable[[Any], None],
+        on_refusal: Callable[[], None],
+        diagnostics: Diagnostics,
         gate: Callable[[Any], list[Any]] = lambda message: [message],
-    ):  # fmt: skip
+    ):
         self.receiver = receiver
         self.buffered_time = math.nan
         self._check, self._on_message, self._on_refusal = check, on_message, on_refusal
@@ -182,10 +187,14 @@ class Inlet:
         self._told, self._told_at = self._news(), time.monotonic()
         missing = self._gap or max(self._early, default=-1) > receiver.next_number
         self._publish(
-            run_id, gap=missing, next_sequence=receiver.next_number, window_limit=receiver.limit,
-            buffered_time=self.buffered_time, refusal_kind=receiver.refused,
+            run_id,
+            gap=missing,
+            next_sequence=receiver.next_number,
+            window_limit=receiver.limit,
+            buffered_time=self.buffered_time,
+            refusal_kind=receiver.refused,
             refusal=receiver.refusal_text,
-        )  # fmt: skip
+        )
 
     def _publish(self, run_id: RunId, **told: Any) -> None:
         self._status.publish(StreamStatus(stream=self.receiver.stream, **vars(run_id), **told))
@@ -193,9 +202,15 @@ class Inlet:
 
 class Outlet:
     def __init__(
-        self, node: Any, stream: str, kind: Any, resend_after: float,
-        encode: Callable[[Any, int], Any], topic: str = '', profile: QoSProfile = STREAM,
-    ):  # fmt: skip
+        self,
+        node: Any,
+        stream: str,
+        kind: Any,
+        resend_after: float,
+        encode: Callable[[Any, int], Any],
+        topic: str = '',
+        profile: QoSProfile = STREAM,
+    ):
         self.sender: WindowedSender[Any] = WindowedSender(resend_after)
         self.stream = stream
         self.peer: StreamStatus | None = None

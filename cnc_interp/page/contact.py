@@ -87,9 +87,12 @@ def asked(ask: Callable[..., Future[Answer]], *words: Any, **named: Any) -> Act:
 
 
 def key(
-    text: str, mark: str = '', act: Any = None, colour: str = 'blue-grey-8',
+    text: str,
+    mark: str = '',
+    act: Any = None,
+    colour: str = 'blue-grey-8',
     look: str = 'dense unelevated',
-) -> Any:  # fmt: skip
+) -> Any:
     button = ui.button(text, on_click=act, color=colour)
     return button.props(f'{look} no-caps data-mark="{mark or text}"')
 

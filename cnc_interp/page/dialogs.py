@@ -21,10 +21,14 @@ from cnc_interp.settings.options import Settings, filled_in, offered, settings_f
 #: What the browser calls a key; what is printed on it; the key of the page; what it does, where
 #: the key of the page does not say it itself.
 KEYBOARD = (
-    ('F1', 'F1', 'EMERGENCY STOP', ''), ('Escape', 'Esc', 'feed hold', ''),
-    ('R', 'Shift + R', 'cycle start', ''), ('-', '-', 'slower', 'feed override 5 % less'),
-    ('+', '+', 'faster', 'feed override 5 % more'), ('0', '0', '100%', 'feed override 100 %'),
-    ('7', '7', 'rapid 25%', 'rapid override 25 %'), ('8', '8', 'rapid 50%', 'rapid override 50 %'),
+    ('F1', 'F1', 'EMERGENCY STOP', ''),
+    ('Escape', 'Esc', 'feed hold', ''),
+    ('R', 'Shift + R', 'cycle start', ''),
+    ('-', '-', 'slower', 'feed override 5 % less'),
+    ('+', '+', 'faster', 'feed override 5 % more'),
+    ('0', '0', '100%', 'feed override 100 %'),
+    ('7', '7', 'rapid 25%', 'rapid override 25 %'),
+    ('8', '8', 'rapid 50%', 'rapid override 50 %'),
     ('9', '9', 'rapid 100%', 'rapid override 100 %'),
     ('s', 'S', 'single block', 'single block on or off'),
     ('o', 'O', 'optional stop', 'optional stop (M1) on or off'),
@@ -32,7 +36,7 @@ KEYBOARD = (
     ('j', 'J', 'jog', 'show or hide the keys that move an axis'),
     ('p', 'P', 'pose', 'show or hide the fields of a tool pose'),
     ('?', '?', 'keyboard', 'show or hide this list'),
-)  # fmt: skip
+)
 MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
 
 
@@ -272,18 +276,27 @@ _PART = '<{} fill="none" stroke="currentColor" stroke-width="2"/>'
 _PICTURES = {
     'surface': _PART.format('path d="M10 60H110"') + _WAY.format(60, 16, 60, 54),
     'edge': _PART.format('path d="M80 10V70"') + _WAY.format(20, 40, 74, 40),
-    'bore': _PART.format('circle cx="60" cy="40" r="34"') + _WAY.format(32, 40, 88, 40)
+    'bore': _PART.format('circle cx="60" cy="40" r="34"')
+    + _WAY.format(32, 40, 88, 40)
     + _WAY.format(60, 12, 60, 68),
-    'boss': _PART.format('circle cx="60" cy="40" r="20"') + _WAY.format(8, 40, 34, 40)
-    + _WAY.format(112, 40, 86, 40) + _WAY.format(60, 2, 60, 14) + _WAY.format(60, 78, 60, 66),
-    'angle': _PART.format('path d="M10 56L110 36"') + _WAY.format(30, 14, 30, 46)
+    'boss': _PART.format('circle cx="60" cy="40" r="20"')
+    + _WAY.format(8, 40, 34, 40)
+    + _WAY.format(112, 40, 86, 40)
+    + _WAY.format(60, 2, 60, 14)
+    + _WAY.format(60, 78, 60, 66),
+    'angle': _PART.format('path d="M10 56L110 36"')
+    + _WAY.format(30, 14, 30, 46)
     + _WAY.format(86, 14, 86, 35),
     'tool': _PART.format('path d="M40 66H80M60 66V72"') + _WAY.format(60, 16, 60, 60),
-}  # fmt: skip
+}
 _BEGINS = {
-    'surface': (60, 12), 'edge': (20, 40), 'bore': (60, 40), 'boss': (60, 40), 'angle': (30, 10),
+    'surface': (60, 12),
+    'edge': (20, 40),
+    'bore': (60, 40),
+    'boss': (60, 40),
+    'angle': (30, 10),
     'tool': (60, 12),
-}  # fmt: skip
+}
 
 
 class ProbeDialog:

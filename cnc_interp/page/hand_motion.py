@@ -32,9 +32,13 @@ from cnc_interp.page.readings import ShownUnit
 
 #: Arrow keys of the keyboard: axis and direction.
 ARROWS = {
-    'ArrowLeft': ('X', -1), 'ArrowRight': ('X', 1), 'ArrowDown': ('Y', -1), 'ArrowUp': ('Y', 1),
-    'PageDown': ('Z', -1), 'PageUp': ('Z', 1),
-}  # fmt: skip
+    'ArrowLeft': ('X', -1),
+    'ArrowRight': ('X', 1),
+    'ArrowDown': ('Y', -1),
+    'ArrowUp': ('Y', 1),
+    'PageDown': ('Z', -1),
+    'PageUp': ('Z', 1),
+}
 CROSS = 'XYZ'  #: Axes whose keys form a cross, with those of Z beside it.
 TOOL = 'tool'  #: Name of the motion along the tool among the axes.
 HOLD = 'hold'  #: In the place of a step: the axis moves while its key is held.
@@ -62,9 +66,13 @@ def step_of(name: str, distance: float, speed: float) -> MoveAxes.Request:
 
 class JogPad:
     def __init__(
-        self, machine: Machine, nodes: OperatorClient, may_move: Callable[[], bool],
-        unit: ShownUnit, command: Command,
-    ):  # fmt: skip
+        self,
+        machine: Machine,
+        nodes: OperatorClient,
+        may_move: Callable[[], bool],
+        unit: ShownUnit,
+        command: Command,
+    ):
         self._machine, self._axes, self._names = machine, machine.axes, machine.axis_names
         self._nodes, self._may_move, self._unit, self._command = nodes, may_move, unit, command
         self._told = ''  # what was told of the key that is held

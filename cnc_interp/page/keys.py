@@ -196,9 +196,13 @@ class Keys:
     """All keys in one page; ``in_sight`` commands what must not come late."""
 
     def __init__(
-        self, desk: Desk, command: Command, in_sight: Command, may_set: Callable[[], bool],
+        self,
+        desk: Desk,
+        command: Command,
+        in_sight: Command,
+        may_set: Callable[[], bool],
         use: Callable[[Settings], Awaitable[None]],
-    ):  # fmt: skip
+    ):
         self._desk, self._command, self._use = desk, command, use
         with ui.element('div').classes('stops'):  # above every dialog
             self._stop = large('EMERGENCY STOP', colour='negative')

@@ -54,9 +54,12 @@ class Page:
                 self._build_program()
             with ui.element('div').classes('keys'):
                 self._keys = Keys(
-                    desk, self._command, self._command_in_sight,
-                    may_set=lambda: self._allowed() and self._in_sight(), use=self._use,
-                )  # fmt: skip
+                    desk,
+                    self._command,
+                    self._command_in_sight,
+                    may_set=lambda: self._allowed() and self._in_sight(),
+                    use=self._use,
+                )
             with ui.element('div').classes('charts'):
                 self._charts = Charts(self._machine.axis_names, self._unit)
         self._settings = SettingsDialog(self._use)
@@ -99,8 +102,9 @@ class Page:
                 if axis.name not in EXTRA_LETTERS:  # which have no work offset
                     self._zero_keys(axis.name)
         for title, mark, letters in (
-            ('tool tip in the workpiece, mm', 'tip', 'XYZ'), ('tool axis', 'tool', 'IJK'),
-        ):  # fmt: skip
+            ('tool tip in the workpiece, mm', 'tip', 'XYZ'),
+            ('tool axis', 'tool', 'IJK'),
+        ):
             self._unit.label(title).classes('heading')
             with ui.element('div').classes('three'):
                 for letter, name in zip(letters, 'xyz', strict=True):
@@ -115,11 +119,15 @@ class Page:
         self._pair('distance to go', 'to go', 'mm')
         with ui.element('div').classes('two'):
             for title, name in (
-                ('line', 'line'), ('done', 'progress'),
-                ('time', 'elapsed'), ('time left', 'left'),
-                ('buffer', 'buffer'), ('lowest', 'least'),
-                ('underruns', 'missed'), ('contour', 'contour'),
-            ):  # fmt: skip
+                ('line', 'line'),
+                ('done', 'progress'),
+                ('time', 'elapsed'),
+                ('time left', 'left'),
+                ('buffer', 'buffer'),
+                ('lowest', 'least'),
+                ('underruns', 'missed'),
+                ('contour', 'contour'),
+            ):
                 self._pair(title, name, '')
         with ui.element('div') as self._compensation:
             self._pair('largest contour error', 'largest contour', '')
@@ -130,9 +138,13 @@ class Page:
         desk = self._desk
         for text, mark, act, hint in (
             ('0', f'zero {letter}', lambda: desk.zero(letter), 'reads 0 here from now on'),
-            ('→0', f'go to zero {letter}', asked(desk.nodes.give_line, f'G90 G0 {letter}0'),
-             'moves there at once, as a rapid'),
-        ):  # fmt: skip
+            (
+                '→0',
+                f'go to zero {letter}',
+                asked(desk.nodes.give_line, f'G90 G0 {letter}0'),
+                'moves there at once, as a rapid',
+            ),
+        ):
             made = key(text, mark, partial(self._command_in_sight, act), 'primary', 'dense flat')
             made.tooltip(f'{mark}: {hint}').classes('moves' if 'go' in mark else '')
             self._zeros.append(made)

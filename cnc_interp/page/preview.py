@@ -74,9 +74,10 @@ class Preview:
         k = int(np.searchsorted(self.s, s, side='right').clip(1, len(self.s) - 1))
         return Place(
             programmed_feed=float(self.programmed_feed[k - 1]),
-            feed_limit=float(self.feed_limit[k - 1]), time=float(np.interp(s, self.s, self.time)),
+            feed_limit=float(self.feed_limit[k - 1]),
+            time=float(np.interp(s, self.s, self.time)),
             block_end=float(self.block_end[k]),
-        )  # fmt: skip
+        )
 
     @staticmethod
     def read(directory: Path, notices: tuple[str, ...] = ()) -> Preview:
@@ -97,10 +98,16 @@ class Preview:
             rapid, line = blocks['rapid'][block[rows]], blocks['line'][block[rows]]
         summary = json.loads((directory / 'summary.json').read_text(encoding='utf-8'))
         return Preview(
-            s=s[rows], time=time, block_end=block_end, rapid=rapid, line=line,
-            cycle_time=summary['cycle_time'], notices=notices, bound=bound_text(summary),
+            s=s[rows],
+            time=time,
+            block_end=block_end,
+            rapid=rapid,
+            line=line,
+            cycle_time=summary['cycle_time'],
+            notices=notices,
+            bound=bound_text(summary),
             **columns,
-        )  # fmt: skip
+        )
 
 
 def thinned(count: int) -> IntArray:
@@ -123,9 +130,12 @@ class Planner:
         return path
 
     async def plan(
-        self, program: Path, settings: Settings, see_progress: Callable[[str], None],
+        self,
+        program: Path,
+        settings: Settings,
+        see_progress: Callable[[str], None],
         setup: str = '',
-    ) -> Preview:  # fmt: skip
+    ) -> Preview:
         """Plan a program of ``keep``; InterpError with what `plan` says, one reason in a line."""
         if setup:
             file = Path(self._folder.name) / '.offsets and tools.yaml'
@@ -147,12 +157,15 @@ class Planner:
     ) -> tuple[str, list[str]]:
         self.stop()
         process = await asyncio.create_subprocess_exec(
-            sys.executable, '-m', 'cnc_interp', *words,
+            sys.executable,
+            '-m',
+            'cnc_interp',
+            *words,
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
             preexec_fn=lambda: os.nice(NICENESS),  # the nodes come first
-        )  # fmt: skip
+        )
         self._process = process
         assert process.stdout is not None
         assert process.stderr is not None

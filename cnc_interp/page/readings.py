@@ -92,9 +92,12 @@ def spindle_text(state: MachineState) -> str:
 
 
 def progress_words(
-    state: MachineState, plan: Preview | None, override: float, start: float = 0.0,
+    state: MachineState,
+    plan: Preview | None,
+    override: float,
+    start: float = 0.0,
     unit: LengthUnit = MILLIMETRES,
-) -> dict[str, str]:  # fmt: skip
+) -> dict[str, str]:
     """Return line, progress and times if the override stays; before the path: at its start."""
     words = {'line': str(state.line_number) if state.line_number else NOTHING}
     words['progress'] = words['left'] = words['to go'] = NOTHING
@@ -252,20 +255,29 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
         'animation': False,
         'title': {'text': title, 'left': 8, 'top': 4, 'textStyle': {**small, 'fontSize': 11}},
         'legend': {
-            'left': 6, 'top': 18, 'icon': 'roundRect', 'itemWidth': 7, 'itemHeight': 7,
-            'textStyle': small, 'itemGap': 7,
+            'left': 6,
+            'top': 18,
+            'icon': 'roundRect',
+            'itemWidth': 7,
+            'itemHeight': 7,
+            'textStyle': small,
+            'itemGap': 7,
         },
         'grid': {'left': 40, 'right': 10, 'top': 44, 'bottom': 20},
         'xAxis': {**axis, 'type': 'value', 'min': -SPAN, 'max': 0, 'interval': 10},
         'yAxis': {**axis, 'type': 'value', 'min': 0, 'splitNumber': 3},
         'series': [
             {
-                'name': name, 'type': 'line', 'showSymbol': False, 'data': [],
-                'lineStyle': {'width': 1.4, 'color': colour}, 'itemStyle': {'color': colour},
+                'name': name,
+                'type': 'line',
+                'showSymbol': False,
+                'data': [],
+                'lineStyle': {'width': 1.4, 'color': colour},
+                'itemStyle': {'color': colour},
             }
             for name, colour in names
         ],
-    }  # fmt: skip
+    }
     if top is not None:
         options['yAxis']['max'] = top  # type: ignore[index]
     return ui.echart(options).classes('chart')

@@ -115,10 +115,11 @@ def faces(count: int) -> Any:
 def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
     ends = {'min': vertices.min(axis=0).tolist(), 'max': vertices.max(axis=0).tolist()}
     mesh: tuple[tuple[Any, int, str, dict[str, Any]], ...] = (
-        (vertices, FLOAT, 'VEC3', ends), (normals, FLOAT, 'VEC3', {}),
+        (vertices, FLOAT, 'VEC3', ends),
+        (normals, FLOAT, 'VEC3', {}),
         (colours, UNSIGNED_BYTE, 'VEC4', {'normalized': True}),
         (index, UNSIGNED_INT, 'SCALAR', {}),
-    )  # fmt: skip
+    )
     parts = [array.tobytes() for array, *_ in mesh]
     starts = np.cumsum([0] + [len(part) for part in parts])
     targets = (*[ARRAY_BUFFER] * 3, ELEMENT_BUFFER)
@@ -133,12 +134,16 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
     attributes = {'POSITION': 0, 'NORMAL': 1, 'COLOR_0': 2}
     primitive = {'attributes': attributes, 'indices': 3, 'material': 0}
     document = {
-        'asset': {'version': '2.0', 'generator': 'cnc_interp'}, 'scene': 0,
-        'scenes': [{'nodes': [0]}], 'nodes': [{'mesh': 0}],
+        'asset': {'version': '2.0', 'generator': 'cnc_interp'},
+        'scene': 0,
+        'scenes': [{'nodes': [0]}],
+        'nodes': [{'mesh': 0}],
         'meshes': [{'primitives': [primitive]}],
         'materials': [{'pbrMetallicRoughness': {'metallicFactor': 0.0, 'roughnessFactor': 0.9}}],
-        'buffers': [{'byteLength': int(starts[-1])}], 'bufferViews': views, 'accessors': accessors,
-    }  # fmt: skip
+        'buffers': [{'byteLength': int(starts[-1])}],
+        'bufferViews': views,
+        'accessors': accessors,
+    }
     text = json.dumps(document).encode()
     text += b' ' * (-len(text) % 4)
     binary = b''.join(parts)
@@ -151,9 +156,11 @@ def glb(vertices: Any, normals: Any, colours: Any, index: Any) -> bytes:
 GROUND = '#26323c'
 #: Directions from which one looks [-], by name; the first is the usual one.
 VIEWS = {
-    'iso': (0.55, -0.70, 0.46), 'top': (0.0, -0.001, 1.0), 'front': (0.0, -1.0, 0.0),
+    'iso': (0.55, -0.70, 0.46),
+    'top': (0.0, -0.001, 1.0),
+    'front': (0.0, -1.0, 0.0),
     'right': (1.0, 0.0, 0.0),
-}  # fmt: skip
+}
 #: Axes of the workpiece: their colours, and their length and radius relative to what is looked at.
 TRIAD = {'X': '#ff6b6b', 'Y': '#5fd38d', 'Z': '#5aa9e6'}
 TRIAD_LENGTH, TRIAD_RADIUS = 0.22, 0.006

@@ -30,10 +30,13 @@ from cnc_interp.processes.stop_signals import stops_later
 PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
 #: The scripts in the order in which they are loaded, and the values in capitals in them.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
-    'contact': {}, 'listing': {}, 'shortcuts': {'MARKS': MARKS},
+    'contact': {},
+    'listing': {},
+    'shortcuts': {'MARKS': MARKS},
     'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN, 'LOST': LOST},
-    'scene': {}, 'preferences': {},
-}  # fmt: skip
+    'scene': {},
+    'preferences': {},
+}
 
 
 def scripts() -> str:
@@ -128,10 +131,18 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
     app.on_startup(lambda: asyncio.get_running_loop().set_exception_handler(FaultsOnce()))
     app.on_startup(lambda: announce(served.host, served.port, access.token))
     ui.run(
-        host=served.host, port=served.port, title='cnc_interp', dark=True, reload=False,
-        show=False, show_welcome_message=False, reconnect_timeout=RECONNECT,
-        binding_refresh_interval=None, tailwind=False, uvicorn_logging_level='critical',
-    )  # fmt: skip
+        host=served.host,
+        port=served.port,
+        title='cnc_interp',
+        dark=True,
+        reload=False,
+        show=False,
+        show_welcome_message=False,
+        reconnect_timeout=RECONNECT,
+        binding_refresh_interval=None,
+        tailwind=False,
+        uvicorn_logging_level='critical',
+    )
     if lost is not None:
         raise lost
 

@@ -50,9 +50,14 @@ class ClassicalPaths:
 
 
 def classical_paths(
-    surface: Surface, cutter: Cutter, plane_normal: FloatArray, scallop_height: float, tilt: float,
-    start: float | None = None, progress: Callable[[float], None] | None = None,
-) -> ClassicalPaths:  # fmt: skip
+    surface: Surface,
+    cutter: Cutter,
+    plane_normal: FloatArray,
+    scallop_height: float,
+    tilt: float,
+    start: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> ClassicalPaths:
     surface.check(cutter.corner_radius)
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     run = _Run(surface, cutter, normal, scallop_height, 0.5 * np.pi if cutter.is_ball else tilt)
@@ -190,9 +195,17 @@ class _Run:
         feed = unit(along - scaled(dot(along, n), n))
         t, zero, none = cross(feed, n), np.zeros(len(u)), np.zeros((len(u), 3))
         frames = CurveFrames(
-            point.offset(self.cutter.corner_radius).position, n, feed, t, none, none, none, u, v,
+            point.offset(self.cutter.corner_radius).position,
+            n,
+            feed,
+            t,
+            none,
+            none,
+            none,
+            u,
+            v,
             zero,
-        )  # fmt: skip
+        )
         return Postures(self.cutter, frames, zero + self.tilt, zero, zero, zero)
 
     def loop(self, before: ClassicalPass, u: FloatArray, v: FloatArray, found: BoolArray) -> str:

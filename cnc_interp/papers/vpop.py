@@ -296,16 +296,18 @@ def _all_septics(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArr
 
 
 def plan(
-    path: AxisPath, table: FloatArray, start: tuple[float, float] = (0.0, 0.0),
-    options: PlanOptions | None = None, kept: KeptCells | None = None, tool: object = None,
-) -> Stretch | None:  # fmt: skip
+    path: AxisPath,
+    table: FloatArray,
+    start: tuple[float, float] = (0.0, 0.0),
+    options: PlanOptions | None = None,
+    kept: KeptCells | None = None,
+    tool: object = None,
+) -> Stretch | None:
     """Plan from a state of motion to rest at the end of the path, by steps forward."""
     options = options or PlanOptions()
     septics = _all_septics(np.diff(path.s), path.cell_left, path.cell_right)
     # Counted from the start of the stretch, positions have the smallest rounding errors.
-    curve = (
-        path.s - path.s[0], septics, np.minimum(path.cell_feed, FASTEST), table, options.step
-    )  # fmt: skip
+    curve = (path.s - path.s[0], septics, np.minimum(path.cell_feed, FASTEST), table, options.step)
     bounds = speed_bounds(np.diff(path.s), path.cell_left, path.cell_right, curve[2], table)
     rows = _drive(curve, start, bounds[:, 1].copy(), np.array(RELEASES))
     if not len(rows):
@@ -323,9 +325,18 @@ def plan(
     v, a, jerk, duration = (rows[:, column].copy() for column in (V, A, J, D))
     use = np.empty((2, n, 4, n_axes))
     limit_use(
-        np.diff(fine.s), fine.cell_left, fine.cell_right, fine.cell_feed,
-        v, a, jerk[:-1], duration[:-1], table, np.full(n, options.points), use,
-    )  # fmt: skip
+        np.diff(fine.s),
+        fine.cell_left,
+        fine.cell_right,
+        fine.cell_feed,
+        v,
+        a,
+        jerk[:-1],
+        duration[:-1],
+        table,
+        np.full(n, options.points),
+        use,
+    )
     largest = float((use[0].max(axis=2) / ACCEPTED).max())
     if not largest <= 1.0:
         return None

@@ -182,9 +182,14 @@ def go_forward(
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
 def _release_time(
-    septics: FloatArray, along: float, h: float, step: tuple[float, float, float, float],
-    table: FloatArray, release: float, out: FloatArray,
-) -> float:  # fmt: skip
+    septics: FloatArray,
+    along: float,
+    h: float,
+    step: tuple[float, float, float, float],
+    table: FloatArray,
+    release: float,
+    out: FloatArray,
+) -> float:
     """Return the time within a step (v, a, j, duration) at which the release begins."""
     v, a, j, high = step
     low = 0.0

@@ -70,9 +70,13 @@ class Children:
     """The nodes of one run; ``parameters`` by node name, ``arguments``: remappings."""
 
     def __init__(
-        self, namespace: str, domain: int, parameters: dict[str, dict[str, object]], file: Path,
+        self,
+        namespace: str,
+        domain: int,
+        parameters: dict[str, dict[str, object]],
+        file: Path,
         arguments: dict[str, list[str]] | None = None,
-    ):  # fmt: skip
+    ):
         self._folder = TemporaryFolder()
         self._environment = os.environ | {
             'ROS_DOMAIN_ID': str(domain),
@@ -98,9 +102,11 @@ class Children:
         arguments += self._arguments.get(node, [])
         log = Path(self._folder.name) / f'{node}.txt'
         process = self._context.Process(
-            target=_live, args=(node, arguments, self._environment, log), name=node,
+            target=_live,
+            args=(node, arguments, self._environment, log),
+            name=node,
             daemon=True,  # whoever forgets to end the nodes can end all the same
-        )  # fmt: skip
+        )
         process.start()
         return Started(node, process, log)
 

@@ -11,6 +11,12 @@ from cnc_interp.program.reading import (
 )
 
 __all__ = [
-    'Blocks', 'JobSetup', 'Program', 'ProgramStream', 'Tool', 'open_program', 'read_program',
+    'Blocks',
+    'JobSetup',
+    'Program',
+    'ProgramStream',
+    'Tool',
+    'open_program',
+    'read_program',
     'read_text',
-]  # fmt: skip
+]

@@ -40,23 +40,30 @@ class Arcs:
 _OFF = 'start and end differ in their distance from the centre; correct I, J, K'
 FAULTS = {
     1: 'an arc needs its centre (I, J, K in the plane) or its radius (R)',
-    2: 'radius and centre in one arc; keep one of them', 3: _OFF,
+    2: 'radius and centre in one arc; keep one of them',
+    3: _OFF,
     4: 'the radius is smaller than half the distance from start to end; correct R',
     5: 'a full circle cannot be given by its radius; give I, J, K',
     6: 'the centre is at the start of the arc; correct I, J, K',
     7: 'the centre is more than 1000 km away; correct R or I, J, K',
     8: f'{_OFF}; they fit as absolute centres: write G90.1 before, or --arc-centres absolute',
     9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
-}  # fmt: skip
+}
 #: Faults that may only follow from a wrong start.
 OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
 
 
 def arcs_of(
-    plane: str, counter_clockwise: BoolArray, start: FloatArray, end: FloatArray,
-    offset: FloatArray, radius: FloatArray, absolute: BoolArray | bool = False,
-    turns: FloatArray | float = 1.0, unit: float = MM,
-) -> Arcs:  # fmt: skip
+    plane: str,
+    counter_clockwise: BoolArray,
+    start: FloatArray,
+    end: FloatArray,
+    offset: FloatArray,
+    radius: FloatArray,
+    absolute: BoolArray | bool = False,
+    turns: FloatArray | float = 1.0,
+    unit: float = MM,
+) -> Arcs:
     a, b, normal = PLANES[plane]
     chord = end - start
     by_radius = np.isfinite(radius)
@@ -107,9 +114,13 @@ def allowed_mismatch(radius: FloatArray, unit: float = MM) -> FloatArray:
 
 
 def points_on(
-    start: FloatArray, end: FloatArray, centre: FloatArray, normal: FloatArray, sweep: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    centre: FloatArray,
+    normal: FloatArray,
+    sweep: FloatArray,
     u: FloatArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     arm, other = start - centre, end - centre
     level = np.sum(arm * normal, axis=1)
     rise = np.sum(other * normal, axis=1) - level
@@ -146,9 +157,13 @@ class Corner:
     modal: bool = False  #: Whether every corner is rounded (RNDM).
 
     def joint(
-        self, here: FloatArray, corner: FloatArray, after: FloatArray, frame: FloatArray,
+        self,
+        here: FloatArray,
+        corner: FloatArray,
+        after: FloatArray,
+        frame: FloatArray,
         fault: Fault,
-    ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:  # fmt: skip
+    ) -> tuple[FloatArray, FloatArray, tuple[float, ...]] | None:
         """Return the ends of the lines and the arc between [m]; None: a modal one has no corner.
 
         The columns of ``frame`` (3, 3) are both axes of the plane and its normal.

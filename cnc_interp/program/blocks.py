@@ -71,11 +71,17 @@ class Blocks(Table):
         if not (feedrate > 0.0 and 0.0 < tolerance < np.inf):
             raise InterpError('feedrate [m/s] and tolerance [m] of poses must be greater than 0')
         return Blocks(
-            tip=tip, axis=axis, rotary=np.full((n, 2), nan), feedrate=np.full(n, feedrate),
-            duration=np.full(n, nan), rapid=np.zeros(n, dtype=bool),
-            exact_stop=np.zeros(n, dtype=bool), contour_tolerance=np.full(n, tolerance),
-            orientation_tolerance=np.full(n, tolerance), line_number=np.arange(1, n + 1),
-        )  # fmt: skip
+            tip=tip,
+            axis=axis,
+            rotary=np.full((n, 2), nan),
+            feedrate=np.full(n, feedrate),
+            duration=np.full(n, nan),
+            rapid=np.zeros(n, dtype=bool),
+            exact_stop=np.zeros(n, dtype=bool),
+            contour_tolerance=np.full(n, tolerance),
+            orientation_tolerance=np.full(n, tolerance),
+            line_number=np.arange(1, n + 1),
+        )
 
     @property
     def on_spline(self) -> BoolArray:

@@ -209,10 +209,25 @@ class ClReader:
         self.targets.state = self._state(rapid)
         self.targets.add(
             (
-                x, y, z, *self.axis, nan, nan, 0.0, 1.0, *speed, *self._tolerances,
-                self.line_number, 0.0, nan, *arc, 0.0, 0.0, 0.0,
+                x,
+                y,
+                z,
+                *self.axis,
+                nan,
+                nan,
+                0.0,
+                1.0,
+                *speed,
+                *self._tolerances,
+                self.line_number,
+                0.0,
+                nan,
+                *arc,
+                0.0,
+                0.0,
+                0.0,
             )
-        )  # fmt: skip
+        )
 
     def _state(self, rapid: bool) -> tuple[float, float, float]:
         unit = 'UNITS/MM' if self.unit == MM else 'UNITS/INCHES'
@@ -268,8 +283,9 @@ class ClReader:
         elif major == 'GODLTA':
             delta = self._frames.direction(self._numbers(minor, 3, 'write GODLTA/dx,dy,dz'))
             if self.targets.empty:
-                raise self._fault('an incremental move before the first point; write FROM or GOTO '
-                                  'first', major)  # fmt: skip
+                raise self._fault(
+                    'an incremental move before the first point; write FROM or GOTO first', major
+                )
             self._go(*(at + d * self.unit for at, d in zip(self._point, delta, strict=True)))
         elif major == 'CIRCLE':
             self._begin_circle(minor)
@@ -283,8 +299,11 @@ class ClReader:
         elif major == 'CYCLE':
             self._cycle = None
         elif major == 'CUTCOM':
-            self._notice(major, 'the points are tool tips, as CL data have them; the wear of the '
-                         'cutter is not compensated')  # fmt: skip
+            self._notice(
+                major,
+                'the points are tool tips, as CL data have them; the wear of the '
+                'cutter is not compensated',
+            )
         elif major in cl_words.STOPS:
             kind, text = cl_words.STOPS[major]
             if kind > 1.0:
@@ -299,8 +318,11 @@ class ClReader:
             if self._system and moves(system):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
             if self._frames.enter(system):
-                self._notice(f'WARNING: {major}', 'points of another coordinate system are taken '
-                             'into the first one; the part must stay clamped')  # fmt: skip
+                self._notice(
+                    f'WARNING: {major}',
+                    'points of another coordinate system are taken '
+                    'into the first one; the part must stay clamped',
+                )
         elif major in ('MSYS', 'CSYS'):
             if self._system not in ('', minor):
                 raise self._fault(cl_words.OFF_ONLY['ORIGIN'], major)
@@ -315,8 +337,9 @@ class ClReader:
             self._frames.index(int(minor))
         elif major == 'COPY':
             if not self._frames.copy(minor, self._statement):
-                raise self._fault('write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, '
-                                  'XYROT', major)  # fmt: skip
+                raise self._fault(
+                    'write INDEX/n before and COPY/n,TRANSL,x,y,z,times, or SAME, XYROT', major
+                )
         elif major.startswith(cl_words.INFORMATION):
             self._notice(cl_words.INFORMATION, 'information of the CAM system, no effect')
         elif major == 'SPINDL' and minor not in cl_words.OFF:
@@ -357,11 +380,15 @@ class ClReader:
         circle.radius = numbers[6] * self.unit if len(numbers) > 6 else circle.off(here)
         size, off = max(*np.abs(circle.centre), circle.radius), circle.off(here)
         if not size <= _FARTHEST or not circle.radius > 0.0:
-            raise self._fault('a circle beyond 100,000 mm, or with a radius of zero; correct it',
-                              'CIRCLE')  # fmt: skip
+            raise self._fault(
+                'a circle beyond 100,000 mm, or with a radius of zero; correct it', 'CIRCLE'
+            )
         if not off <= arcs.allowed_mismatch(np.array(circle.radius)):
-            raise self._fault(f'the tool is {off / self.unit:.4g} away from this circle; correct '
-                              'the circle or the point before', 'CIRCLE')  # fmt: skip
+            raise self._fault(
+                f'the tool is {off / self.unit:.4g} away from this circle; correct '
+                'the circle or the point before',
+                'CIRCLE',
+            )
         self._circle = circle
 
     def _along_arc(self, numbers: list[float]) -> None:

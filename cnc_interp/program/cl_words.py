@@ -22,25 +22,60 @@ TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')
 SILENT = {'MACHIN', 'MULTAX', 'INTOL', 'OUTTOL', 'TOLER', 'CUTTER', 'NOPOST', 'CLPRNT', 'END'}
 #: Words that do not move the tool; they give one notice.
 HARMLESS = {
-    'AUTOPS', 'AUXFUN', 'CAMERA', 'CLAMP', 'CLEARP', 'COOLNT', 'DISPLY', 'LEADER', 'LINTOL',
-    'LOAD', 'LOADTL', 'MAXDP', 'MCHTOL', 'MFG', 'NUMPTS', 'OPSKIP', 'OPTOOL', 'PAINT', 'PLABEL',
-    'PLOT', 'PPFUN', 'PPWORD', 'PREFUN', 'PRINT', 'REWIND', 'SAFETY', 'SELCTL', 'SELECT', 'SEQNO',
-    'SETUP', 'SPINDL', 'TLDATA', 'TOOL', 'TOOLNO', 'TRNTYP', 'TURRET',
-}  # fmt: skip
+    'AUTOPS',
+    'AUXFUN',
+    'CAMERA',
+    'CLAMP',
+    'CLEARP',
+    'COOLNT',
+    'DISPLY',
+    'LEADER',
+    'LINTOL',
+    'LOAD',
+    'LOADTL',
+    'MAXDP',
+    'MCHTOL',
+    'MFG',
+    'NUMPTS',
+    'OPSKIP',
+    'OPTOOL',
+    'PAINT',
+    'PLABEL',
+    'PLOT',
+    'PPFUN',
+    'PPWORD',
+    'PREFUN',
+    'PRINT',
+    'REWIND',
+    'SAFETY',
+    'SELCTL',
+    'SELECT',
+    'SEQNO',
+    'SETUP',
+    'SPINDL',
+    'TLDATA',
+    'TOOL',
+    'TOOLNO',
+    'TRNTYP',
+    'TURRET',
+}
 INFORMATION = 'CSI_'  #: Words with this beginning are information of a CAM system.
 #: Words that switch outputs of the machine or name the tool: what a start in the middle tells.
 OUTPUTS = {'COOLNT', 'DELAY', 'DWELL', 'LOADTL', 'SPINDL', 'TOOLNO'}
 #: Words that stop: the kind of stop (``TargetColumns.stop_here``), and the text of the notice.
 STOPS = {
-    'STOP': (AT_M0, codes.STOP_M['M0']), 'OPSTOP': (AT_M1, codes.STOP_M['M1']),
-    'DELAY': (1.0, codes.DWELL), 'DWELL': (1.0, codes.DWELL),
-}  # fmt: skip
+    'STOP': (AT_M0, codes.STOP_M['M0']),
+    'OPSTOP': (AT_M1, codes.STOP_M['M1']),
+    'DELAY': (1.0, codes.DWELL),
+    'DWELL': (1.0, codes.DWELL),
+}
 LINEAR = 'output the tool path as GOTO points'
 _FRAME = 'changing the coordinate system is not supported; output one workpiece frame'
 _DRIVEN = f'motion along part surfaces is not supported; {LINEAR}'
 REFUSED = {
     **dict.fromkeys(
-        ('MOVARC', 'ARCMOV'), f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}'),
+        ('MOVARC', 'ARCMOV'), f'arcs are supported as CIRCLE/x,y,z,i,j,k,r; or {LINEAR}'
+    ),
     'GOHOME': f'machine-coordinate moves are not supported; {LINEAR}',
     'RETRCT': f'retract moves are not supported; {LINEAR}',
     **dict.fromkeys(('ROTATE', 'ROTABL'), f'rotary table moves are not supported; {LINEAR}'),
@@ -48,9 +83,24 @@ REFUSED = {
     **dict.fromkeys(('MACRO', 'CALL'), f'macros are not supported; {LINEAR}'),
     'PROBE': f'probing is not supported; {LINEAR}',
     **dict.fromkeys(
-        ('GO', 'GOFWD', 'GOBACK', 'GOLFT', 'GORGT', 'GOUP', 'GODOWN', 'INDIRP', 'TLON',
-         'TLLFT', 'TLRGT', 'PSIS', 'DNTCUT'), _DRIVEN),
-}  # fmt: skip
+        (
+            'GO',
+            'GOFWD',
+            'GOBACK',
+            'GOLFT',
+            'GORGT',
+            'GOUP',
+            'GODOWN',
+            'INDIRP',
+            'TLON',
+            'TLLFT',
+            'TLRGT',
+            'PSIS',
+            'DNTCUT',
+        ),
+        _DRIVEN,
+    ),
+}
 #: Words that are refused unless they switch something off or contain only zeros.
 OFF_ONLY = {'ORIGIN': _FRAME, 'TRANS': _FRAME}
 OFF = {'', 'OFF', 'NOMORE'}
@@ -77,10 +127,20 @@ def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
 _FEED_OUT, _PECKING = {'TAP', 'BORE', 'REAM', 'BORE8'}, {'DEEP', 'DEEP2', 'BRKCHP', 'CHIPBR'}
 KINDS = {'DRILL', 'FACE', 'CSINK', 'CDRILL', 'SPOTDRILL', *_FEED_OUT, *_PECKING}
 _VALUES = {
-    'FEDTO': 'depth', 'DEPTH': 'depth', 'RAPTO': 'clear', 'CLEAR': 'clear', 'RTRCTO': 'retract',
-    'RETURN': 'retract', 'MMPM': 'feed', 'IPM': 'feed', 'STEP': 'peck', 'INCR': 'peck',
-    '1STPECK': 'peck', 'SUBPECK': 'next', 'DWELL': 'dwell',
-}  # fmt: skip
+    'FEDTO': 'depth',
+    'DEPTH': 'depth',
+    'RAPTO': 'clear',
+    'CLEAR': 'clear',
+    'RTRCTO': 'retract',
+    'RETURN': 'retract',
+    'MMPM': 'feed',
+    'IPM': 'feed',
+    'STEP': 'peck',
+    'INCR': 'peck',
+    '1STPECK': 'peck',
+    'SUBPECK': 'next',
+    'DWELL': 'dwell',
+}
 _NEAR = 0.5 * MM  #: How near the tool comes to the last peck in a rapid [m].
 
 
@@ -107,15 +167,23 @@ def cycle_of(minor: str, unit: float, fault: Callable[[str, str], ProgramError])
     pecks: list[float] = []
     if kind in _PECKING:
         pecks = pecks_of(
-            0.0, -depth, first or depth, lambda text: fault(text, kind),
+            0.0,
+            -depth,
+            first or depth,
+            lambda text: fault(text, kind),
             lambda *_: following or first,
-        )  # fmt: skip
+        )
     return Hole(
-        clear, -depth, max(abs(found.get('retract', 0.0)) * unit, clear), pecks, gap=_NEAR,
-        rests=found.get('dwell', 0.0) > 0.0, dwell=found.get('dwell', 0.0),
+        clear,
+        -depth,
+        max(abs(found.get('retract', 0.0)) * unit, clear),
+        pecks,
+        gap=_NEAR,
+        rests=found.get('dwell', 0.0) > 0.0,
+        dwell=found.get('dwell', 0.0),
         out=clear if kind in _FEED_OUT else None,
         feed=found.get('feed', 0.0) * feed_unit / MINUTE,
-    )  # fmt: skip
+    )
 
 
 def way_to(

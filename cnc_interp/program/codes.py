@@ -11,15 +11,18 @@ SETTINGS: dict[str, tuple[str, object]] = {
     **{f'G{number}': ('motion', number) for number in range(4)},
     **{code: ('plane', code) for code in ('G17', 'G18', 'G19')},
     **dict.fromkeys(('G20', 'G70', 'G700'), ('unit', INCH)),
-    **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)), 'G90': ('incremental', False),
-    'G91': ('incremental', True), 'G90.1': ('centre_absolute', True),
+    **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)),
+    'G90': ('incremental', False),
+    'G91': ('incremental', True),
+    'G90.1': ('centre_absolute', True),
     'G91.1': ('centre_absolute', False),
     **{code: ('feed_mode', code) for code in ('G93', 'G94', 'G95')},
-    'G98': ('retract_to_start', True), 'G99': ('retract_to_start', False),
+    'G98': ('retract_to_start', True),
+    'G99': ('retract_to_start', False),
     **dict.fromkeys(('G61', 'G60', 'G61.1'), ('stop_always', True)),
     **dict.fromkeys(('G64', 'G641', 'G642', 'G643', 'G644', 'G645'), ('stop_always', False)),
     'G9': ('stop_once', True),
-}  # fmt: skip
+}
 
 # Words that switch tool-tip programming (TCP), of several controls.
 TCP_ON = {'M428', 'M128', 'G43.4', 'G43.5', 'G234', 'TRAORI', '#TRAFO ON'}
@@ -35,10 +38,37 @@ WORK_OFFSETS = set(job.WORK_OFFSETS)
 THREAD_CYCLE = 'G76 of LinuxCNC'
 #: Codes with their own meaning of the axis words in their block.
 TAKE_AXES = {
-    'G4', 'G10', 'G28', 'G28.1', 'G30', 'G30.1', 'G52', 'G65', 'G92', 'G92.1', 'G92.2', 'G92.3',
-    'G32', 'G33', 'G33.1', 'G68', 'G68.2', 'G68.3', 'G68.4', 'G53.1', 'G53.3', 'G53.6',
-    'G31', 'G38.2', 'G38.3', 'G38.4', 'G38.5', 'MEAS=1', 'MEAS=-1', THREAD_CYCLE,
-}  # fmt: skip
+    'G4',
+    'G10',
+    'G28',
+    'G28.1',
+    'G30',
+    'G30.1',
+    'G52',
+    'G65',
+    'G92',
+    'G92.1',
+    'G92.2',
+    'G92.3',
+    'G32',
+    'G33',
+    'G33.1',
+    'G68',
+    'G68.2',
+    'G68.3',
+    'G68.4',
+    'G53.1',
+    'G53.3',
+    'G53.6',
+    'G31',
+    'G38.2',
+    'G38.3',
+    'G38.4',
+    'G38.5',
+    'MEAS=1',
+    'MEAS=-1',
+    THREAD_CYCLE,
+}
 #: Those of which no control tells what a polar word is.
 NOT_POLAR = {'G28', 'G30', 'G31', 'G32', 'G33', 'G33.1', 'G53.3'}
 THREADS = {'G32', 'G33', 'G33.1', THREAD_CYCLE}
@@ -86,9 +116,14 @@ G10_CONFLICTS = {
 
 #: What moves the program coordinates or the tool beside the contour: not with G41 and G42.
 NOT_BESIDE_CONTOUR = (
-    (TAKE_AXES - {'G4', 'G65'}) | WORK_OFFSETS | CYCLES | LENGTH | TCP_ON | TCP_OFF
+    (TAKE_AXES - {'G4', 'G65'})
+    | WORK_OFFSETS
+    | CYCLES
+    | LENGTH
+    | TCP_ON
+    | TCP_OFF
     | {'G53', 'G69', 'TRANS', 'ATRANS', 'ROT', 'AROT', 'CYCLE800', 'BSPLINE', 'SUPA', 'G153'}
-)  # fmt: skip
+)
 #: Switches of a control's look-ahead, and their words: G05 P10000, G05.1 Q1, G08 P1.
 LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
 SPLINE_LETTERS = frozenset('XYZIJ')  #: With these letters, a code of ``LOOK_AHEAD`` is a spline.
@@ -126,9 +161,11 @@ ACTING_M = END_M | STOP_M.keys() | RETURN_M | {'M61', 'M98'}
 FIRST_M = {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
 #: Outputs of the machine that M codes switch, each with the code that holds afterwards.
 OUTPUTS: dict[str, dict[str, str]] = {
-    **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')}, 'M7': {'mist': 'M7'},
-    'M8': {'coolant': 'M8'}, 'M9': {'mist': '', 'coolant': 'M9'},
-}  # fmt: skip
+    **{code: {'spindle': code} for code in ('M3', 'M4', 'M5')},
+    'M7': {'mist': 'M7'},
+    'M8': {'coolant': 'M8'},
+    'M9': {'mist': '', 'coolant': 'M9'},
+}
 STATE_M = {'M70', 'M71', 'M72', 'M73'}
 REFUSED_M: dict[str, str] = {
     **dict.fromkeys(('M96', 'M97'), 'these subprogram calls are not supported; call with M98'),
@@ -160,33 +197,91 @@ REFUSED_KEYS: dict[str, str] = {
     'REPEATB': 'a section is repeated by a label; write REPEAT and UNTIL',
 }
 HARMLESS_KEYS = {
-    'ADISPOS', 'BRISK', 'CDOF', 'CDOF2', 'CDON', 'CFC', 'CFIN', 'CFTCP', 'COMPCAD', 'COMPCURV',
-    'COMPOF', 'COMPON', 'COMPSURF', 'CUTCONOF', 'CUTCONON', 'DIAMOF', 'DISPLOF', 'DRIVE',
-    'DYNFINISH', 'DYNNORM', 'DYNPOS', 'DYNROUGH', 'DYNSEMIFIN', 'EXTERN', 'FCUB', 'FFWOF',
-    'FFWON', 'FGROUP', 'FIFOCTRL', 'FLIN', 'FNORM', 'G0RT', 'KONT', 'MMC', 'MSG', 'NORM',
-    'ORIEULER', 'ORIRPY', 'ORISOF', 'ORISON', 'ORIWKS', 'PROC', 'RTLIOF', 'RTLION', 'SAVE',
-    'SETMS', 'SOFT', 'SPATH', 'SPCOF', 'SPCON', 'SPOS', 'STARTFIFO', 'STOPFIFO', 'STOPRE',
-    'UPATH', 'WALIMOF', 'WALIMON', 'WORKPIECE',
-}  # fmt: skip
+    'ADISPOS',
+    'BRISK',
+    'CDOF',
+    'CDOF2',
+    'CDON',
+    'CFC',
+    'CFIN',
+    'CFTCP',
+    'COMPCAD',
+    'COMPCURV',
+    'COMPOF',
+    'COMPON',
+    'COMPSURF',
+    'CUTCONOF',
+    'CUTCONON',
+    'DIAMOF',
+    'DISPLOF',
+    'DRIVE',
+    'DYNFINISH',
+    'DYNNORM',
+    'DYNPOS',
+    'DYNROUGH',
+    'DYNSEMIFIN',
+    'EXTERN',
+    'FCUB',
+    'FFWOF',
+    'FFWON',
+    'FGROUP',
+    'FIFOCTRL',
+    'FLIN',
+    'FNORM',
+    'G0RT',
+    'KONT',
+    'MMC',
+    'MSG',
+    'NORM',
+    'ORIEULER',
+    'ORIRPY',
+    'ORISOF',
+    'ORISON',
+    'ORIWKS',
+    'PROC',
+    'RTLIOF',
+    'RTLION',
+    'SAVE',
+    'SETMS',
+    'SOFT',
+    'SPATH',
+    'SPCOF',
+    'SPCON',
+    'SPOS',
+    'STARTFIFO',
+    'STOPFIFO',
+    'STOPRE',
+    'UPATH',
+    'WALIMOF',
+    'WALIMON',
+    'WORKPIECE',
+}
 #: Harmless codes with letters of their own, which move nothing.
 IDLE_LETTERS = {'G187': 'PE', 'G103': 'P', 'G54.2': 'P'}
 #: Names of Siemens that are set in a block and do not move the tool; so are S1= and M1=.
 HARMLESS_NAMES = {'SPOS', 'SPOSA', 'LIMS', 'ADIS', 'ADISPOS', 'STOLF', 'DISCL', 'FGREF'}
 #: Names of Siemens that change path or feed, with what to do.
 REFUSED_NAMES: dict[str, str] = {
-    **dict.fromkeys(('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'),
-                    'this word is not supported; give the end point and I, J, K'),
+    **dict.fromkeys(
+        ('AR', 'I1', 'J1', 'K1', 'AP', 'RP', 'A2', 'B2', 'C2'),
+        'this word is not supported; give the end point and I, J, K',
+    ),
     'LEAD': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
     'TILT': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
-    **dict.fromkeys(('FRC', 'FRCM', 'FB', 'OVR', 'OVRRAP'),
-                    'this feed is not supported; write the feed as F'),
-}  # fmt: skip
+    **dict.fromkeys(
+        ('FRC', 'FRCM', 'FB', 'OVR', 'OVRRAP'), 'this feed is not supported; write the feed as F'
+    ),
+}
 UNKNOWN_NAME = 'no such word; correct it, or set the variable in a block of its own'
 NO_SUCH_AXIS = 'no axis has this name; write the axis as a letter'
 # On linear blocks ORICURVE turns from one direction to the other like ORIVECT.
 INTERPOLATION_KEYS = {
-    'ORIVECT': True, 'ORIPLANE': True, 'ORICURVE': True, 'ORIAXES': False, 'ORIMKS': False,
-}  # fmt: skip
+    'ORIVECT': True,
+    'ORIPLANE': True,
+    'ORICURVE': True,
+    'ORIAXES': False,
+    'ORIMKS': False,
+}
 
 
 _CYCLE = re.compile(r'CYCLE(?:8\d|840|800|832)')

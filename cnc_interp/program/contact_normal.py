@@ -67,17 +67,23 @@ class ContactPath:
         """Return the tip of the tool, (3,) [m]; raise if it cannot touch, or would cut in."""
         normal = self._normal
         if normal is None:
-            raise fault('write the contact normal in the block: I J K, or A5= B5= C5=; without '
-                        'normals post the path of the tool centre')  # fmt: skip
+            raise fault(
+                'write the contact normal in the block: I J K, or A5= B5= C5=; without '
+                'normals post the path of the tool centre'
+            )
         cosine = float(normal @ axis)
         if cosine < -ROUNDED:
-            raise fault('the normal points down the tool, which cannot touch there; '
-                        'the normal points away from the part')  # fmt: skip
+            raise fault(
+                'the normal points down the tool, which cannot touch there; '
+                'the normal points away from the part'
+            )
         sine = float(np.linalg.norm(np.cross(normal, axis)))
         ring = self._cutter.radius - self._cutter.corner_radius
         if PARALLEL < sine < UNSURE and ring:
-            raise fault('the normal is almost parallel to the tool, so the side on which it '
-                        'touches is not sure; write it parallel, or tilt the tool')  # fmt: skip
+            raise fault(
+                'the normal is almost parallel to the tool, so the side on which it '
+                'touches is not sure; write it parallel, or tilt the tool'
+            )
         self._demand_room(point, normal, cosine, cuts, fault)
         return np.asarray(point + self._cutter.shift(normal, axis))
 

@@ -31,23 +31,39 @@ SIEMENS = Dialect('siemens', 'Siemens 840D', starts_with=1, runs_shifts=True)
 HEIDENHAIN = Dialect('heidenhain', 'Heidenhain', machine_axes=True)
 PROFILES = {dialect.name: dialect for dialect in (PLAIN, LINUXCNC, FANUC, SIEMENS)}
 _SUFFIXES = {
-    '.ngc': LINUXCNC, '.mpf': SIEMENS, '.spf': SIEMENS, '.min': FANUC, '.eia': FANUC,
-}  # fmt: skip
+    '.ngc': LINUXCNC,
+    '.mpf': SIEMENS,
+    '.spf': SIEMENS,
+    '.min': FANUC,
+    '.eia': FANUC,
+}
 
 _WORDS = (
-    (LINUXCNC, r'^\s*O\s*(?:\d+|<[^<>]+>|\[[^\]]+\]|#\S+)\s*(?:SUB|ENDSUB|CALL|IF|WHILE|DO|REPEAT)'
-     r'\b|#<\w|\(\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,|^\s*;\s*PY\s*,'),
-    (FANUC, r'^\s*[O:]\s*\d{4,8}\s*(?:\(|$)|\bG\s*54\.1\s*P|\bG0?5\.1\s*Q|\bG65\s*P|'
-     r'^\s*(?:N\d+\s*)?WHILE\s*\[.*\]\s*DO\s*\d|\bGOTO\s*\d|\bIF\s*\[.*\]\s*(?:GOTO|THEN)|'
-     r'\bG(?:154\s*P|187\b|43\.[45]\b|234\b|0?5\s*P\d|0?8\s*P[01]\b)'),
-    (SIEMENS, r'\b(?:CYCLE\d+|MCALL|TRAORI|TRAFOOF|MSG|HOLES\d|POCKET\d|SLOT\d)\b\s*(?:\(|$)|'
-     r'^\s*(?:N\d+\s*)?(?:DEF\s+(?:REAL|INT|BOOL|STRING|AXIS|CHAR)|PROC\s|A?TRANS\b|A?ROT\b|'
-     r'EXTERN\s|FFWON|SUPA\b|G500\b|DIAMOF|STOPRE|ENDFOR|ENDWHILE|ENDIF|ENDLOOP|UNTIL\b)|'
-     r'\bGOTO[FBC]\b|=\s*(?:A|I|D)C\s*\(|\bR\d+\s*=|^%_N_|;\s*\$PATH|\bD\d+\s+M0?6\b.*"'),
-)  # fmt: skip
+    (
+        LINUXCNC,
+        r'^\s*O\s*(?:\d+|<[^<>]+>|\[[^\]]+\]|#\S+)\s*(?:SUB|ENDSUB|CALL|IF|WHILE|DO|REPEAT)'
+        r'\b|#<\w|\(\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,|^\s*;\s*PY\s*,',
+    ),
+    (
+        FANUC,
+        r'^\s*[O:]\s*\d{4,8}\s*(?:\(|$)|\bG\s*54\.1\s*P|\bG0?5\.1\s*Q|\bG65\s*P|'
+        r'^\s*(?:N\d+\s*)?WHILE\s*\[.*\]\s*DO\s*\d|\bGOTO\s*\d|\bIF\s*\[.*\]\s*(?:GOTO|THEN)|'
+        r'\bG(?:154\s*P|187\b|43\.[45]\b|234\b|0?5\s*P\d|0?8\s*P[01]\b)',
+    ),
+    (
+        SIEMENS,
+        r'\b(?:CYCLE\d+|MCALL|TRAORI|TRAFOOF|MSG|HOLES\d|POCKET\d|SLOT\d)\b\s*(?:\(|$)|'
+        r'^\s*(?:N\d+\s*)?(?:DEF\s+(?:REAL|INT|BOOL|STRING|AXIS|CHAR)|PROC\s|A?TRANS\b|A?ROT\b|'
+        r'EXTERN\s|FFWON|SUPA\b|G500\b|DIAMOF|STOPRE|ENDFOR|ENDWHILE|ENDIF|ENDLOOP|UNTIL\b)|'
+        r'\bGOTO[FBC]\b|=\s*(?:A|I|D)C\s*\(|\bR\d+\s*=|^%_N_|;\s*\$PATH|\bD\d+\s+M0?6\b.*"',
+    ),
+)
 _SIGNS = tuple((dialect, re.compile(words, re.I | re.M)) for dialect, words in _WORDS)
-_COMMENT = re.compile(r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a-z ][^()\n]*\)|'
-                      r';(?!\s*(?:PY|\$PATH))[^\n]*', re.I)  # fmt: skip
+_COMMENT = re.compile(
+    r'\((?!\s*(?:DEBUG|PRINT|PROBEOPEN|LOGOPEN)\s*,)[^()\n]*[a-z ][^()\n]*\)|'
+    r';(?!\s*(?:PY|\$PATH))[^\n]*',
+    re.I,
+)
 
 #: Lines with words of all controls only. A sign stands for each, so lines keep their numbers.
 _COMMON = re.compile(
@@ -57,10 +73,13 @@ _HEAD_LINES = 2000
 #: What the first line with words begins with, in each form.
 _FORMS = {
     'heidenhain': re.compile(r'\s*(?:\d+\s+)?BEGIN\s+PGM\b', re.I),
-    'cl': re.compile(r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|'
-                     r'UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)', re.I),
+    'cl': re.compile(
+        r'\s*(?:(?:GOTO|FROM)\s*/?\s*[-+.\d]|(?:FEDRAT|LOADTL|MULTAX|PPWORD|SPINDL|'
+        r'UNITS?|TOOL PATH)\s*/|(?:PARTNO|FINI)\b)',
+        re.I,
+    ),
     'gcode': re.compile(r'\s*(?:/\s*)?(?:%|(?:N\s*\d+\s*)?[GMXYZ]\s*[-+]?\.?\d|:\d|O\d)', re.I),
-}  # fmt: skip
+}
 
 
 def _head(source: Source) -> str:

@@ -121,9 +121,11 @@ class Cursor:
     def _count_jump(self) -> None:
         self._jumps += 1
         control = (
-            self.source.name, self.line_number, [(loop.begin, loop.rounds) for loop in self.loops],
+            self.source.name,
+            self.line_number,
+            [(loop.begin, loop.rounds) for loop in self.loops],
             [(call.line, call.rounds) for call in self._calls],
-        )  # fmt: skip
+        )
         # Brent's search for a cycle: what comes back to a state that it had goes on for ever.
         if control == self._seen[0] and self.variables.stands_as(self._seen[1]):
             why = 'this loop does not end, because nothing changes in it'
@@ -135,15 +137,21 @@ class Cursor:
             raise self.fault(f'{why}; correct its conditions')
 
     def call(
-        self, stem: str, pattern: bytes, rounds: int, arguments: dict[int, float],
-        own_variables: bool, vacant: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        stem: str,
+        pattern: bytes,
+        rounds: int,
+        arguments: dict[int, float],
+        own_variables: bool,
+        vacant: bool = False,
+    ) -> None:
         if rounds < 1:
             self.go(self.window.place(self.row + 1))
             return
         if len(self._calls) >= _DEEPEST_CALL:
-            raise self.fault(f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels',
-                             stem)  # fmt: skip
+            raise self.fault(
+                f'calls are nested more than {_DEEPEST_CALL} deep; use fewer levels', stem
+            )
         self._count_jump()
         back, line = self.window.place(self.row + 1), self.line_number
         search = re.compile(rb'(?mi)^[ \t]*(?:N\s*\d+\s*)?' + pattern)
@@ -184,8 +192,9 @@ class Cursor:
         if path is None and (own := subprogram_file(config_directory() / 'subprograms', stem)):
             return Source.of_file(own)
         if path is None:
-            raise self.fault(f'the subprogram {stem} is not in this file or its folder; add it',
-                             stem)  # fmt: skip
+            raise self.fault(
+                f'the subprogram {stem} is not in this file or its folder; add it', stem
+            )
         try:
             return Source.of_file(path, self.main.folders)
         except InterpError as problem:

@@ -139,9 +139,14 @@ def crossings(first: Element, second: Element) -> list[complex]:
 
 class CutterRadius:
     def __init__(
-        self, distance: float, frame: FloatArray, before: FloatArray, source: str,
-        own_entry: bool, told: Told | None = None,
-    ):  # fmt: skip
+        self,
+        distance: float,
+        frame: FloatArray,
+        before: FloatArray,
+        source: str,
+        own_entry: bool,
+        told: Told | None = None,
+    ):
         self._distance, self._frame, self._source = distance, frame, source
         self._own_entry, self._told = own_entry, told
         self._rotary, self._point = before[col.ROTARY].copy(), before[col.POINT].copy()
@@ -217,8 +222,9 @@ class CutterRadius:
         left, stands = 1j * self._distance, element.start
         if not element.is_arc:
             if abs(element.end - element.start) <= abs(self._distance):
-                raise self._fault('the line to the contour must be longer than the radius of the '
-                                  'cutter', row)  # fmt: skip
+                raise self._fault(
+                    'the line to the contour must be longer than the radius of the cutter', row
+                )
             self._stood, self._last = stands, element.offset(self._distance)
             return
         end = element.end + left * element.direction(element.end)
@@ -296,8 +302,9 @@ class CutterRadius:
             self._path.append((self._count - 1, part))
             for number, element in self._parts:
                 for share in SHARES:
-                    self._check(element.distance(part.at(share)), self._rows[0], number,
-                                self._count - 1)  # fmt: skip
+                    self._check(
+                        element.distance(part.at(share)), self._rows[0], number, self._count - 1
+                    )
         first, *others = self._rows
         return [self._row_of(part, first), *(self._moved(other, end) for other in others)]
 

@@ -66,9 +66,12 @@ class Hole:
 
 
 def pecks_of(
-    top: float, bottom: float, first: float, fault: Callable[[str], ProgramError],
+    top: float,
+    bottom: float,
+    first: float,
+    fault: Callable[[str], ProgramError],
     then: Callable[[float, float], float] | None = None,
-) -> list[float]:  # fmt: skip
+) -> list[float]:
     """Return the levels of pecks [m]; ``then``: a stroke by the one before and what is left."""
     depth, done, stroke, levels = top - bottom, first, first, list[float]()
     while depth - done > _NOTHING:
@@ -178,13 +181,18 @@ class CannedCycle:
             raise mover.fault('a cycle in a rotated frame without tool-tip programming', self.code)
         turns = not words.values.keys().isdisjoint(mover.rotary_letters)
         if turns and not mover.dialect.turns_in_cycles:
-            raise mover.fault('LinuxCNC takes no rotary words in a canned cycle; turn in a block '
-                              'before, or choose --dialect fanuc', self.code)  # fmt: skip
+            raise mover.fault(
+                'LinuxCNC takes no rotary words in a canned cycle; turn in a block '
+                'before, or choose --dialect fanuc',
+                self.code,
+            )
         if self.code in ('G87', 'G88') and mover.dialect is LINUXCNC:
             raise mover.fault('LinuxCNC has none; post it as G0 and G1 moves', self.code)
         if self.code in TAPPING and mover.dialect is LINUXCNC and mover.plane != 'G17':
-            raise mover.fault('LinuxCNC taps along the wrong axis here; tap in G17, or choose '
-                              '--dialect fanuc', self.code)  # fmt: skip
+            raise mover.fault(
+                'LinuxCNC taps along the wrong axis here; tap in G17, or choose --dialect fanuc',
+                self.code,
+            )
 
     def _hole(self, mover: Mover, place: FloatArray, axis: int, feed_given: bool) -> None:
         depth, retract = (self._sticky['XYZ'[axis]], self._sticky['R'])
@@ -198,19 +206,29 @@ class CannedCycle:
         if retract < bottom and self.code != 'G87':
             if mover.dialect not in (FANUC, PLAIN):
                 raise mover.fault('the retract plane R lies below the depth', self.code)
-            mover.notice(f'WARNING: {self.code} with R below Z',
-                         'the feed goes from R up to Z, as on Fanuc')  # fmt: skip
+            mover.notice(
+                f'WARNING: {self.code} with R below Z', 'the feed goes from R up to Z, as on Fanuc'
+            )
         clear = max(self.start, retract) if mover.retract_to_start else retract
         if self.code == 'G87':
             clear = max(self.start, retract)
         whole = mover.dialect is LINUXCNC and self.code != 'G85'
         out = (clear if whole else retract) if self.code in _FEED_OUT else None
         hole = Hole(
-            retract, bottom, clear, self._pecks(mover, retract, bottom), self.code == 'G73',
-            _CLEARANCE[mover.unit], self.code in TAPPING, self.code in _RESTING,
-            self._dwell(mover), self.code == 'G88', out, self._shift(mover),
+            retract,
+            bottom,
+            clear,
+            self._pecks(mover, retract, bottom),
+            self.code == 'G73',
+            _CLEARANCE[mover.unit],
+            self.code in TAPPING,
+            self.code in _RESTING,
+            self._dwell(mover),
+            self.code == 'G88',
+            out,
+            self._shift(mover),
             reverse=_REVERSES.get(self.code, ''),
-        )  # fmt: skip
+        )
         if self.code == 'G88':
             mover.notice('G88', 'waits at the bottom; the retract after cycle start is a rapid')
         start = place
@@ -242,8 +260,11 @@ class CannedCycle:
             amount, first = self._sticky.get('Q', 0.0), PLANES[mover.plane][0]
             if not amount:
                 return None
-            mover.notice(f'WARNING: {self.code} Q', f'the tool moves aside along +{"XYZ"[first]}; '
-                         'a parameter of the control may give another direction')  # fmt: skip
+            mover.notice(
+                f'WARNING: {self.code} Q',
+                f'the tool moves aside along +{"XYZ"[first]}; '
+                'a parameter of the control may give another direction',
+            )
             return np.asarray(np.eye(3)[first] * abs(amount) * mover.unit)
         return np.array([self._sticky.get(letter, 0.0) * mover.unit for letter in 'IJK'])
 
@@ -252,8 +273,10 @@ class CannedCycle:
             return []
         step = self._sticky.get('Q', 0.0) * mover.unit
         if step == 0.0 and mover.dialect in (FANUC, PLAIN):
-            mover.notice(f'WARNING: {self.code} without a peck Q',
-                         'drilled in one stroke; Fanuc and LinuxCNC refuse it')  # fmt: skip
+            mover.notice(
+                f'WARNING: {self.code} without a peck Q',
+                'drilled in one stroke; Fanuc and LinuxCNC refuse it',
+            )
             return []
         if not 0.0 < step < FARTHEST:
             raise mover.fault('the cycle needs its peck Q, greater than zero', self.code)
@@ -316,11 +339,21 @@ class SiemensCycle:
         for along in (clear, retract) if here[axis] < retract else (retract,):
             go_along(mover, here, axis, along, feed_given=True)
         hole = Hole(
-            retract, bottom, clear, pecks, breaks, distance if breaks else near, rests=rests,
-            dwell=dwell_of(mover, self.name, time), waits=waits, shift=shift,
+            retract,
+            bottom,
+            clear,
+            pecks,
+            breaks,
+            distance if breaks else near,
+            rests=rests,
+            dwell=dwell_of(mover, self.name, time),
+            waits=waits,
+            shift=shift,
             out=retract if self.name in _SIEMENS_FEED_OUT else None,
-            feed=self._feed(), feed_out=self._feed_out(), reverse=self._reverse,
-        )  # fmt: skip
+            feed=self._feed(),
+            feed_out=self._feed_out(),
+            reverse=self._reverse,
+        )
         make_hole(mover, hole, here, axis)
 
     def _feed(self) -> float | None:
@@ -363,8 +396,9 @@ class SiemensCycle:
                 return 0.5 * left  # the last two strokes are alike
             return min(stroke, left)
 
-        return pecks_of(reference, bottom, stroke, lambda text: self._mover.fault(text, self.name),
-                        then)  # fmt: skip
+        return pecks_of(
+            reference, bottom, stroke, lambda text: self._mover.fault(text, self.name), then
+        )
 
 
 def places_of(name: str, given: Given, mover: Mover) -> list[tuple[float, float]]:

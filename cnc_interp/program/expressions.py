@@ -224,18 +224,25 @@ def element_name(name: str, indices: tuple[Node, ...], variables: ProgramVariabl
 
 
 OPERATORS: dict[str, Callable[[float, float], float]] = {
-    '+': lambda x, y: x + y, '-': lambda x, y: x - y, '*': lambda x, y: x * y,
-    '/': lambda x, y: x / y, **dict.fromkeys(('**', '^'), math.pow), 'LEN': math.hypot,
-    'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0, 'MOD': lambda x, y: x % y,
-    'DIV': lambda x, y: float(math.trunc(x / y)), 'AND': lambda x, y: bool(x) and bool(y),
-    'OR': lambda x, y: bool(x) or bool(y), 'XOR': lambda x, y: bool(x) != bool(y),
+    '+': lambda x, y: x + y,
+    '-': lambda x, y: x - y,
+    '*': lambda x, y: x * y,
+    '/': lambda x, y: x / y,
+    **dict.fromkeys(('**', '^'), math.pow),
+    'LEN': math.hypot,
+    'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0,
+    'MOD': lambda x, y: x % y,
+    'DIV': lambda x, y: float(math.trunc(x / y)),
+    'AND': lambda x, y: bool(x) and bool(y),
+    'OR': lambda x, y: bool(x) or bool(y),
+    'XOR': lambda x, y: bool(x) != bool(y),
     **dict.fromkeys(('EQ', '=='), lambda x, y: abs(x - y) < 1e-6),
     **dict.fromkeys(('NE', '<>'), lambda x, y: abs(x - y) >= 1e-6),
     **dict.fromkeys(('GT', '>'), lambda x, y: x > y),
     **dict.fromkeys(('GE', '>='), lambda x, y: x >= y),
     **dict.fromkeys(('LT', '<'), lambda x, y: x < y),
     **dict.fromkeys(('LE', '<='), lambda x, y: x <= y),
-}  # fmt: skip
+}
 
 
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
@@ -269,8 +276,16 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
 MOST_LOCAL = 33  #: ``#1`` to this number are local in a subprogram that is called with arguments.
 #: The largest number of a parameter of LinuxCNC, for EXISTS.
 MOST_NUMBER = 5602
-_CONSTANTS = {'TRUE': 1.0, 'FALSE': 0.0, '$PI': math.pi, 'PI': math.pi,
-              '_OFF': 0.0, '_FINISH': 1.0, '_SEMIFIN': 2.0, '_ROUGH': 3.0}  # fmt: skip
+_CONSTANTS = {
+    'TRUE': 1.0,
+    'FALSE': 0.0,
+    '$PI': math.pi,
+    'PI': math.pi,
+    '_OFF': 0.0,
+    '_FINISH': 1.0,
+    '_SEMIFIN': 2.0,
+    '_ROUGH': 3.0,
+}
 _MOST_VARIABLES = 100_000
 
 UNSET = 'is read before it is set; set it in the program'

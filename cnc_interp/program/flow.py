@@ -43,10 +43,21 @@ _COMMAS = re.compile(r',(?![^(\[]*[)\]])(?![^"]*"(?:[^"]*"[^"]*")*[^"]*$)')
 _CALL = re.compile(r'(?:CALL\s*"([^"]+)"|([A-Z_][A-Z_]\w*|L\d+))\s*(?:P\s*=?\s*(\d+))?')
 _MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by one.
 #: The last word of each structure by its first one, and the reverse. WHILE also ends DO.
-ENDS = {'IF': 'ENDIF', 'WHILE': 'ENDWHILE', 'FOR': 'ENDFOR', 'LOOP': 'ENDLOOP', 'DO': 'WHILE',
-        'REPEAT': '(?:UNTIL|ENDREPEAT)'}  # fmt: skip
-HEADS = {'ENDWHILE': 'WHILE', 'ENDFOR': 'FOR', 'ENDLOOP': 'LOOP', 'UNTIL': 'REPEAT',
-         'ENDREPEAT': 'REPEAT'}  # fmt: skip
+ENDS = {
+    'IF': 'ENDIF',
+    'WHILE': 'ENDWHILE',
+    'FOR': 'ENDFOR',
+    'LOOP': 'ENDLOOP',
+    'DO': 'WHILE',
+    'REPEAT': '(?:UNTIL|ENDREPEAT)',
+}
+HEADS = {
+    'ENDWHILE': 'WHILE',
+    'ENDFOR': 'FOR',
+    'ENDLOOP': 'LOOP',
+    'UNTIL': 'REPEAT',
+    'ENDREPEAT': 'REPEAT',
+}
 BETWEEN = {'ELSEIF', 'ELSE', 'ENDIF'}  #: Words of IF after its head.
 _NUMBER = r'[ \t/]*(?:N\s*\d+\s*)?'
 _FOR = re.compile(r'(\w+)\s*=(.*?)(?<!\w)TO(?!\w)(.*)')
@@ -73,8 +84,9 @@ class Flow(Cursor):
             return None
         if head == 'W' and (match := _WHILE.fullmatch(line)):
             if match[3]:
-                raise self.fault(f'nothing may follow DO{match[2]}; write it into the next line',
-                                 match[3])  # fmt: skip
+                raise self.fault(
+                    f'nothing may follow DO{match[2]}; write it into the next line', match[3]
+                )
             self.run_word(_numbered(match[2]), 'WHILE', match[1])
             return None
         if head == 'E' and (match := _END.fullmatch(line)):
@@ -99,8 +111,10 @@ class Flow(Cursor):
             self._call_o_word(label, rest)
         elif word in ('ENDSUB', 'RETURN'):
             if not self.depth:
-                raise self.fault('this subprogram was not called; move it after M2, or call it',
-                                 f'O{label} {word}')  # fmt: skip
+                raise self.fault(
+                    'this subprogram was not called; move it after M2, or call it',
+                    f'O{label} {word}',
+                )
             value = self._values(rest, 'values')
             self.leave()
             self.returned = (value[0], 1.0) if value else (0.0, 0.0)
@@ -113,8 +127,9 @@ class Flow(Cursor):
         end = self.end_of('SUB', replace(what, end=r'END\s*SUB'))
         inner = self.source.find(_INNER_SUB, self.window.place(self.row + 1))
         if self.depth or (inner is not None and inner.offset < end.offset):
-            raise self.fault('a subprogram within a subprogram; write one after the other',
-                             f'{what.label} SUB')  # fmt: skip
+            raise self.fault(
+                'a subprogram within a subprogram; write one after the other', f'{what.label} SUB'
+            )
         self.after(end)
 
     def _siemens(self, line: str) -> bool:
@@ -157,8 +172,9 @@ class Flow(Cursor):
     def _define(self, rest: str) -> None:
         match = _TYPE.fullmatch(rest)
         if match is None or match[1] in ('AXIS', 'FRAME'):
-            raise self.fault('write DEF REAL NAME=VALUE; INT, BOOL, CHAR and STRING work, too',
-                             'DEF')  # fmt: skip
+            raise self.fault(
+                'write DEF REAL NAME=VALUE; INT, BOOL, CHAR and STRING work, too', 'DEF'
+            )
         for part in _COMMAS.split(match[2]):
             found = _NAME.fullmatch(part)
             if found is None:
@@ -195,8 +211,9 @@ class Flow(Cursor):
         stem = next((s for s in (name, name.lower()) if subprogram_file(folder, s)), None)
         if stem is None:
             if match[1] or (name[0] == 'L' and name[1:].isdigit()):
-                raise self.fault(f'the subprogram {name} is not in the folder of the program; '
-                                 'add it', line)  # fmt: skip
+                raise self.fault(
+                    f'the subprogram {name} is not in the folder of the program; add it', line
+                )
             return False
         self.call_file(stem, int(match[3] or 1))
         return True
@@ -364,8 +381,9 @@ class Flow(Cursor):
         if place is None and way == 'C':
             return  # no alarm: the program goes on
         if place is None or (way == 'B' and place.offset >= after.offset):
-            raise self.fault('no line with this number or label; correct the jump target',
-                             target or 'GOTO')  # fmt: skip
+            raise self.fault(
+                'no line with this number or label; correct the jump target', target or 'GOTO'
+            )
         self._keep_loops(place)
         self.back_or_on(place)
 

@@ -91,9 +91,11 @@ class Frames:
         self.rotated = bool(np.any(self.turn != np.eye(3)))
         turned = bool(np.any(self.programmed_turn != np.eye(3)))
         found = {
-            'G92': self.g92.any(), 'G52': self.local.any(), 'TRANS': self.shift.any(),
+            'G92': self.g92.any(),
+            'G52': self.local.any(),
+            'TRANS': self.shift.any(),
             self.tilt_code or 'ROT': turned,
-        }  # fmt: skip
+        }
         #: Codes of the shifts beside the work offset that are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
 

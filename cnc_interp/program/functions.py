@@ -19,9 +19,11 @@ Acting = tuple[int, float]  #: A step of a function, and the value of its output
 
 
 def acting(
-    signals: Signals, words: Iterable[str], given: Mapping[str, float],
+    signals: Signals,
+    words: Iterable[str],
+    given: Mapping[str, float],
     fault: Callable[[str, str], ProgramError],
-) -> tuple[list[Acting], list[Acting]]:  # fmt: skip
+) -> tuple[list[Acting], list[Acting]]:
     moments: tuple[list[Acting], list[Acting]] = [], []
     for word in words:
         for number in signals.words.get(word, ()):

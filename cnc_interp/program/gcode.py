@@ -46,9 +46,14 @@ _UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\
 
 class GcodeReader:
     def __init__(
-        self, geometry: Transform, settings: Settings, setup: JobSetup, source: Source,
-        notices: Notices, dialect: Dialect = PLAIN,
-    ):  # fmt: skip
+        self,
+        geometry: Transform,
+        settings: Settings,
+        setup: JobSetup,
+        source: Source,
+        notices: Notices,
+        dialect: Dialect = PLAIN,
+    ):
         self.settings, self.notices = settings, notices
         self.variables = ProgramVariables(
             lambda: self.mover.system_variables(self._tool),
@@ -237,8 +242,11 @@ class GcodeReader:
         rest = self.flow.execute(line) if line else None
         self._in_flow = False
         if rest and rest[-1] == '*':
-            raise self.fault('* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
-                             'blank; post for Fanuc or as plain text', '*')  # fmt: skip
+            raise self.fault(
+                '* ends a block in DIN/ISO of Heidenhain, where G30 and G31 are the '
+                'blank; post for Fanuc or as plain text',
+                '*',
+            )
         if rest and self.settings.numbers == 'increments':
             rest = self._with_points(rest)
         if rest and not (rest[0] in 'O<' and self.targets.empty and is_name(rest)):
@@ -430,8 +438,9 @@ class GcodeReader:
                 self._plane.cancel()
             elif code == 'G16':
                 if mover.dialect not in (FANUC, PLAIN):
-                    raise self.fault('polar coordinates are those of Fanuc; post with X and Y',
-                                     code)  # fmt: skip
+                    raise self.fault(
+                        'polar coordinates are those of Fanuc; post with X and Y', code
+                    )
                 mover.polar = True
             elif code in codes.HARMLESS_G:
                 letters, why = codes.OTHER_MEANING.get(code, ('', ''))
@@ -451,9 +460,11 @@ class GcodeReader:
             elif code not in codes.TAKE_AXES and code != 'G53':
                 raise self.fault('this G code is not supported; post without it', code)
         if (
-            mover.dialect in (FANUC, PLAIN) and 'H' in words.values and mover.frames.length
+            mover.dialect in (FANUC, PLAIN)
+            and 'H' in words.values
+            and mover.frames.length
             and not (codes.LENGTH_CODES | {'G65'}) & set(words.g)
-        ):  # fmt: skip
+        ):
             code = mover.tcp if mover.tcp in codes.TCP_BY_LENGTH else 'G43'
             self._modes.tool_length(code, words, self._tool)
         if 'G64' in words.g:
@@ -515,8 +526,9 @@ class GcodeReader:
             if speed is None:
                 raise self.fault('needs S, the speed of the surface', 'G96')
             if mover.tcp or (mover.rotary_letters and mover.rotary.any()):
-                raise self.fault('the rotary axes must be at 0, without tool-tip programming',
-                                 'G96')  # fmt: skip
+                raise self.fault(
+                    'the rotary axes must be at 0, without tool-tip programming', 'G96'
+                )
         if by_surface and speed is not None:
             mover.surface_speed = speed * (1.0 if mover.unit == MM else 0.3048)
         elif speed is not None:
@@ -595,8 +607,10 @@ class GcodeReader:
             mover.move(words, feed_given, machine)
         for letter in list(values):
             if letter == 'H' and mover.frames.length:
-                raise self.fault('on Fanuc it changes the tool length; write G43 with it, or '
-                                 'leave it out', words.texts['H'])  # fmt: skip
+                raise self.fault(
+                    'on Fanuc it changes the tool length; write G43 with it, or leave it out',
+                    words.texts['H'],
+                )
             if self._signals.uses(letter):
                 continue
             if letter in 'STDHE':
@@ -615,8 +629,10 @@ class GcodeReader:
         if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
             raise self.fault('a thread of Fanuc; write G33 with K', code)
         if not mover.follows:
-            raise self.fault('the spindle has no encoder; name the input spindle_angle in the '
-                             'machine file', code)  # fmt: skip
+            raise self.fault(
+                'the spindle has no encoder; name the input spindle_angle in the machine file',
+                code,
+            )
         mover.end_corner()
         self.splines.stop_here()
         if code == codes.THREAD_CYCLE:

@@ -24,7 +24,7 @@ _WORD = re.compile(
     rf'(?P<code>M\d+)\b\.?|(?P<max>FMAX|F\s+MAX|F?AUTO|MB\s*MAX)|(?P<dr>DR)\s*(?P<sign>[-+])(?!\d)|(?P<radius>R[0LR](?![\d.])|R(?=\s|$))|'
     rf'(?P<name>I?(?:X|Y|Z|A|B|C|U|V|W)|I?P[AR]|[NT][XYZ]|SP[ABC]|[BN][XYZ]|EUL(?:PR|NU|ROT)|PRO(?:PR|MIN)|ROT|DL|DR2?|MB|LA|F|R|S)'
     rf'\s*=?\s*(?P<value>{_VALUE})|(?P<bare>[MF])(?=\s|$)|(?P<space>\s+)'
-)  # fmt: skip
+)
 _TOOL_CALL = re.compile(r'TOOL\s+CALL\s*(?:("[^"]*")|(\d+))?\s*([XYZ])?\s*(.*)')
 _LABEL = re.compile(r'LBL\s*(\d+|"[^"]+"|[A-Z]\w*)')
 _CALL = re.compile(r'CALL\s+LBL\s*(\d+|"[^"]+"|[A-Z]\w*)\s*(?:REP\s*(\d+)\s*(?:/\s*\d+)?)?')
@@ -35,21 +35,51 @@ _JUMP = re.compile(rf'IF\s*({_VALUE})\s*([A-Z]+)\s*({_VALUE})\s*GOTO\s*LBL\s*(\d
 _CORNER = re.compile(rf'(RND|CHF)\s*R?\s*({_VALUE})\s*(?:F.*)?')
 _SET = re.compile(r'(Q[LR]?\d+)\s*=\s*(.*)')
 _PLANE = re.compile(r'PLANE\s+(\w+)\s*(.*)')
-_TURNING = re.compile(r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
-                      r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)')  # fmt: skip
+_TURNING = re.compile(
+    r'\b(?:(MOVE|TURN|STAY)|SEQ\s*([-+])|DIST\s*[-+]?[\d.]+|(COORD|TABLE)\s+ROT|'
+    r'F\s*MAX|F\s*[\d.]+|MB\s*[\d.]+)'
+)
 #: Cycles that set something, and what it means here.
-_SETTING = {247: 'the datum is that of the work offset that is active',
-            239: 'the load has no effect', 392: 'the tuning has no effect'}  # fmt: skip
+_SETTING = {
+    247: 'the datum is that of the work offset that is active',
+    239: 'the load has no effect',
+    392: 'the tuning has no effect',
+}
 _CONDITIONS = {9: '==', 10: '<>', 11: '>', 12: '<'}  #: Of FN 9 to FN 12.
 #: Words that move nothing.
 _IDLE = re.compile(r'(?:BEGIN PGM|BLK FORM|TOOL DEF|\*|PRINT|STRUCTURE)')
-_IDLE_M = {'M94', 'M97', 'M98', 'M101', 'M102', 'M103', 'M107', 'M108', 'M109', 'M110', 'M111',
-           'M116', 'M117', 'M120', 'M124', 'M138', 'M141', 'M143', 'M148', 'M149'}  # fmt: skip
+_IDLE_M = {
+    'M94',
+    'M97',
+    'M98',
+    'M101',
+    'M102',
+    'M103',
+    'M107',
+    'M108',
+    'M109',
+    'M110',
+    'M111',
+    'M116',
+    'M117',
+    'M120',
+    'M124',
+    'M138',
+    'M141',
+    'M143',
+    'M148',
+    'M149',
+}
 #: Those that mean something here only.
 _OWN_M = {'M13', 'M14', 'M89', 'M91', 'M99', 'M126', 'M127', 'M136', 'M137'}
 #: Those that say what codes of G-code do.
-_AS_CODES = {'M91': ['G53'], 'M136': ['G95'], 'M137': ['G94'], 'M13': ['M3', 'M8'],
-             'M14': ['M4', 'M8']}  # fmt: skip
+_AS_CODES = {
+    'M91': ['G53'],
+    'M136': ['G95'],
+    'M137': ['G94'],
+    'M13': ['M3', 'M8'],
+    'M14': ['M4', 'M8'],
+}
 _REFUSED_M = {'M92', 'M112', 'M114', 'M118', 'M130', 'M144', 'M150'}
 #: Where the tool of cycle 204 moves aside, by Q214; a smaller circle is none [m].
 _SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
@@ -195,8 +225,9 @@ class HeidenhainReader(GcodeReader):
         elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
             self._motion('L', line)  # a line along one axis, or without motion
         else:
-            raise self.fault('this word of Heidenhain is not supported; post it as L and C',
-                             line[:20])  # fmt: skip
+            raise self.fault(
+                'this word of Heidenhain is not supported; post it as L and C', line[:20]
+            )
 
     def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
         values: dict[str, float] = {}
@@ -308,9 +339,13 @@ class HeidenhainReader(GcodeReader):
         return complex(point[a], point[b])
 
     def _polar(
-        self, values: dict[str, float], place: dict[str, float], on_arc: bool, words: BlockWords,
+        self,
+        values: dict[str, float],
+        place: dict[str, float],
+        on_arc: bool,
+        words: BlockWords,
         turn: str,
-    ) -> None:  # fmt: skip
+    ) -> None:
         unit, arm = self.mover.unit, self._flat(self.mover.here()) - self.centre
         radius, angle = abs(arm), phase(arm)
         if 'PR' in values:
@@ -411,8 +446,9 @@ class HeidenhainReader(GcodeReader):
             self.cycle, self.defining = number, number >= 200
             self._old_cycle(part, rest)
         else:
-            raise self.fault('this cycle is not supported; post it as L and C',
-                             f'CYCL DEF {number}')  # fmt: skip
+            raise self.fault(
+                'this cycle is not supported; post it as L and C', f'CYCL DEF {number}'
+            )
 
     def _old_cycle(self, part: str | None, rest: str) -> None:
         names = {'SET UP': 'Q200', 'DEPTH': 'Q201', 'PECKG': 'Q202', 'DWELL': 'Q211', 'F': 'Q206'}
@@ -447,9 +483,12 @@ class HeidenhainReader(GcodeReader):
         if self.cycle in (1, 200, 203, 205) and step > 0.0:
             less, least = of('Q212') * unit, of('Q205') * unit
             pecks = pecks_of(
-                surface, bottom, step, lambda text: self.fault(text, 'Q202'),
+                surface,
+                bottom,
+                step,
+                lambda text: self.fault(text, 'Q202'),
                 lambda stroke, _: max(stroke - less, least, 1e-6),
-            )  # fmt: skip
+            )
         taps = self.cycle in (2, 206, 207)
         if taps:
             mover.tell_tapping(f'CYCL DEF {self.cycle}')
@@ -461,13 +500,19 @@ class HeidenhainReader(GcodeReader):
         if self.cycle == 207:
             feed = abs(of('Q239')) * unit * mover.spindle_speed / MINUTE
         hole = Hole(
-            retract, bottom, clear, pecks, breaks,
-            of('Q256') * unit or _BREAK if breaks else _NEAR, rests=of('Q211') > 0.0 or taps,
+            retract,
+            bottom,
+            clear,
+            pecks,
+            breaks,
+            of('Q256') * unit or _BREAK if breaks else _NEAR,
+            rests=of('Q211') > 0.0 or taps,
             dwell=dwell_of(mover, f'CYCL DEF {self.cycle}', of('Q211')),
-            out=retract if taps or reams else None, feed=feed,
+            out=retract if taps or reams else None,
+            feed=feed,
             feed_out=of('Q208') * unit / MINUTE if reams else None,
             reverse=('M3' if of('Q239') < 0.0 else 'M4') if taps else '',
-        )  # fmt: skip
+        )
         make_hole(mover, hole, here, axis)
 
     def _bore(self, of: Callable[[str], float]) -> None:
@@ -491,9 +536,12 @@ class HeidenhainReader(GcodeReader):
             aside[[a, b]] += np.array(side) * of('Q251') * unit
             edge = surface - (of('Q250') + of('Q252')) * unit
             for place, level, feed in (
-                (here, retract, ''), (aside, retract, 'Q253'), (aside, edge - gap, 'Q253'),
-                (here, edge - gap, 'Q253'), (here, edge + depth, 'Q254'),
-            ):  # fmt: skip
+                (here, retract, ''),
+                (aside, retract, 'Q253'),
+                (aside, edge - gap, 'Q253'),
+                (here, edge - gap, 'Q253'),
+                (here, edge + depth, 'Q254'),
+            ):
                 go(place, level, feed)
             mover.targets.stop_here()
             for place, level in ((here, edge - gap), (aside, edge - gap), (aside, retract)):
@@ -502,8 +550,11 @@ class HeidenhainReader(GcodeReader):
             cutter = self._modes.cutter(BlockWords(), self._tool).radius
             radius, pitch = 0.5 * of('Q335') * unit - cutter, of('Q334') * unit
             if radius < 0.0 or not (depth < 0.0 < pitch):
-                raise self.fault('write Q335 not below the diameter of the tool, Q334 above 0, '
-                                 'and Q201 below 0', name)  # fmt: skip
+                raise self.fault(
+                    'write Q335 not below the diameter of the tool, Q334 above 0, '
+                    'and Q201 below 0',
+                    name,
+                )
             if radius > cutter and not of('Q342') > 0.0:
                 raise self.fault(
                     'the hole is more than twice as wide as the tool; write Q342', name

@@ -34,8 +34,9 @@ class HeidenhainFrames:
     def shift(self, values: Mapping[str, float]) -> None:
         """Process cycle 7; I before a letter is incremental, and zeros end the shift."""
         if self._turn is not None and any(values.values()) and (self._turn != np.eye(3)).any():
-            raise self._fault('a datum shift in a tilted plane; write PLANE RESET before',
-                              'CYCL DEF 7')  # fmt: skip
+            raise self._fault(
+                'a datum shift in a tilted plane; write PLANE RESET before', 'CYCL DEF 7'
+            )
         for name, value in values.items():
             before = self._shift.get(name[1:], 0.0) if name[0] == 'I' else 0.0
             self._shift[name.removeprefix('I')] = before + value
@@ -51,8 +52,11 @@ class HeidenhainFrames:
         turn = self._plane_of('SPATIAL', {f'SP{name}': value for name, value in angles.items()})
         others = [name for name, value in angles.items() if value]
         if len(others) > 1:
-            raise self._fault('angles in space on some machines, positions of axes on others; '
-                              'post with PLANE SPATIAL or PLANE AXIAL', 'CYCL DEF 19')  # fmt: skip
+            raise self._fault(
+                'angles in space on some machines, positions of axes on others; '
+                'post with PLANE SPATIAL or PLANE AXIAL',
+                'CYCL DEF 19',
+            )
         if not others:
             self._turn, self._waits = None, False
             self._mover.set_oriented(False)
@@ -100,8 +104,9 @@ class HeidenhainFrames:
             return self._tilted.plane_of(along, normal)
         if kind == 'AXIAL':
             return self._turn_of_axes(values)
-        raise self._fault('of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
-                         f'PLANE {kind}')  # fmt: skip
+        raise self._fault(
+            'of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported', f'PLANE {kind}'
+        )
 
     def _turn_of_axes(self, values: Mapping[str, float]) -> FloatArray:
         rotary = self._mover.rotary.copy()
@@ -118,8 +123,11 @@ class HeidenhainFrames:
         if np.linalg.norm(axis) < 1e-9:
             return np.eye(3)
         if np.abs(axis).max() <= (1.0 - 1e-12) * np.linalg.norm(axis):
-            raise self._fault('the turn of X and Y in this plane depends on the machine; post '
-                              'with PLANE SPATIAL', 'PLANE AXIAL')  # fmt: skip
+            raise self._fault(
+                'the turn of X and Y in this plane depends on the machine; post '
+                'with PLANE SPATIAL',
+                'PLANE AXIAL',
+            )
         which = int(np.argmax(np.abs(axis)))
         return rotation(which, float(np.copysign(angle, axis[which])))
 
@@ -144,8 +152,11 @@ class HeidenhainFrames:
             mover.set_oriented(False)
             self._waits = True
         if self._waits and not machine and not {'X', 'Y', 'Z'}.isdisjoint(named):
-            raise self._fault('the tool does not stand upright on the plane; turn the axes in a '
-                              'block before, or write TURN or MOVE', 'PLANE')  # fmt: skip
+            raise self._fault(
+                'the tool does not stand upright on the plane; turn the axes in a '
+                'block before, or write TURN or MOVE',
+                'PLANE',
+            )
 
     def after(self) -> None:
         if self._waits and self._stands():

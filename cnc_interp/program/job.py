@@ -136,12 +136,13 @@ class JobSetup:
     def text(self) -> str:
         content: dict[str, Any] = {
             'work_offsets': _positions_shown(self.work_offsets, ALL_OFFSETS),
-            'active': self.active, 'g92': _position_shown(self.g92),
+            'active': self.active,
+            'g92': _position_shown(self.g92),
             'g92_on': None if self.g92_on or not self.g92 else False,
             'tools': {number: _tool_shown(self.tools[number]) for number in sorted(self.tools)},
             'tool': self.tool,
             'reference_points': _positions_shown(self.reference_points, REFERENCE_POINTS),
-        }  # fmt: skip
+        }
         filled = {k: v for k, v in content.items() if v is False or v not in ({}, '', 0, None)}
         style: dict[str, Any] = {'sort_keys': False, 'allow_unicode': True, 'width': 10_000}
         return str(yaml.safe_dump(filled, default_flow_style=None, **style))
@@ -164,8 +165,10 @@ def _positions_shown(
 
 def _tool_shown(tool: Tool) -> dict[str, Any]:
     sizes = {
-        'length': tool.length, 'radius': tool.radius or None, 'corner_radius': tool.corner_radius,
-    }  # fmt: skip
+        'length': tool.length,
+        'radius': tool.radius or None,
+        'corner_radius': tool.corner_radius,
+    }
     shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
     return {**shown, 'remark': tool.remark} if tool.remark else shown
 
@@ -196,10 +199,12 @@ class _Reading:
         return JobSetup(
             {k: self._position(offsets[k], k, ALL_OFFSETS) for k in offsets},
             {self._number_of(k, 'tools'): self._tool(tools[k], k) for k in tools},
-            {k: self._position(references[k], k, REFERENCE_POINTS) for k in references}, active,
-            self._position(whole.get('g92') or {}, 'g92', ('g92',)), g92_on,
+            {k: self._position(references[k], k, REFERENCE_POINTS) for k in references},
+            active,
+            self._position(whole.get('g92') or {}, 'g92', ('g92',)),
+            g92_on,
             self._number_of(whole.get('tool', 0), 'tool'),
-        )  # fmt: skip
+        )
 
     def _mapping(self, content: Any, what: str) -> dict[Any, Any]:
         if not isinstance(content, dict):

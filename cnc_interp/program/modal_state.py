@@ -41,13 +41,41 @@ NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write
 
 
 #: The modal attributes of codes.SETTINGS, the motion first, and those that other words set.
-_SETTINGS = ('motion', 'plane', 'unit', 'incremental', 'centre_absolute', 'feed_mode',
-             'retract_to_start', 'stop_always')  # fmt: skip
-_VALUES = ('great_circle', 'tcp', 'oriented', 'feedrate', 'turn_rate', 'blocks_per_minute',
-           'feed_changed', 'spindle_speed', 'contour', 'orientation', 'polar', 'by_surface_speed',
-           'surface_speed', 'surface_limit')  # fmt: skip
-_COMPARED = (*_SETTINGS[1:], 'great_circle', 'tcp', 'spindle_speed', 'contour', 'orientation',
-             'polar')  # fmt: skip
+_SETTINGS = (
+    'motion',
+    'plane',
+    'unit',
+    'incremental',
+    'centre_absolute',
+    'feed_mode',
+    'retract_to_start',
+    'stop_always',
+)
+_VALUES = (
+    'great_circle',
+    'tcp',
+    'oriented',
+    'feedrate',
+    'turn_rate',
+    'blocks_per_minute',
+    'feed_changed',
+    'spindle_speed',
+    'contour',
+    'orientation',
+    'polar',
+    'by_surface_speed',
+    'surface_speed',
+    'surface_limit',
+)
+_COMPARED = (
+    *_SETTINGS[1:],
+    'great_circle',
+    'tcp',
+    'spindle_speed',
+    'contour',
+    'orientation',
+    'polar',
+)
 
 
 def modal_words(state: ModalState) -> list[str]:
@@ -93,9 +121,13 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 
 class ModalState:
     def __init__(
-        self, geometry: Transform, settings: Settings, setup: JobSetup, flow: Flow,
+        self,
+        geometry: Transform,
+        settings: Settings,
+        setup: JobSetup,
+        flow: Flow,
         notices: Notices,
-    ):  # fmt: skip
+    ):
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
@@ -194,10 +226,16 @@ class ModalState:
         turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
         settings = self.codes_of_settings()
         found = (
-            cycle, self.radius_code, *(settings[name] for name in _SETTINGS[1:]), offset,
-            *self.frames.shifts, self.tcp or length, 'G16' * self.polar, turning,
+            cycle,
+            self.radius_code,
+            *(settings[name] for name in _SETTINGS[1:]),
+            offset,
+            *self.frames.shifts,
+            self.tcp or length,
+            'G16' * self.polar,
+            turning,
             *outputs.values(),
-        )  # fmt: skip
+        )
         codes = tuple(code for code in found if code)
         return ActiveModes(codes, self.contour, self.orientation, self.spindle_speed, tool)
 
@@ -278,8 +316,10 @@ class ModalState:
         if self.frames.length and (self.dialect is LINUXCNC or word == 'M428'):
             raise self.fault(LENGTH_WITH_TCP, word)
         if self.frames.length:
-            self.notice('WARNING: a tool length with tool-tip programming', 'it counts beyond the '
-                        'tip in the machine file (tip_to_secondary_pivot_mm)')  # fmt: skip
+            self.notice(
+                'WARNING: a tool length with tool-tip programming',
+                'it counts beyond the tip in the machine file (tip_to_secondary_pivot_mm)',
+            )
 
     def aim(self) -> None:
         self.frames.along = self.tool_axis if self.tcp else np.array([0.0, 0.0, 1.0])
@@ -296,8 +336,9 @@ class ModalState:
             return
         solutions = self.geometry.rotary_solutions(self.vector)
         if not solutions:
-            raise self.fault('the machine cannot reach the tool axis; correct the tool direction',
-                             'TRAFOOF')  # fmt: skip
+            raise self.fault(
+                'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
+            )
         if np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT:
             for pair in solutions:  # any position does
                 pair[self.geometry.outer] = self.rotary[self.geometry.outer]
@@ -311,8 +352,10 @@ class ModalState:
     def check_point(self, point: FloatArray) -> None:
         farthest = int(np.argmax(np.abs(point)))
         if not abs(point[farthest]) <= FARTHEST:
-            raise self.fault('a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
-                             f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}')  # fmt: skip
+            raise self.fault(
+                'a coordinate beyond 100,000 mm; correct it or its unit (G20, G21)',
+                f'{"XYZ"[farthest]} {point[farthest] / self.unit:g}',
+            )
 
     def tell_long_way(self, turned: FloatArray, rapid: bool) -> None:
         if rapid or not self.rotary_letters or self.targets.empty:
@@ -333,8 +376,9 @@ class ModalState:
             if self.feed_mode == 'G94':
                 return self.feedrate, nan, self.turn_rate
             if self.by_surface_speed:
-                raise self.fault('feed per revolution (G95) at a surface speed (G96); write G97 S',
-                                 'G95')  # fmt: skip
+                raise self.fault(
+                    'feed per revolution (G95) at a surface speed (G96); write G97 S', 'G95'
+                )
             if not self.spindle_speed > 0.0:
                 why = 'feed per revolution (G95) without a spindle speed; write S first'
                 raise self.fault(why, 'G95')
@@ -373,10 +417,12 @@ class ModalState:
         """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
         setup = self.setup
         found = {
-            5210: float(setup.g92_on), 5220: 1.0 + ALL_OFFSETS.index(setup.offset),
-            5400: float(tool), 5403: self.frames.length / self.unit,
+            5210: float(setup.g92_on),
+            5220: 1.0 + ALL_OFFSETS.index(setup.offset),
+            5400: float(tool),
+            5403: self.frames.length / self.unit,
             5410: 2.0 * setup.tools.get(tool, Tool()).radius / self.unit,
-        }  # fmt: skip
+        }
         letters = ('X', 'Y', 'Z', *self.rotary_letters)
         machine = dict(zip(letters, [*self.zero.tolist(), 0.0, 0.0], strict=False))
         none = dict.fromkeys(letters, 0.0)
@@ -403,26 +449,39 @@ class ModalState:
         machine = [*(self.point + self.zero).tolist(), *self.rotary.tolist()]
         motion = self.motion if self.motion is not None else 80
         found = {
-            'METRIC': self.unit == MM, 'IMPERIAL': self.unit != MM,
-            'ABSOLUTE': not self.incremental, 'INCREMENTAL': self.incremental,
+            'METRIC': self.unit == MM,
+            'IMPERIAL': self.unit != MM,
+            'ABSOLUTE': not self.incremental,
+            'INCREMENTAL': self.incremental,
             'INVERSE_TIME': self.feed_mode == 'G93',
-            'UNITS_PER_MINUTE': self.feed_mode == 'G94', 'UNITS_PER_REV': self.feed_mode == 'G95',
-            'PLANE': 10.0 * int(self.plane[1:]), 'MOTION_MODE': 10.0 * motion,
+            'UNITS_PER_MINUTE': self.feed_mode == 'G94',
+            'UNITS_PER_REV': self.feed_mode == 'G95',
+            'PLANE': 10.0 * int(self.plane[1:]),
+            'MOTION_MODE': 10.0 * motion,
             'CCOMP': 10.0 * float(self.radius_code[1:] or 40),
             'COORD_SYSTEM': 10.0 * float(self.setup.offset[1:].split()[0]),
-            'TOOL_OFFSET': bool(self.frames.length), 'RETRACT_OLD_Z': self.retract_to_start,
+            'TOOL_OFFSET': bool(self.frames.length),
+            'RETRACT_OLD_Z': self.retract_to_start,
             'RETRACT_R_PLANE': not self.retract_to_start,
-            'IJK_ABSOLUTE_MODE': self.centre_absolute, 'LATHE_DIAMETER_MODE': False,
-            'LATHE_RADIUS_MODE': True, 'SPINDLE_RPM_MODE': not self.by_surface_speed,
+            'IJK_ABSOLUTE_MODE': self.centre_absolute,
+            'LATHE_DIAMETER_MODE': False,
+            'LATHE_RADIUS_MODE': True,
+            'SPINDLE_RPM_MODE': not self.by_surface_speed,
             'SPINDLE_CSS_MODE': self.by_surface_speed,
             'SPINDLE_ON': outputs.get('spindle') in ('M3', 'M4'),
             'SPINDLE_CW': outputs.get('spindle') == 'M3',
-            'MIST': outputs.get('mist') == 'M7', 'FLOOD': outputs.get('coolant') == 'M8',
+            'MIST': outputs.get('mist') == 'M7',
+            'FLOOD': outputs.get('coolant') == 'M8',
             'FEED': 0.0 if self.feedrate is None else self.feedrate * MINUTE / self.unit,
-            'RPM': self.spindle_speed, 'CURRENT_TOOL': tool, 'SELECTED_TOOL': chosen,
-            'LINE': self.flow.line_number, 'CALL_LEVEL': self.flow.depth, 'TASK': 0.0,
-            'VALUE': self.flow.returned[0], 'VALUE_RETURNED': self.flow.returned[1],
-        }  # fmt: skip
+            'RPM': self.spindle_speed,
+            'CURRENT_TOOL': tool,
+            'SELECTED_TOOL': chosen,
+            'LINE': self.flow.line_number,
+            'CALL_LEVEL': self.flow.depth,
+            'TASK': 0.0,
+            'VALUE': self.flow.returned[0],
+            'VALUE_RETURNED': self.flow.returned[1],
+        }
         for letter, here, there in zip(letters, self.here().tolist(), machine, strict=False):
             size = self.unit if letter in 'XYZ' else DEG
             found[letter], found[f'ABS_{letter}'] = here / size, there / size

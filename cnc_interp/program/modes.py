@@ -29,9 +29,15 @@ USUAL = Settings().contour_tolerance, Settings().orientation_tolerance
 _SIEMENS_FRAMES = {'TRANS', 'ATRANS', 'ROT', 'AROT'}
 _MACHINE_KEYS = {'SUPA', 'G153'}
 _KNOWN = sorted(
-    _SIEMENS_FRAMES | _MACHINE_KEYS | codes.TCP_ON | codes.TCP_OFF | codes.HARMLESS_KEYS
-    | codes.INTERPOLATION_KEYS.keys() | codes.RADIUS_KEYS.keys() | {'BSPLINE'}
-)  # fmt: skip
+    _SIEMENS_FRAMES
+    | _MACHINE_KEYS
+    | codes.TCP_ON
+    | codes.TCP_OFF
+    | codes.HARMLESS_KEYS
+    | codes.INTERPOLATION_KEYS.keys()
+    | codes.RADIUS_KEYS.keys()
+    | {'BSPLINE'}
+)
 
 
 class Modes:
@@ -106,13 +112,18 @@ class Modes:
         if 'R' in values:
             corner = values.pop('R') * mover.unit
         if corner is None:
-            raise self.fault('the corner radius of the tool is not known; write R (0: flat end, '
-                             'the radius: ball), or corner_radius in the setup', code)  # fmt: skip
+            raise self.fault(
+                'the corner radius of the tool is not known; write R (0: flat end, '
+                'the radius: ball), or corner_radius in the setup',
+                code,
+            )
         cutter = ToolShape(chosen.radius, corner)
         self._demand_corner(cutter, words.texts.get('R', code))
         if ('Q' in values) != ('P' in values):
-            raise self.fault('Q is the radius and P the corner radius of the tool of the program; '
-                             'write both', code)  # fmt: skip
+            raise self.fault(
+                'Q is the radius and P the corner radius of the tool of the program; write both',
+                code,
+            )
         if 'Q' in values:
             posted = ToolShape(values.pop('Q') * mover.unit, values.pop('P') * mover.unit)
             self._demand_corner(posted, words.texts['P'])
@@ -130,8 +141,9 @@ class Modes:
         if other := sorted(named & codes.NOT_BESIDE_CONTOUR):
             raise self.fault(f'{mover.radius_code} is on; write G40 before', other[0])
         if mover.plane != mover.radius_plane:
-            raise self.fault(f'another plane while {mover.radius_code} is on; write G40 before',
-                             mover.plane)  # fmt: skip
+            raise self.fault(
+                f'another plane while {mover.radius_code} is on; write G40 before', mover.plane
+            )
 
     def switch_tcp(self, word: str) -> None:
         if not self._mover.rotary_letters:
@@ -181,8 +193,11 @@ class Modes:
             return
         wanted = settings.contour_tolerance, settings.orientation_tolerance
         if wanted != USUAL and (contour or orientation):
-            self.notice(word, "the program's tolerance counts, not the one that was asked for; "
-                        'to change this: --force-tolerances')  # fmt: skip
+            self.notice(
+                word,
+                "the program's tolerance counts, not the one that was asked for; "
+                'to change this: --force-tolerances',
+            )
         mover.contour = settings.contour_tolerance if contour is None else contour * mover.unit
         mover.orientation = (
             settings.orientation_tolerance if orientation is None else orientation * mover.unit
@@ -265,8 +280,9 @@ class Modes:
             self._write_tool(int(kind), index, words)
             return
         if kind not in (2.0, 20.0) or index not in range(10):
-            raise self.fault('only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported',
-                             'G10')  # fmt: skip
+            raise self.fault(
+                'only L2 and L20 with P0 to P9, and L1, L10 and L11 are supported', 'G10'
+            )
         mover, angle, here = self._mover, words.values.pop('R', None), None
         if angle is not None:
             if kind == 20.0:

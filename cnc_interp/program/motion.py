@@ -141,8 +141,9 @@ class Mover(ModalState):
         if self.by_axes:
             raise self.fault(f'needs tool-tip programming; write {codes.TCP_ON_WORDS}', code)
         if self.tcp == 'G43.5':
-            raise self.fault('with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=',
-                             code)  # fmt: skip
+            raise self.fault(
+                'with G43.5 I J K are the tool direction; use G43.4, or A5= B5= C5=', code
+            )
         self.radius_code, self.radius_plane = code, self.plane
         self.contact = ContactPath(cutter)
 
@@ -204,8 +205,10 @@ class Mover(ModalState):
     def _check_aim(self) -> None:
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
-            raise self.fault('the tool turns with tool-tip programming on and a tool length; turn '
-                             'it before, or put the length into the machine file')  # fmt: skip
+            raise self.fault(
+                'the tool turns with tool-tip programming on and a tool length; turn '
+                'it before, or put the length into the machine file'
+            )
 
     def _has_axes(self, words: BlockWords) -> bool:
         for letter in 'ABC':
@@ -246,8 +249,10 @@ class Mover(ModalState):
         if words.values.keys().isdisjoint(letters):
             return
         if self.incremental and letters[0] in words.values:
-            raise self.fault('under G91 the radius of G16 counts from the tool; write it with G90',
-                             words.texts[letters[0]])  # fmt: skip
+            raise self.fault(
+                'under G91 the radius of G16 counts from the tool; write it with G90',
+                words.texts[letters[0]],
+            )
         radius, angle = np.hypot(here[a], here[b]), np.arctan2(here[b], here[a])
         radius = words.values.get(letters[0], radius / self.unit)
         if letters[1] in words.values:
@@ -317,14 +322,21 @@ class Mover(ModalState):
         return np.asarray(rotary)
 
     def go(
-        self, point: FloatArray, rotary: FloatArray, vector: FloatArray | None = None,
-        arc: tuple[float, ...] = NO_ARC, feed_given: bool = True, rapid: bool | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        point: FloatArray,
+        rotary: FloatArray,
+        vector: FloatArray | None = None,
+        arc: tuple[float, ...] = NO_ARC,
+        feed_given: bool = True,
+        rapid: bool | None = None,
+    ) -> None:
         """Add a target [m, rad], with an axis of direction words; ``rapid`` None: as G0 to G3."""
         if self.rotary_letters and not np.abs(rotary).max() <= MOST_TURN:
             which = int(np.argmax(np.abs(rotary)))
-            raise self.fault('a rotary axis beyond 1000 turns; correct the angle',
-                             f'{self.rotary_letters[which]}{rotary[which] / DEG:g}')  # fmt: skip
+            raise self.fault(
+                'a rotary axis beyond 1000 turns; correct the angle',
+                f'{self.rotary_letters[which]}{rotary[which] / DEG:g}',
+            )
         rapid = self.motion == 0 if rapid is None else rapid
         self.leaves_contour = False
         feed = (inf, nan, inf) if rapid else self.feed(feed_given)
@@ -346,10 +358,23 @@ class Mover(ModalState):
             axis, named, circle = tuple(self.vector), 0.0, True
         feedrate, duration, turn_rate = feed
         row = (
-            *place, *axis, *rotary, named, float(circle), feedrate, duration, rapid,
-            self.stop_always or self.stop_once, self.contour, self.orientation,
-            self.flow.main_line, self.by_axes, turn_rate, *arc, *self.extra,
-        )  # fmt: skip
+            *place,
+            *axis,
+            *rotary,
+            named,
+            float(circle),
+            feedrate,
+            duration,
+            rapid,
+            self.stop_always or self.stop_once,
+            self.contour,
+            self.orientation,
+            self.flow.main_line,
+            self.by_axes,
+            turn_rate,
+            *arc,
+            *self.extra,
+        )
         if self.held is not None:
             before = self._make_corner(place, rapid or arc is not NO_ARC)
         corner, self.corner = self.corner, self.corner if self.corner.modal else NO_CORNER
@@ -415,8 +440,9 @@ class Mover(ModalState):
         self.last_centre, self.last_radius = offset, radius
         turns = words.values.get('P', 1.0)
         if not (turns >= 1.0 and turns == round(turns) and turns <= 500.0):
-            raise self.fault('the number of turns of an arc must be a whole number, 1 to 500',
-                             f'P{turns:g}')  # fmt: skip
+            raise self.fault(
+                'the number of turns of an arc must be a whole number, 1 to 500', f'P{turns:g}'
+            )
         plane = self._plane_told(target, offset, bool(absolute.any()))
         arcs = self._arcs_to(target, offset, absolute, plane, radius, turns)
         kind = int(arcs.fault[0])
@@ -441,9 +467,12 @@ class Mover(ModalState):
                 if self.agreeing == 2:
                     self.lone_arc = None
         if arcs.mismatch[0] > TOLD:
-            self.notice('arcs', 'the distance from the centre differs at their ends by up to '
-                        f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '
-                        'changes evenly')  # fmt: skip
+            self.notice(
+                'arcs',
+                'the distance from the centre differs at their ends by up to '
+                f'{arcs.mismatch[0] / self.unit:.3g}, as a control accepts it; the radius '
+                'changes evenly',
+            )
         centre = self.frames.point(arcs.centre[0])
         normal = self.frames.turn[:, PLANES[plane][2]]
         return (*centre, *normal, float(arcs.sweep[0]))
@@ -460,8 +489,10 @@ class Mover(ModalState):
             found = self.last_centre, radius
         else:
             return offset, radius
-        self.notice('WARNING: arcs without I J K and R',
-                    'those of the arc before are taken; some controls go straight')  # fmt: skip
+        self.notice(
+            'WARNING: arcs without I J K and R',
+            'those of the arc before are taken; some controls go straight',
+        )
         return found
 
     def _plane_told(self, target: FloatArray, offset: FloatArray, absolute: bool = False) -> str:
@@ -484,13 +515,25 @@ class Mover(ModalState):
         return not self._arcs_to(target, offset, absolute, plane or self.plane).fault[0]
 
     def _arcs_to(
-        self, target: FloatArray, offset: FloatArray, absolute: BoolArray | bool, plane: str,
-        radius: float = nan, turns: float = 1.0,
-    ) -> Arcs:  # fmt: skip
+        self,
+        target: FloatArray,
+        offset: FloatArray,
+        absolute: BoolArray | bool,
+        plane: str,
+        radius: float = nan,
+        turns: float = 1.0,
+    ) -> Arcs:
         return arcs_of(
-            plane, np.array([self.motion == 3]), self.here()[None, :3], target[None, :3],
-            offset, np.array([radius]), absolute, turns, self.unit,
-        )  # fmt: skip
+            plane,
+            np.array([self.motion == 3]),
+            self.here()[None, :3],
+            target[None, :3],
+            offset,
+            np.array([radius]),
+            absolute,
+            turns,
+            self.unit,
+        )
 
     def _take_vector(self, words: BlockWords) -> tuple[float, float, float] | None:
         names = {name: value for name, value in words.sets if name in ('A3', 'B3', 'C3')}

@@ -37,10 +37,17 @@ class Moves:
     """
 
     def __init__(
-        self, geometry: Transform, zero: FloatArray, before: FloatArray, rows: FloatArray,
-        settings: Settings, dense: int = 0, led: bool = False, since_arc: int = BESIDE_ARC,
+        self,
+        geometry: Transform,
+        zero: FloatArray,
+        before: FloatArray,
+        rows: FloatArray,
+        settings: Settings,
+        dense: int = 0,
+        led: bool = False,
+        since_arc: int = BESIDE_ARC,
         coming: FloatArray | None = None,
-    ):  # fmt: skip
+    ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
         self.dense, self.led, self.undecided = dense, led, 0
         self.sweep = np.nan_to_num(rows[:, col.ROTARY] - before[:, col.ROTARY])
@@ -64,8 +71,19 @@ class Moves:
 
     def __getitem__(self, part: slice) -> Moves:
         some = copy(self)
-        for name in ('_before', 'rows', 'sweep', 'axis_before', '_start', '_arc', '_by_axes',
-                     'interpolation', 'beside', 'rests', 'beside_arcs'):  # fmt: skip
+        for name in (
+            '_before',
+            'rows',
+            'sweep',
+            'axis_before',
+            '_start',
+            '_arc',
+            '_by_axes',
+            'interpolation',
+            'beside',
+            'rests',
+            'beside_arcs',
+        ):
             setattr(some, name, getattr(self, name)[part])
         return some
 
@@ -202,9 +220,13 @@ class Moves:
         if arc.any():
             on_arc = end[arc]
             point[arc] = arcs.points_on(
-                start[arc], on_arc[:, col.POINT], on_arc[:, col.CENTRE], on_arc[:, col.NORMAL],
-                on_arc[:, col.SWEEP], u[arc],
-            )  # fmt: skip
+                start[arc],
+                on_arc[:, col.POINT],
+                on_arc[:, col.CENTRE],
+                on_arc[:, col.NORMAL],
+                on_arc[:, col.SWEEP],
+                u[arc],
+            )
         final = u == 1.0
         point[final] = end[final, col.POINT]
         return np.asarray(point)

@@ -27,11 +27,14 @@ class ProbeCode(NamedTuple):
 
 
 CODES = {
-    'G38.2': ProbeCode(TOWARD, True), 'G38.3': ProbeCode(TOWARD, False),
-    'G38.4': ProbeCode(AWAY, True), 'G38.5': ProbeCode(AWAY, False),
+    'G38.2': ProbeCode(TOWARD, True),
+    'G38.3': ProbeCode(TOWARD, False),
+    'G38.4': ProbeCode(AWAY, True),
+    'G38.5': ProbeCode(AWAY, False),
     'G31': ProbeCode(TOWARD, False),
-    'MEAS=1': ProbeCode(TOWARD, False), 'MEAS=-1': ProbeCode(AWAY, False),
-}  # fmt: skip
+    'MEAS=1': ProbeCode(TOWARD, False),
+    'MEAS=-1': ProbeCode(AWAY, False),
+}
 ANSWERED, PLACE = 5070, 5061  #: The first variables of the answer, and of the place.
 SHORTEST = 1e-6  #: A shorter way is none [m].
 NO_PROBE = 'the machine file has no probe; give its signals the input, output and words of a probe'

@@ -21,8 +21,9 @@ from cnc_interp.program.start_line import StartLine
 from cnc_interp.program.targets import ProgramChange
 from cnc_interp.settings.options import Settings
 
-_NO_PROGRAM = ('no line of it begins like G-code, CL data or Heidenhain plain text; give a part '
-               'program')  # fmt: skip
+_NO_PROGRAM = (
+    'no line of it begins like G-code, CL data or Heidenhain plain text; give a part program'
+)
 MDI = 'MDI'  #: Name of a line by hand in messages.
 
 
@@ -42,9 +43,12 @@ class ProgramStream:
     """
 
     def __init__(
-        self, source: Source, geometry: Transform, settings: Settings,
+        self,
+        source: Source,
+        geometry: Transform,
+        settings: Settings,
         setup: JobSetup | None = None,
-    ):  # fmt: skip
+    ):
         setup = JobSetup.of(settings) if setup is None else setup
         self._source, self.source = source, source.name
         #: Text of the setup at the start; empty where nothing is set.
@@ -147,16 +151,21 @@ class ProgramStream:
 
 
 def open_program(
-    path: Path, geometry: Transform, settings: Settings, setup: JobSetup | None = None,
+    path: Path,
+    geometry: Transform,
+    settings: Settings,
+    setup: JobSetup | None = None,
     folders: Sequence[str] | None = None,
-) -> ProgramStream:  # fmt: skip
+) -> ProgramStream:
     return ProgramStream(Source.of_file(path, folders), geometry, settings, setup)
 
 
 def read_program(
-    path: Path, geometry: Transform, settings: Settings | None = None,
+    path: Path,
+    geometry: Transform,
+    settings: Settings | None = None,
     setup: JobSetup | None = None,
-) -> Program:  # fmt: skip
+) -> Program:
     """Read a whole part program, or raise ProgramError with file and line of refused words.
 
     Feedrate and tolerances of the settings count where the program has none. Without ``setup`` the
@@ -166,9 +175,12 @@ def read_program(
 
 
 def read_text(
-    text: str, source: str, geometry: Transform, settings: Settings | None = None,
+    text: str,
+    source: str,
+    geometry: Transform,
+    settings: Settings | None = None,
     setup: JobSetup | None = None,
-) -> Program:  # fmt: skip
+) -> Program:
     """Read a program that is a text, as ``read_program``; ``source`` names it in messages."""
     stream = ProgramStream(Source.of_text(text, source), geometry, settings or Settings(), setup)
     return stream.read()

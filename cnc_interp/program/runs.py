@@ -135,18 +135,28 @@ def _program_positions(mover: Mover, values: FloatArray) -> FloatArray:
 
 
 def _arcs(
-    mover: Mover, motion: FloatArray, on_arc: NDArray[np.bool_], program: FloatArray,
-    values: FloatArray, rows: FloatArray, moves: NDArray[np.bool_],
-) -> bool:  # fmt: skip
+    mover: Mover,
+    motion: FloatArray,
+    on_arc: NDArray[np.bool_],
+    program: FloatArray,
+    values: FloatArray,
+    rows: FloatArray,
+    moves: NDArray[np.bool_],
+) -> bool:
     if mover.lone_arc is not None:
         return False
     before = np.vstack([mover.here(), program[:-1]])
     unit, sense = mover.unit, 1.0 if mover.centre_absolute else mover.centre_sense
     arcs = arcs_of(
-        mover.plane, motion[on_arc] == 3.0, before[on_arc, :3], program[on_arc, :3],
-        values[on_arc][:, scan.I : scan.K + 1] * (unit * sense), values[on_arc, scan.R] * unit,
-        mover.centre_absolute, unit=unit,
-    )  # fmt: skip
+        mover.plane,
+        motion[on_arc] == 3.0,
+        before[on_arc, :3],
+        program[on_arc, :3],
+        values[on_arc][:, scan.I : scan.K + 1] * (unit * sense),
+        values[on_arc, scan.R] * unit,
+        mover.centre_absolute,
+        unit=unit,
+    )
     if arcs.fault.any() or (arcs.mismatch > TOLD).any():
         return False
     mover.last_centre = values[on_arc][-1:, scan.I : scan.K + 1] * (unit * sense)

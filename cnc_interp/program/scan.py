@@ -27,9 +27,13 @@ for _letter, _meaning in [*zip(COLUMNS, range(11), strict=True), ('G', _MOTION),
 
 @njit(cache=True, nogil=True)
 def scan_lines(
-    text: NDArray[np.uint8], first: IntArray, last: IntArray, kind: NDArray[np.int8],
-    code: NDArray[np.int8], values: FloatArray,
-) -> int:  # fmt: skip
+    text: NDArray[np.uint8],
+    first: IntArray,
+    last: IntArray,
+    kind: NDArray[np.int8],
+    code: NDArray[np.int8],
+    values: FloatArray,
+) -> int:
     """Scan lines that end with a newline; return their number.
 
     ``first``, ``last`` (m,): offsets of the first character and the newline; ``values`` (m, 11):

@@ -184,8 +184,18 @@ def is_name(line: str) -> bool:
 
 #: Suffixes of a subprogram in a file of its own, in the order in which they are tried.
 SUBPROGRAM_SUFFIXES = (
-    '.ngc', '.nc', '.tap', '.NC', '.TAP', '.spf', '.SPF', '.mpf', '.MPF', '.SUB', '',
-)  # fmt: skip
+    '.ngc',
+    '.nc',
+    '.tap',
+    '.NC',
+    '.TAP',
+    '.spf',
+    '.SPF',
+    '.mpf',
+    '.MPF',
+    '.SUB',
+    '',
+)
 #: Suffixes of CL data, in lower case.
 CL_SUFFIXES = frozenset(('.apt', '.cl', '.cls', '.ncl', '.aptsource'))
 #: Suffixes by which programs are found in a folder, in lower case.

@@ -32,18 +32,26 @@ class ProgrammedCurve:
     """The control points of one curve; ``height``: of second points that are not named [m]."""
 
     def __init__(
-        self, tip: FloatArray, axis: FloatArray, second: FloatArray | None, height: float,
+        self,
+        tip: FloatArray,
+        axis: FloatArray,
+        second: FloatArray | None,
+        height: float,
         source: str,
-    ):  # fmt: skip
+    ):
         self._tip, self._axis, self._height, self._source = tip, axis, height, source
         self._second = self._first_second = second
         self._named: bool | None = None  # whether the program names second points
         self._rows: list[tuple[float, ...]] = []
 
     def add(
-        self, tip: FloatArray, second: FloatArray | None, interval: float,
-        speed_and_tolerances: tuple[float, float, float], line: int,
-    ) -> None:  # fmt: skip
+        self,
+        tip: FloatArray,
+        second: FloatArray | None,
+        interval: float,
+        speed_and_tolerances: tuple[float, float, float],
+        line: int,
+    ) -> None:
         """Add a control point and second point [m]; speed and tolerances are in [m/s] and [m]."""
         if self._named is None:
             self._named = second is not None
@@ -98,11 +106,14 @@ class ProgrammedCurve:
         tool = table[:, 3:6] - table[:, 0:3]
         axis = tool / np.sqrt((tool**2).sum(axis=1))[:, None]
         return replace(
-            Blocks.of_poses(table[:, 0:3].copy(), axis, 1.0), feedrate=table[:, 7].copy(),
-            contour_tolerance=table[:, 8].copy(), orientation_tolerance=table[:, 9].copy(),
-            line_number=table[:, 10].astype(np.int64), top=table[:, 3:6].copy(),
+            Blocks.of_poses(table[:, 0:3].copy(), axis, 1.0),
+            feedrate=table[:, 7].copy(),
+            contour_tolerance=table[:, 8].copy(),
+            orientation_tolerance=table[:, 9].copy(),
+            line_number=table[:, 10].astype(np.int64),
+            top=table[:, 3:6].copy(),
             knot_interval=table[:, 6].copy(),
-        )  # fmt: skip
+        )
 
 
 def _length(way: FloatArray) -> float:
@@ -162,9 +173,12 @@ class Splines:
         second = self._second_point(given)
         rate, _, _ = mover.feed(feed_given)
         self._curve.add(
-            point, None if second is None else mover.frames.point(second),
-            given.get('PL', 1.0), (rate, mover.contour, mover.orientation), mover.flow.main_line,
-        )  # fmt: skip
+            point,
+            None if second is None else mover.frames.point(second),
+            given.get('PL', 1.0),
+            (rate, mover.contour, mover.orientation),
+            mover.flow.main_line,
+        )
         mover.point, self._passes = point, mover.targets.start.passes
         self._changed = mover.targets.changed if self._changed is None else self._changed
         if mover.stop_always:
@@ -184,12 +198,26 @@ class Splines:
         mover.targets.add_curve(
             rows,
             (
-                *mover.point, *rows.axis[-1], *mover.rotary, 0.0, 1.0, np.inf, nan, 0.0,
-                float(stop or mover.stop_always), mover.contour, mover.orientation,
-                mover.flow.main_line, float(mover.by_axes), nan, *NO_ARC, *mover.extra,
+                *mover.point,
+                *rows.axis[-1],
+                *mover.rotary,
+                0.0,
+                1.0,
+                np.inf,
+                nan,
+                0.0,
+                float(stop or mover.stop_always),
+                mover.contour,
+                mover.orientation,
+                mover.flow.main_line,
+                float(mover.by_axes),
+                nan,
+                *NO_ARC,
+                *mover.extra,
             ),
-            self._passes, self._changed or 0,
-        )  # fmt: skip
+            self._passes,
+            self._changed or 0,
+        )
 
     def stop_here(self, kind: float = 1.0) -> None:
         """Stop at the last target. In a spline this ends the curve and begins another one."""

@@ -39,9 +39,12 @@ def angle_between(o_from: FloatArray, o_to: FloatArray) -> FloatArray:
 
 
 def piece_counts(
-    poses: Poses, turned: FloatArray, allowed_tip: FloatArray, allowed_top: FloatArray,
+    poses: Poses,
+    turned: FloatArray,
+    allowed_tip: FloatArray,
+    allowed_top: FloatArray,
     height: float,
-) -> IntArray:  # fmt: skip
+) -> IntArray:
     """Return how many equal pieces, (n,), keep curved motion near chords and great circles.
 
     ``poses``: from block indices and parameters in [0, 1], (m,), to tips [m] and tool axes;
@@ -67,9 +70,13 @@ def piece_counts(
 
 
 def _largest_deviation(
-    poses: Poses, rows: IntArray, counts: FloatArray, allowed_tip: FloatArray,
-    allowed_top: FloatArray, height: float,
-) -> FloatArray:  # fmt: skip
+    poses: Poses,
+    rows: IntArray,
+    counts: FloatArray,
+    allowed_tip: FloatArray,
+    allowed_top: FloatArray,
+    height: float,
+) -> FloatArray:
     which, piece = ragged(counts.astype(np.int64))
     block, step = rows[which], 1.0 / counts[which]
     tip_from, o_from = poses(block, piece * step)

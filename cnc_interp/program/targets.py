@@ -221,9 +221,16 @@ class TargetColumns:
 
     def _moves(self, start: FloatArray, rows: FloatArray, coming: FloatArray) -> Moves:
         return Moves(
-            self._geometry, self._zero, np.vstack([start, rows])[:-1], rows, self._settings,
-            self._dense, self._led, self._since_arc, coming,
-        )  # fmt: skip
+            self._geometry,
+            self._zero,
+            np.vstack([start, rows])[:-1],
+            rows,
+            self._settings,
+            self._dense,
+            self._led,
+            self._since_arc,
+            coming,
+        )
 
 
 def portions(moves: Moves) -> list[slice]:
@@ -255,16 +262,21 @@ def blocks_of(
     share = np.where(moves.beside_arcs[row], 1.0 - CHORD_SHARE, 1.0)
     feedrate, duration = moves.speeds()
     blocks = Blocks(
-        tip=tip, axis=axis, rotary=rotary, feedrate=feedrate[row],
-        duration=duration[row] / counts[row], rapid=end[:, col.RAPID] != 0.0,
+        tip=tip,
+        axis=axis,
+        rotary=rotary,
+        feedrate=feedrate[row],
+        duration=duration[row] / counts[row],
+        rapid=end[:, col.RAPID] != 0.0,
         exact_stop=(end[:, col.EXACT_STOP] != 0.0) & final,
         contour_tolerance=share * end[:, col.CONTOUR],
         orientation_tolerance=end[:, col.ORIENTATION].copy(),
         line_number=end[:, col.LINE].astype(np.int64),
         program_stop=np.where(final, waits_at(end), GO_ON),
         extra=moves.extra(row, u)[:, [column - col.EXTRA.start for column in extra]],
-        interpolation=interpolation, rotary_from=rotary_from,
-    )  # fmt: skip
+        interpolation=interpolation,
+        rotary_from=rotary_from,
+    )
     return blocks, row
 
 
@@ -279,9 +291,11 @@ def _piece_counts(moves: Moves, settings: Settings, source: str) -> IntArray:
     if on_circle.any():
         angle = angle_between(moves.axis_before[on_circle], rows[on_circle, col.AXIS])
         if (angle > np.pi - _ANTIPARALLEL).any():
-            raise fault(rows[on_circle][np.argmax(angle)],
-                        'the tool axis turns by 180 deg in one block, so its plane of rotation is '
-                        'undefined; add a block between')  # fmt: skip
+            raise fault(
+                rows[on_circle][np.argmax(angle)],
+                'the tool axis turns by 180 deg in one block, so its plane of rotation is '
+                'undefined; add a block between',
+            )
         counts[on_circle] = np.maximum(np.ceil(angle / (90.0 * DEG) - 1e-9), 1.0)
     curved = np.flatnonzero(moves.curved())
     if len(curved):
@@ -311,12 +325,18 @@ def start_pose(here: Moves, geometry: Transform, extra: list[int]) -> Blocks:
         if np.abs(axis - row[:, col.AXIS]).max() > SAME:
             rotary[:] = nan  # the tool axis came from a direction
     return Blocks(
-        tip=tip, axis=row[:, col.AXIS].copy(), rotary=rotary, feedrate=np.full(1, inf),
-        duration=np.full(1, nan), rapid=row[:, col.RAPID] != 0.0,
-        exact_stop=row[:, col.EXACT_STOP] != 0.0, contour_tolerance=row[:, col.CONTOUR].copy(),
+        tip=tip,
+        axis=row[:, col.AXIS].copy(),
+        rotary=rotary,
+        feedrate=np.full(1, inf),
+        duration=np.full(1, nan),
+        rapid=row[:, col.RAPID] != 0.0,
+        exact_stop=row[:, col.EXACT_STOP] != 0.0,
+        contour_tolerance=row[:, col.CONTOUR].copy(),
         orientation_tolerance=row[:, col.ORIENTATION].copy(),
-        line_number=row[:, col.LINE].astype(np.int64), extra=row[:, extra],
-    )  # fmt: skip
+        line_number=row[:, col.LINE].astype(np.int64),
+        extra=row[:, extra],
+    )
 
 
 def waits_at(rows: FloatArray) -> IntArray:

@@ -43,9 +43,11 @@ def cut_thread(mover: Mover, words: BlockWords) -> None:
         side = crest + copysign(cut, crest)
         back, enters, leaves = copysign(full - cut, -crest), cut * slope, (full - cut) * slope
         for rapid, x, z in (
-            (True, back, here[2] - enters), (True, side, here[2] - enters),
-            (False, side, end[2] + leaves), (True, back, end[2] + leaves),
-        ):  # fmt: skip
+            (True, back, here[2] - enters),
+            (True, side, here[2] - enters),
+            (False, side, end[2] + leaves),
+            (True, back, end[2] + leaves),
+        ):
             place = mover.frames.point(np.array([here[0] + x, here[1], z]))
             if rapid:
                 mover.go(place, mover.rotary, rapid=True)

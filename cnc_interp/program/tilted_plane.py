@@ -35,8 +35,10 @@ class TiltedPlane:
 
     def takes(self, codes: Sequence[str]) -> bool:
         if self.parts and not DEFINING & set(codes):
-            raise self.fault('the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
-                             'Q3, P3 two directions')  # fmt: skip
+            raise self.fault(
+                'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
+                'Q3, P3 two directions'
+            )
         return not CODES.isdisjoint(codes)
 
     def execute(self, code: str, words: BlockWords) -> None:
@@ -107,8 +109,9 @@ class TiltedPlane:
             (origin, along, angle), (_, normal, _) = (self.parts[k] for k in sorted(self.parts))
             lengths = float(np.linalg.norm(along) * np.linalg.norm(normal))
             if abs(along @ normal) > SMALL * lengths:
-                raise self.fault('X and Z of the plane are not at right angles; correct I J K',
-                                 code)  # fmt: skip
+                raise self.fault(
+                    'X and Z of the plane are not at right angles; correct I J K', code
+                )
             self._set(code, origin, self.plane_of(along, normal), angle)
 
     def plane_of(self, along: FloatArray, normal: FloatArray) -> FloatArray:
@@ -119,8 +122,9 @@ class TiltedPlane:
     def _unit(self, direction: FloatArray) -> FloatArray:
         length = float(np.linalg.norm(direction))
         if not length > SMALL * self._mover.unit:
-            raise self.fault('these words give no plane; its points lie on one line, or a '
-                             'direction is zero')  # fmt: skip
+            raise self.fault(
+                'these words give no plane; its points lie on one line, or a direction is zero'
+            )
         return np.asarray(direction / length)
 
     def _along_tool(self, origin: FloatArray, named: set[str], angle: float) -> None:
@@ -205,8 +209,9 @@ class TiltedPlane:
         mover, (along, _, normal) = self._mover, self._mover.frames.turn.T
         if not mover.rotary_letters:
             if normal[2] < 1.0 - SMALL:
-                raise self.fault('the tool cannot be turned; this machine has no rotary axes',
-                                 code)  # fmt: skip
+                raise self.fault(
+                    'the tool cannot be turned; this machine has no rotary axes', code
+                )
             return mover.rotary
         geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer
@@ -225,8 +230,10 @@ class TiltedPlane:
             if np.all((near >= low - SMALL) & (near <= high + SMALL)):
                 found.append(np.clip(near, low, high))
         if not found:
-            raise self.fault('the machine cannot reach the tool axis of the plane; choose another '
-                             'clamping', code)  # fmt: skip
+            raise self.fault(
+                'the machine cannot reach the tool axis of the plane; choose another clamping',
+                code,
+            )
         sign = (0.0, 1.0, -1.0)[choice]
         wanted = [pair for pair in found if sign * pair[tilting] >= -SMALL]
         if not wanted:
@@ -251,8 +258,11 @@ class TiltedPlane:
         """Return the rotation, (3, 3); ``mode``: kind, then axes in two bits, the last first."""
         kind, axes = mode >> 6, [(mode >> shift & 3) - 1 for shift in (0, 2, 4)]
         if kind == DIRECT:
-            raise self.fault('positions of rotary axes give no plane here; turn the axes by G0, '
-                             'then write G68.3', 'CYCLE800')  # fmt: skip
+            raise self.fault(
+                'positions of rotary axes give no plane here; turn the axes by G0, '
+                'then write G68.3',
+                'CYCLE800',
+            )
         if kind == SOLID:
             if angles[2]:
                 raise self.fault('solid angles are two; leave the third one at 0', 'CYCLE800')
@@ -262,8 +272,9 @@ class TiltedPlane:
         if kind != BY_AXES or sorted(axes) != [0, 1, 2]:
             raise self.fault(
                 'give the angles axis by axis (mode 27, 30, 39, 45, 54 or 57), as solid angles '
-                '(64) or projected on X and Y (182, 185)', 'CYCLE800',
-            )  # fmt: skip
+                '(64) or projected on X and Y (182, 185)',
+                'CYCLE800',
+            )
         turn = np.eye(3)
         for axis, angle in zip(axes, angles, strict=True):
             turn = turn @ rotation(axis, angle)

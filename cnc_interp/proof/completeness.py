@@ -162,9 +162,12 @@ class VertexSearch:
             before = int(label[-1])
 
     def nearest(
-        self, points_of: Callable[[FloatArray], FloatArray], vertices: FloatArray,
-        tolerance: FloatArray, unit: FloatArray | None = None,
-    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
+        self,
+        points_of: Callable[[FloatArray], FloatArray],
+        vertices: FloatArray,
+        tolerance: FloatArray,
+        unit: FloatArray | None = None,
+    ) -> tuple[FloatArray, IntArray]:
         """Return the distance of each vertex from the motion, and the sample before that place.
 
         Searched among the samples of its rows; if missed, among more. With ``unit`` (M, 3) the
@@ -194,16 +197,23 @@ class VertexSearch:
         return nearest, where
 
     def _peaks(
-        self, where: IntArray, points_of: Callable[[FloatArray], FloatArray], unit: FloatArray,
-    ) -> FloatArray:  # fmt: skip
+        self,
+        where: IntArray,
+        points_of: Callable[[FloatArray], FloatArray],
+        unit: FloatArray,
+    ) -> FloatArray:
         around = np.clip(where[:, None] + np.arange(-2, 4), 0, self.count - 1)
         points = points_of(gathered(self.plan.position, around.ravel())).reshape(-1, 6, 3)
         return np.asarray(np.linalg.norm(peaks(points) / unit[:, None], axis=2).max(axis=1))
 
     def _among(
-        self, first: IntArray, last: IntArray, points_of: Callable[[FloatArray], FloatArray],
-        vertices: FloatArray, unit: FloatArray,
-    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
+        self,
+        first: IntArray,
+        last: IntArray,
+        points_of: Callable[[FloatArray], FloatArray],
+        vertices: FloatArray,
+        unit: FloatArray,
+    ) -> tuple[FloatArray, IntArray]:
         end = len(self.starts) - 1
         low = np.clip(self.starts[np.clip(first, 0, end)] - 1, 0, self.count - 2)
         high = np.clip(self.starts[np.clip(last + 1, 0, end)], 1, self.count - 1)

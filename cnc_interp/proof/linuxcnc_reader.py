@@ -61,8 +61,12 @@ def interpreter() -> str:
 
 
 def read_by_linuxcnc(
-    text: str, axis_names: tuple[str, ...], skip: bool, rows: int, setup: Setup | None = None,
-) -> Iterator[ReadMove]:  # fmt: skip
+    text: str,
+    axis_names: tuple[str, ...],
+    skip: bool,
+    rows: int,
+    setup: Setup | None = None,
+) -> Iterator[ReadMove]:
     command = interpreter()
     if not command:
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
@@ -94,11 +98,20 @@ def read_by_linuxcnc(
             (folder / file).write_text(content, encoding='utf-8')
         words = [command, '-t', 'tool.tbl', '-v', 'p.var', '-g', 'part.ngc']
         # It keeps the tool table in a file of its home, which two readers at once would share.
-        with (folder / 'complaints').open('w+b') as complaints, subprocess.Popen(
-            words, cwd=folder, env=os.environ | {'HOME': name}, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=complaints, text=True, errors='replace',
-            preexec_fn=bound,
-        ) as child:  # fmt: skip
+        with (
+            (folder / 'complaints').open('w+b') as complaints,
+            subprocess.Popen(
+                words,
+                cwd=folder,
+                env=os.environ | {'HOME': name},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=complaints,
+                text=True,
+                errors='replace',
+                preexec_fn=bound,
+            ) as child,
+        ):
             assert child.stdout is not None
             try:
                 yield from _moves(child.stdout, axis_names, most)
@@ -226,10 +239,25 @@ class _Printed:
         sweep = (turns > 0) - (turns < 0)
         self.worded = self.worded or bool(end[3:].any())
         return ReadMove(
-            0, rapid, end[:3], end[3:], None, np.zeros(0), feed, duration, self.tcp, self.plane,
-            centre, sweep, max(abs(turns), 1), digit, unsure, self.tolerance, self.tolerance,
+            0,
+            rapid,
+            end[:3],
+            end[3:],
+            None,
+            np.zeros(0),
+            feed,
+            duration,
+            self.tcp,
+            self.plane,
+            centre,
+            sweep,
+            max(abs(turns), 1),
+            digit,
+            unsure,
+            self.tolerance,
+            self.tolerance,
             worded=self.worded,  # exact stops are not compared: canned cycles set and reset them
-        )  # fmt: skip
+        )
 
     def arc(self, numbers: list[float]) -> ReadMove:
         a, b, across = self.plane
@@ -282,8 +310,10 @@ def setup_of(text: Any, machine: Machine) -> Setup:
     at_zero, nowhere = dict(zip('XYZ', zero.tolist(), strict=True)), dict.fromkeys('XYZ', 0.0)
     try:
         content = parse_yaml(str(text)) or {}
-        places = {G54 + BETWEEN * i: content.get('work_offsets', {}).get(name)
-                  for i, name in enumerate(OFFSETS)}  # fmt: skip
+        places = {
+            G54 + BETWEEN * i: content.get('work_offsets', {}).get(name)
+            for i, name in enumerate(OFFSETS)
+        }
         places |= {
             first: content.get('reference_points', {}).get(name)
             for first, name in ((G28, 'G28'), (G30, 'G30'))

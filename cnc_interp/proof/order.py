@@ -35,16 +35,24 @@ class Pieces:
 
     def backwards(self) -> Pieces:
         return Pieces(
-            self.row[::-1], self.end[::-1], self.start[::-1], self.room[::-1], self.vertex[::-1],
+            self.row[::-1],
+            self.end[::-1],
+            self.start[::-1],
+            self.room[::-1],
+            self.vertex[::-1],
             self.vertex_room[::-1],
-        )  # fmt: skip
+        )
 
     def pursuit(self) -> Pursuit:
         low = np.full(len(self.row), np.inf)
         low[0] = 0.0
         pieces = (
-            self.start, self.end - self.start, self.room, self.vertex[1:], self.vertex_room[1:]
-        )  # fmt: skip
+            self.start,
+            self.end - self.start,
+            self.room,
+            self.vertex[1:],
+            self.vertex_room[1:],
+        )
         return Pursuit([np.ascontiguousarray(a) for a in pieces], low)
 
 
@@ -74,9 +82,16 @@ class Pursuit:
         reached = np.full((2, len(points) - 3), -1, dtype=np.int64)
         if self.lost < 0:
             self.begin, self.stop, self.furthest, lost = _follow(
-                np.ascontiguousarray(points[1:-1]), bulge, *self.pieces, self.low, self.begin,
-                self.stop, self.furthest, last, reached,
-            )  # fmt: skip
+                np.ascontiguousarray(points[1:-1]),
+                bulge,
+                *self.pieces,
+                self.low,
+                self.begin,
+                self.stop,
+                self.furthest,
+                last,
+                reached,
+            )
             self.lost = first + lost if lost >= 0 else -1
         return reached[0], reached[1]
 
@@ -148,8 +163,9 @@ class _Shapes:
             coordinates[1, ruled, 3:5] = (blocks['rotary'] - program.rotary_from)[ruled]
         if lines is not None:
             coordinates[0, linear], coordinates[1, linear] = (
-                lines.start[linear], lines.step[linear]
-            )  # fmt: skip
+                lines.start[linear],
+                lines.step[linear],
+            )
         # Second derivatives by the share of the row, largest values; a chord is off by an eighth.
         bend = height * program.turn**2
         turn = np.abs(coordinates[1, :, 3:5]).sum(axis=1)
@@ -193,9 +209,13 @@ class _Shapes:
         wide = np.ones(3)
         vertices = np.vstack([first, end])
         return Pieces(
-            self.row, vertices[:-1], end, own[:, None] * wide, vertices,
+            self.row,
+            vertices[:-1],
+            end,
+            own[:, None] * wide,
+            vertices,
             np.append(vertex[0], at_end)[:, None] * wide,
-        )  # fmt: skip
+        )
 
     def joint_pieces(self, vertex: FloatArray, top: FloatArray) -> Pieces:
         k, extra = self.row, self.blocks['extra_axes']
@@ -248,10 +268,20 @@ def _near(
 
 @njit(cache=True, nogil=True)
 def _follow(
-    points: FloatArray, bulge: FloatArray, start: FloatArray, way: FloatArray, room: FloatArray,
-    end: FloatArray, end_room: FloatArray, low: FloatArray, begin: int, stop: int, furthest: int,
-    ends: bool, reached: IntArray,
-) -> tuple[int, int, int, int]:  # fmt: skip
+    points: FloatArray,
+    bulge: FloatArray,
+    start: FloatArray,
+    way: FloatArray,
+    room: FloatArray,
+    end: FloatArray,
+    end_room: FloatArray,
+    low: FloatArray,
+    begin: int,
+    stop: int,
+    furthest: int,
+    ends: bool,
+    reached: IntArray,
+) -> tuple[int, int, int, int]:
     """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
     ``passed`` is the earliest part of the present chord of the motion at which the end of the

@@ -128,9 +128,7 @@ def _prove_programmed_feed(
     longer[longer > TURNS] = np.inf
     allowed = feed[np.searchsorted(named, rows[a:b])] * np.maximum(longer[:-1], longer[1:])
     programmed = np.where(np.isfinite(allowed), path['programmed_feed'][a:b], 0.0)
-    ledger.check(
-        'programmed feed of path', programmed, allowed, allowed=ROUNDING, rows=rows[a:b]
-    )  # fmt: skip
+    ledger.check('programmed feed of path', programmed, allowed, allowed=ROUNDING, rows=rows[a:b])
 
 
 def _prove_setpoints(ledger: Ledger, grid: FloatArray, rows: IntArray) -> None:
@@ -216,10 +214,12 @@ def _septic(
     start, end = left * scale, right * scale
     taylor = start / factorial[:, None, None]
     # Derivatives of u^0 ... u^7 at u = 1.
-    slopes = np.array([
-        [np.prod(np.arange(n, n - m, -1.0)) if n >= m else 0.0 for n in range(8)]
-        for m in range(4)
-    ])  # fmt: skip
+    slopes = np.array(
+        [
+            [np.prod(np.arange(n, n - m, -1.0)) if n >= m else 0.0 for n in range(8)]
+            for m in range(4)
+        ]
+    )
     misfit = end - np.einsum('mn,nka->mka', slopes[:, :4], taylor)
     upper = np.einsum('nm,mka->nka', np.linalg.inv(slopes[:, 4:]), misfit)
     u = share[:, None]

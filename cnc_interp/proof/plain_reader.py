@@ -12,11 +12,40 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray, ProgramError
 
 # G codes that move nothing: plane and units are handled apart.
-IDLE_G = frozenset((
-    '4', '5', '5.1', '8', '9', '40', '41.2', '42.2', '43', '43.4', '49', '54', '60', '61', '61.1',
-    '64', '80', '90', '91', '91.1', '93', '94', '97', '98', '99', '500', '641', '642', '643',
-    '644',
-))  # fmt: skip
+IDLE_G = frozenset(
+    (
+        '4',
+        '5',
+        '5.1',
+        '8',
+        '9',
+        '40',
+        '41.2',
+        '42.2',
+        '43',
+        '43.4',
+        '49',
+        '54',
+        '60',
+        '61',
+        '61.1',
+        '64',
+        '80',
+        '90',
+        '91',
+        '91.1',
+        '93',
+        '94',
+        '97',
+        '98',
+        '99',
+        '500',
+        '641',
+        '642',
+        '643',
+        '644',
+    )
+)
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
 # Exact stops and their end; what rests at the end of the motion before; codes with their own P.
 EXACT, CONTINUOUS = ('G60', 'G61', 'G61.1'), ('G64', 'G641', 'G642', 'G643', 'G644')
@@ -25,10 +54,27 @@ RESTS, TAKE_P = {'M0', 'M1', 'M60'}, {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2
 # Words of G-code after which a number follows and that move nothing.
 IDLE_LETTERS = frozenset('NMSTDHPQLE')
 PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
-IDLE_CL = frozenset((
-    'PARTNO', 'MULTAX', 'PPRINT', 'SPINDL', 'COOLNT', 'LOADTL', 'CUTTER', 'TOOLNO', 'MACHIN',
-    'INTOL', 'OUTTOL', 'TOLER', 'FINI', 'END', 'REWIND', 'PAINT', 'FROM',
-))  # fmt: skip
+IDLE_CL = frozenset(
+    (
+        'PARTNO',
+        'MULTAX',
+        'PPRINT',
+        'SPINDL',
+        'COOLNT',
+        'LOADTL',
+        'CUTTER',
+        'TOOLNO',
+        'MACHIN',
+        'INTOL',
+        'OUTTOL',
+        'TOLER',
+        'FINI',
+        'END',
+        'REWIND',
+        'PAINT',
+        'FROM',
+    )
+)
 _WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*')
 _NAMED = re.compile(
     r'(TRAORI|TRAFOOF|(?:CTOL|OTOL|ORICURVE|ORIVECT|ORIAXES)(?:\s*=\s*[\d.]+)?)\b\s*'
@@ -65,9 +111,14 @@ class ReadMove:
 
 
 def read_plainly(
-    text: str, name: str, axis_names: tuple[str, ...], feed: float | None, skip: bool,
-    tools: Mapping[int, tuple[float, float]] | None = None, height: float = float('nan'),
-) -> list[ReadMove]:  # fmt: skip
+    text: str,
+    name: str,
+    axis_names: tuple[str, ...],
+    feed: float | None,
+    skip: bool,
+    tools: Mapping[int, tuple[float, float]] | None = None,
+    height: float = float('nan'),
+) -> list[ReadMove]:
     """Read a program; an angle of tolerance (OTOL) counts at the flank height [m]."""
     state = _State(name, axis_names, feed, tools or {}, height)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
@@ -84,9 +135,13 @@ def read_plainly(
 
 class _State:
     def __init__(
-        self, name: str, axis_names: tuple[str, ...], feed: float | None,
-        tools: Mapping[int, tuple[float, float]], height: float,
-    ):  # fmt: skip
+        self,
+        name: str,
+        axis_names: tuple[str, ...],
+        feed: float | None,
+        tools: Mapping[int, tuple[float, float]],
+        height: float,
+    ):
         self.height, self.turns = height, 1
         self.rests = self.rests_once = self.worded = self.on_circle = False
         self.tools, self.cutter = tools, (0.0, 0.0)
@@ -106,8 +161,9 @@ class _State:
     def refuse(self, word: str) -> ProgramError:
         return ProgramError(
             f'{word}: the second reader knows plain words only; this program cannot be compared',
-            self.name, self.line,
-        )  # fmt: skip
+            self.name,
+            self.line,
+        )
 
     def block(self, line: str) -> None:
         line = re.sub(r'\([^()]*\)|;.*', ' ', line).strip()
@@ -282,12 +338,26 @@ class _State:
         rotary = sum(letter in 'ABC' for letter in self.names)
         tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)
         timed = self.inverse and not rapid
-        self.moves.append(ReadMove(
-            self.line, rapid, self.here[:3].copy(), self.here[3 : 3 + rotary].copy(), tool,
-            self.here[3 + rotary :].copy(), float('nan') if timed or rapid else self.feed,
-            60.0 / self.feed if timed else float('nan'), self.tcp or tool is not None,
-            self.plane, centre, sweep, self.turns if sweep else 1, tolerance=self.tolerance,
-            orientation=self.orientation, stop=self.rests or self.rests_once,
-            worded=self.worded and not (self.on_circle and self.tcp),
-            normal=self.normal if self.by_normals else None, cutter=self.cutter,
-        ))  # fmt: skip
+        self.moves.append(
+            ReadMove(
+                self.line,
+                rapid,
+                self.here[:3].copy(),
+                self.here[3 : 3 + rotary].copy(),
+                tool,
+                self.here[3 + rotary :].copy(),
+                float('nan') if timed or rapid else self.feed,
+                60.0 / self.feed if timed else float('nan'),
+                self.tcp or tool is not None,
+                self.plane,
+                centre,
+                sweep,
+                self.turns if sweep else 1,
+                tolerance=self.tolerance,
+                orientation=self.orientation,
+                stop=self.rests or self.rests_once,
+                worded=self.worded and not (self.on_circle and self.tcp),
+                normal=self.normal if self.by_normals else None,
+                cutter=self.cutter,
+            )
+        )

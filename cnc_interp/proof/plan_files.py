@@ -26,16 +26,32 @@ Columns = Mapping[str, Any]  #: Columns by their names: arrays, or in a file (``
 REAL, WHOLE, LOGICAL = Column(), Column((), np.int64), Column((), np.bool_)
 POINT, AXES = Column((3,)), Column(('n',))
 SETPOINT_COLUMNS = {
-    'time': REAL, 'position': AXES, 'velocity': AXES, 'acceleration': AXES, 'block': WHOLE,
+    'time': REAL,
+    'position': AXES,
+    'velocity': AXES,
+    'acceleration': AXES,
+    'block': WHOLE,
     's': REAL,
-}  # fmt: skip
+}
 PATH_COLUMNS = {
-    's': REAL, 'tip': POINT, 'axis': POINT, 'q': AXES, 'programmed_feed': REAL,
-    'feed_limit': REAL, 'feed': REAL, 'block': WHOLE, 'stop': LOGICAL,
-}  # fmt: skip
+    's': REAL,
+    'tip': POINT,
+    'axis': POINT,
+    'q': AXES,
+    'programmed_feed': REAL,
+    'feed_limit': REAL,
+    'feed': REAL,
+    'block': WHOLE,
+    'stop': LOGICAL,
+}
 BLOCK_COLUMNS = {
-    'tip': POINT, 'axis': POINT, 'feed': REAL, 'line': WHOLE, 'contour_tolerance': REAL,
-    'orientation_tolerance': REAL, 'rapid': LOGICAL,
+    'tip': POINT,
+    'axis': POINT,
+    'feed': REAL,
+    'line': WHOLE,
+    'contour_tolerance': REAL,
+    'orientation_tolerance': REAL,
+    'rapid': LOGICAL,
     'rotary': Column((2,), default=np.nan),
     'duration': Column(default=np.nan),
     'exact_stop': Column((), np.bool_, default=False),
@@ -44,11 +60,15 @@ BLOCK_COLUMNS = {
     'extra_axes': Column(('k',), default=0.0),
     'interpolation': Column((), np.int64, default=0),
     'rotary_from': Column((2,), default=np.nan),
-}  # fmt: skip
+}
 FUNCTION_COLUMNS = {
-    'block': WHOLE, 'line_number': WHOLE, 'step': WHOLE, 'value': REAL, 'before_stop': LOGICAL,
+    'block': WHOLE,
+    'line_number': WHOLE,
+    'step': WHOLE,
+    'value': REAL,
+    'before_stop': LOGICAL,
     'sample': WHOLE,
-}  # fmt: skip
+}
 #: Files that only some plans have: what the program switches, and lines in step with the spindle.
 SELDOM = {
     'functions': FUNCTION_COLUMNS,
@@ -63,9 +83,20 @@ LARGEST_OVERRIDE, PERIODS = 1.8, (1e-5, 0.1)
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
 # What the readers of archives and arrays raise for files that are not sound.
 READING_FAULTS = (
-    OSError, ValueError, EOFError, BadZipFile, zlib.error, struct.error, RuntimeError, TypeError,
-    KeyError, IndexError, SyntaxError, MemoryError, OverflowError,
-)  # fmt: skip
+    OSError,
+    ValueError,
+    EOFError,
+    BadZipFile,
+    zlib.error,
+    struct.error,
+    RuntimeError,
+    TypeError,
+    KeyError,
+    IndexError,
+    SyntaxError,
+    MemoryError,
+    OverflowError,
+)
 # Header before the content of a file in an archive: its end are the lengths of name and extra.
 LOCAL_HEADER = struct.Struct('<26sHH')
 # Rows of less length have no feed [m]; a unit vector is so long to rounding.
@@ -301,8 +332,9 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
         if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
             raise InterpError(f'{file}: {key} must be a number >= 0, not {value!r}')
     for key, (low, high) in (
-        ('interpolation_period', PERIODS), ('largest_override', (1.0, LARGEST_OVERRIDE))
-    ):  # fmt: skip
+        ('interpolation_period', PERIODS),
+        ('largest_override', (1.0, LARGEST_OVERRIDE)),
+    ):
         value = summary.get(key, high)
         if not isinstance(value, int | float) or not low <= value <= high:
             raise InterpError(f'{file}: {key} must be from {low:g} to {high:g}, not {value!r}')

@@ -113,9 +113,11 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     if not found:
         raise InterpError('; '.join(reversed(readers)))
     return Agreement(
-        found[-1].motions, found[-1].arcs, tuple(fault for each in found for fault in each.faults),
+        found[-1].motions,
+        found[-1].arcs,
+        tuple(fault for each in found for fault in each.faults),
         '; '.join(readers),
-    )  # fmt: skip
+    )
 
 
 def _as_planned(moves: Iterable[ReadMove], settings: Mapping[str, Any]) -> Iterable[ReadMove]:
@@ -128,9 +130,11 @@ def _as_planned(moves: Iterable[ReadMove], settings: Mapping[str, Any]) -> Itera
 
 
 def compare_places(
-    blocks: Columns, machine: Machine, moves: Iterable[ReadMove],
+    blocks: Columns,
+    machine: Machine,
+    moves: Iterable[ReadMove],
     tolerances: Sequence[float] = UNKNOWN,
-) -> Agreement:  # fmt: skip
+) -> Agreement:
     return _FollowPlaces(blocks, machine, tolerances).follow(moves)
 
 
@@ -274,8 +278,11 @@ class _Comparison:
             used = float(self.blocks[f'{name}_tolerance'][rows].max())
             if used + chords > wanted * (1.0 + SAME_FEED) + _place(move):
                 arc = f', and its arc {chords / MM:.4g} mm' if chords else ''
-                self.fault(move, f'has {what} tolerance of {wanted / MM:.6g} mm, its rows may use '
-                           f'{used / MM:.6g} mm{arc}')  # fmt: skip
+                self.fault(
+                    move,
+                    f'has {what} tolerance of {wanted / MM:.6g} mm, its rows may use '
+                    f'{used / MM:.6g} mm{arc}',
+                )
 
     def chord_error(self, move: ReadMove, rows: IntArray) -> float:
         if len(move.extra) and not move.tcp:
@@ -300,8 +307,10 @@ class _Comparison:
         straight = np.abs(height - (height[0] + share * (height[-1] - height[0]))).max()
         blur = 1e-6 + _blur(move, points[0])
         if abs(angle - wanted) > blur or (turns < 0.0).any():
-            self.fault(move, f'turns by {np.degrees(wanted):.6g} deg, its rows by '
-                       f'{np.degrees(angle):.6g} deg')  # fmt: skip
+            self.fault(
+                move,
+                f'turns by {np.degrees(wanted):.6g} deg, its rows by {np.degrees(angle):.6g} deg',
+            )
         # A centre that is off by a digit turns a helix, and so moves it along its axis.
         elif max(even, straight - blur / max(angle, 1e-12) * np.ptp(height)) > room:
             self.fault(move, 'its rows are not on the arc')

@@ -80,9 +80,16 @@ class ProgrammedAxes:
         beside = np.pad(tolerance, ((1, 1), (0, 0)), mode='edge')
         least = np.minimum(tolerance, np.minimum(beside[:-2], beside[2:]))
         return ProgrammedAxes(
-            transform, known, linear, in_axes, ends[0], ends[1] - ends[0], tolerance,
-            np.tile(tolerance / least, 2), plan.flank_height,
-        )  # fmt: skip
+            transform,
+            known,
+            linear,
+            in_axes,
+            ends[0],
+            ends[1] - ends[0],
+            tolerance,
+            np.tile(tolerance / least, 2),
+            plan.flank_height,
+        )
 
     @property
     def scale(self) -> FloatArray:
@@ -214,13 +221,21 @@ class ProgramShapes:
     def of(plan: PlanFiles, machine: Machine) -> ProgramShapes:
         blocks = plan.blocks
         path = ProgrammedPath.of(
-            blocks['tip'], blocks['axis'], blocks['rotary'], plan.flank_height,
-            blocks['interpolation'] != POSES, blocks['rotary_from'],
-        )  # fmt: skip
+            blocks['tip'],
+            blocks['axis'],
+            blocks['rotary'],
+            plan.flank_height,
+            blocks['interpolation'] != POSES,
+            blocks['rotary_from'],
+        )
         return ProgramShapes(
-            plan, machine, Transform.of(machine), path, ProgrammedAxes.of(plan, machine),
+            plan,
+            machine,
+            Transform.of(machine),
+            path,
+            ProgrammedAxes.of(plan, machine),
             *vertex_tolerances(plan),
-        )  # fmt: skip
+        )
 
     def tips(self, position: FloatArray) -> FloatArray:
         return self.transform.forward(position)[0]
@@ -259,9 +274,12 @@ def measure(program: ProgramShapes, position: FloatArray, block: IntArray) -> De
 
 
 def measure_widely(
-    program: ProgramShapes, tip: FloatArray, axis: FloatArray, block: IntArray,
+    program: ProgramShapes,
+    tip: FloatArray,
+    axis: FloatArray,
+    block: IntArray,
     position: FloatArray,
-) -> Deviation:  # fmt: skip
+) -> Deviation:
     result = program.path.deviation(tip, axis, block)
     if program.lines is not None:
         program.lines.improve(result, position, block)

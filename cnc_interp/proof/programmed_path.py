@@ -53,9 +53,13 @@ class ProgrammedPath:
 
     @staticmethod
     def of(
-        tip: FloatArray, axis: FloatArray, rotary: FloatArray, height: float,
-        linear: BoolArray | None = None, rotary_from: FloatArray | None = None,
-    ) -> ProgrammedPath:  # fmt: skip
+        tip: FloatArray,
+        axis: FloatArray,
+        rotary: FloatArray,
+        height: float,
+        linear: BoolArray | None = None,
+        rotary_from: FloatArray | None = None,
+    ) -> ProgrammedPath:
         """Build the path of M rows; no pose is near those whose rotary axes run linearly."""
         before = np.r_[0, np.arange(len(tip) - 1)]
         start, first = tip[before], axis[before]
@@ -71,11 +75,15 @@ class ProgrammedPath:
             start = np.where(linear[:, None], np.nan, start)
             by_axes = by_axes | linear
         return ProgrammedPath(
-            start=np.ascontiguousarray(start, dtype=float), chord=chord,
+            start=np.ascontiguousarray(start, dtype=float),
+            chord=chord,
             axis=np.ascontiguousarray(first, dtype=float),
             sideways=across / np.where(sine > 0.0, sine, 1.0)[:, None],
-            turn=np.arctan2(sine, cosine), by_axes=by_axes, rotary_from=begin, flank_height=height,
-        )  # fmt: skip
+            turn=np.arctan2(sine, cosine),
+            by_axes=by_axes,
+            rotary_from=begin,
+            flank_height=height,
+        )
 
     @cached_property
     def way(self) -> FloatArray:
@@ -97,10 +105,16 @@ class ProgrammedPath:
             low = np.maximum(low, block - WIDE_WINDOW)
             high = np.minimum(high, block + WIDE_WINDOW)
         rows = (self.start, self.chord, self.axis, self.sideways, self.turn, self.by_axes)
-        return Deviation(*_deviation(
-            np.ascontiguousarray(tip), np.ascontiguousarray(axis), low.astype(np.int64),
-            high.astype(np.int64), *rows, self.flank_height,
-        ))  # fmt: skip
+        return Deviation(
+            *_deviation(
+                np.ascontiguousarray(tip),
+                np.ascontiguousarray(axis),
+                low.astype(np.int64),
+                high.astype(np.int64),
+                *rows,
+                self.flank_height,
+            )
+        )
 
 
 def peaks(points: FloatArray) -> FloatArray:
@@ -112,9 +126,12 @@ def peaks(points: FloatArray) -> FloatArray:
 
 
 def distances_to_vertices(
-    points: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
+    points: FloatArray,
+    vertices: FloatArray,
+    low: IntArray,
+    high: IntArray,
     unit: FloatArray | None = None,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+) -> tuple[FloatArray, IntArray]:
     """Return the distance of each vertex from a sampled motion, and the sample before that place.
 
     What the motion bulges over its chord is taken off, because a vertex lies outside its rounding.
@@ -124,9 +141,13 @@ def distances_to_vertices(
     unit = np.ones((1, 3)) if unit is None else unit
     unit = np.ascontiguousarray(np.broadcast_to(unit, vertices.shape))
     return _distances_to_vertices(
-        np.ascontiguousarray(points), bulge, np.ascontiguousarray(vertices),
-        low.astype(np.int64), high.astype(np.int64), unit,
-    )  # fmt: skip
+        np.ascontiguousarray(points),
+        bulge,
+        np.ascontiguousarray(vertices),
+        low.astype(np.int64),
+        high.astype(np.int64),
+        unit,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -148,9 +169,15 @@ def _line_distance(x: FloatArray, a: FloatArray, d: FloatArray, part: float) -> 
 
 @njit(cache=True, nogil=True)
 def _distance_slopes(
-    x: FloatArray, a: FloatArray, d: FloatArray, o: FloatArray, n: FloatArray, turn: float,
-    h: float, part: float,
-) -> tuple[float, float, float]:  # fmt: skip
+    x: FloatArray,
+    a: FloatArray,
+    d: FloatArray,
+    o: FloatArray,
+    n: FloatArray,
+    turn: float,
+    h: float,
+    part: float,
+) -> tuple[float, float, float]:
     """Return ``|T - x|^2`` and half its first two derivatives with respect to ``part``."""
     c, s = np.cos(turn * part), np.sin(turn * part)
     value, first, second = 0.0, 0.0, 0.0
@@ -166,9 +193,14 @@ def _distance_slopes(
 
 @njit(cache=True, nogil=True)
 def _locus_distance(
-    x: FloatArray, a: FloatArray, d: FloatArray, o: FloatArray, n: FloatArray, turn: float,
+    x: FloatArray,
+    a: FloatArray,
+    d: FloatArray,
+    o: FloatArray,
+    n: FloatArray,
+    turn: float,
     h: float,
-) -> float:  # fmt: skip
+) -> float:
     """Return the distance between x and T of one row: Newton in brackets from several starts."""
     starts = 1 if turn < 1e-6 else max(4, int(np.ceil(turn / TURN_PER_START)))
     step = 1.0 / starts
@@ -200,10 +232,18 @@ def _locus_distance(
 
 @njit(cache=True, nogil=True)
 def _deviation(
-    tip: FloatArray, axis: FloatArray, low: IntArray, high: IntArray, start: FloatArray,
-    chord: FloatArray, first: FloatArray, sideways: FloatArray, turn: FloatArray,
-    by_axes: BoolArray, h: float,
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:  # fmt: skip
+    tip: FloatArray,
+    axis: FloatArray,
+    low: IntArray,
+    high: IntArray,
+    start: FloatArray,
+    chord: FloatArray,
+    first: FloatArray,
+    sideways: FloatArray,
+    turn: FloatArray,
+    by_axes: BoolArray,
+    h: float,
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
     count = len(tip)
     row = np.empty(count, dtype=np.int64)
     contour, part, orientation = np.empty(count), np.empty(count), np.empty(count)
@@ -220,17 +260,24 @@ def _deviation(
                 square = _distance_slopes(
                     top, start[k], chord[k], first[k], sideways[k], turn[k], h, foot
                 )[0]
-                top_best = min(top_best, np.sqrt(square), _locus_distance(
-                    top, start[k], chord[k], first[k], sideways[k], turn[k], h))  # fmt: skip
+                top_best = min(
+                    top_best,
+                    np.sqrt(square),
+                    _locus_distance(top, start[k], chord[k], first[k], sideways[k], turn[k], h),
+                )
         contour[i], row[i], part[i], orientation[i] = best, best_row, best_part, top_best
     return contour, row, part, orientation
 
 
 @njit(cache=True, nogil=True)
 def _distances_to_vertices(
-    points: FloatArray, bulge: FloatArray, vertices: FloatArray, low: IntArray, high: IntArray,
+    points: FloatArray,
+    bulge: FloatArray,
+    vertices: FloatArray,
+    low: IntArray,
+    high: IntArray,
     unit: FloatArray,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+) -> tuple[FloatArray, IntArray]:
     zero = np.zeros(3)
     count = len(vertices)
     nearest = np.full(count, np.inf)
@@ -279,9 +326,11 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     if path:
         path = {**path, 'block': renumbered(path['block'], path['q'])}
     return replace(
-        plan, blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
-        setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)}, path=path,
-    )  # fmt: skip
+        plan,
+        blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
+        setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)},
+        path=path,
+    )
 
 
 def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int]]:
@@ -290,9 +339,13 @@ def portions(on_spline: BoolArray, exact_stop: BoolArray) -> list[tuple[int, int
 
 
 def _renumbered(
-    block: Any, position: Any, new: IntArray, curves: dict[tuple[int, int], FloatArray],
-    transform: Transform, height: float,
-) -> Stored:  # fmt: skip
+    block: Any,
+    position: Any,
+    new: IntArray,
+    curves: dict[tuple[int, int], FloatArray],
+    transform: Transform,
+    height: float,
+) -> Stored:
     rows, reached = Stored.empty(len(block), np.int64), dict.fromkeys(curves, 0)
     for a, b in spans(len(block)):
         old = np.asarray(block[a:b], dtype=np.int64)

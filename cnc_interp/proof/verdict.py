@@ -130,10 +130,17 @@ class Ledger:
         return texts
 
     def judge(
-        self, what: str, value: FloatArray, limit: FloatArray | float, axis: str = '',
-        allowed: float = 1.0, slack: float = 0.0, rows: IntArray | None = None, first: int = 0,
+        self,
+        what: str,
+        value: FloatArray,
+        limit: FloatArray | float,
+        axis: str = '',
+        allowed: float = 1.0,
+        slack: float = 0.0,
+        rows: IntArray | None = None,
+        first: int = 0,
         quiet: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Record the largest ``value / limit``; above ``allowed`` it is a failure."""
         if not len(value):
             return
@@ -164,11 +171,17 @@ class Ledger:
         sample = min(first + worst, len(self.plan.position) - 1) if rows is None else -1
         row = int(self.plan.block[sample] if rows is None else rows[worst])
         finding = Finding(
-            what, axis, float(value[worst]), float(limit[worst]), float(ratio[worst]), sample,
+            what,
+            axis,
+            float(value[worst]),
+            float(limit[worst]),
+            float(ratio[worst]),
+            sample,
             float(self.plan.setpoints['time'][sample]) if rows is None else float('nan'),
-            int(self.plan.blocks['line'][row]), count,
+            int(self.plan.blocks['line'][row]),
+            count,
             not axis or self.machine.axis(axis).linear,
-        )  # fmt: skip
+        )
         self._judged[name] = finding, share, quiet
 
     #: Judge a consistency check: the same, but recorded only if it fails.
@@ -186,10 +199,17 @@ class Ledger:
         if plan.cut and not plan.by_probe:
             until = f'{plan.cut}; nothing is known after {self.known_samples * plan.period:.3f} s'
         return Proof(
-            machine.name, machine.axis_names, len(plan.position), len(plan.blocks['tip']) - 1,
-            plan.period, (len(plan.position) - 1) * plan.period, tuple(self.findings),
-            (*self.failures, *([until] if until else [])), machine.file, until=until,
-        )  # fmt: skip
+            machine.name,
+            machine.axis_names,
+            len(plan.position),
+            len(plan.blocks['tip']) - 1,
+            plan.period,
+            (len(plan.position) - 1) * plan.period,
+            tuple(self.findings),
+            (*self.failures, *([until] if until else [])),
+            machine.file,
+            until=until,
+        )
 
 
 def _failure(finding: Finding) -> str:

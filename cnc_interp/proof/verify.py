@@ -136,9 +136,10 @@ def _prove_summary(ledger: Ledger, plan: PlanFiles) -> None:
     time, summary = plan.setpoints['time'], plan.summary
     figures = (
         ('cycle_time', float(time[-1] - time[0]), 1.01 * plan.period),
-        ('path_length', float(plan.setpoints['s'][-1]), ROUND_TRIP), ('samples', len(time), 0.0),
+        ('path_length', float(plan.setpoints['s'][-1]), ROUND_TRIP),
+        ('samples', len(time), 0.0),
         ('blocks', len(plan.blocks['tip']) - 1, 0.0),
-    )  # fmt: skip
+    )
     for name, found, room in figures:
         stated = summary.get(name, found)
         agrees = isinstance(stated, int | float) and abs(stated - found) <= room

@@ -38,11 +38,17 @@ def space_figure(view: CornerView) -> Any:
         (view.bottom_polygon, 'control points, bottom', _dots(html.BLUE)),
         (view.bottom, 'bottom curve', {'mode': 'lines', 'line': {'color': html.BLUE, 'width': 6}}),
         (view.top_polygon - lowering, 'control points, top', _dots(TOP_COLOUR)),
-        (view.top - lowering, f'top curve{moved}',
-         {'mode': 'lines', 'line': {'color': TOP_COLOUR, 'width': 6}}),
-        (view.vertex[None], 'programmed corner',
-         {'mode': 'markers', 'marker': {'color': html.RED, 'size': 5, 'symbol': 'x'}}),
-    ):  # fmt: skip
+        (
+            view.top - lowering,
+            f'top curve{moved}',
+            {'mode': 'lines', 'line': {'color': TOP_COLOUR, 'width': 6}},
+        ),
+        (
+            view.vertex[None],
+            'programmed corner',
+            {'mode': 'markers', 'marker': {'color': html.RED, 'size': 5, 'symbol': 'x'}},
+        ),
+    ):
         hover = {} if name != 'tool axis' else {'hoverinfo': 'skip'}
         place = html.xyz(points - view.vertex)
         figure.add_trace(go.Scatter3d(**place, name=name, **style, **hover))
@@ -54,11 +60,12 @@ def space_figure(view: CornerView) -> Any:
     ranges = np.stack([middle - half, middle + half], axis=1).tolist()
     eye, ticks = {'x': 1.45, 'y': -1.97, 'z': 0.87}, ({'nticks': 5, 'range': x} for x in ranges)
     figure.update_layout(
-        html.base_layout(HEIGHT), hovermode='closest',
+        html.base_layout(HEIGHT),
+        hovermode='closest',
         scene={'aspectmode': 'cube', **html.scene(ticks, eye, 0.1)},
         legend={'orientation': 'h', 'y': 0.0, 'x': 0.0, 'yanchor': 'bottom'},
         margin={'l': 0, 'r': 0, 't': 0, 'b': 0},
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -73,14 +80,18 @@ def shift(view: CornerView) -> FloatArray:
 def profile_figure(view: CornerView) -> Any:
     asked = f'{view.programmed:,.0f} mm/min' if np.isfinite(view.programmed) else 'rapid'
     figure = make_subplots(
-        rows=3, cols=1, vertical_spacing=0.13, row_heights=[0.26, 0.3, 0.44],
+        rows=3,
+        cols=1,
+        vertical_spacing=0.13,
+        row_heights=[0.26, 0.3, 0.44],
         subplot_titles=(
             'u<sub>top</sub> = u<sub>bottom</sub>; connection added to the top curve'
-            if view.in_step else 'parametrization u<sub>top</sub> = f(u)',
+            if view.in_step
+            else 'parametrization u<sub>top</sub> = f(u)',
             'third derivative of the tool axis (Eq. 11)',
             f'feed against Eq. 10, programmed: {asked}',
         ),
-    )  # fmt: skip
+    )
     shape, unit = (
         (1e3 * view.connection, '|E|, nm')
         if view.in_step
@@ -112,9 +123,11 @@ def profile_figure(view: CornerView) -> Any:
     figure.update_yaxes(title_text='1/mm<sup>3</sup>', rangemode='tozero', row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02], row=3, col=1)
     return html.laid_out(
-        figure, HEIGHT, legend={'orientation': 'h', 'x': 0.0, 'y': -0.1, 'yanchor': 'top'},
+        figure,
+        HEIGHT,
+        legend={'orientation': 'h', 'x': 0.0, 'y': -0.1, 'yanchor': 'top'},
         margin={'l': 74, 'r': 14, 't': 56, 'b': 70},
-    )  # fmt: skip
+    )
 
 
 def _draw(
@@ -122,16 +135,25 @@ def _draw(
 ) -> None:
     mode = 'lines+markers' if len(x) < FEW and shown else 'lines'
     html.add_curve(
-        figure, row, x, y, name, line, shown, mode=mode, marker={'size': 4},
+        figure,
+        row,
+        x,
+        y,
+        name,
+        line,
+        shown,
+        mode=mode,
+        marker={'size': 4},
         hovertemplate='%{y:.4g}',
-    )  # fmt: skip
+    )
 
 
 def _dots(colour: str) -> dict[str, Any]:
     return {
-        'mode': 'lines+markers', 'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
+        'mode': 'lines+markers',
+        'line': {'color': colour, 'width': 1.5, 'dash': 'dash'},
         'marker': {'color': 'white', 'size': 4, 'line': {'color': colour, 'width': 1.5}},
-    }  # fmt: skip
+    }
 
 
 def _size(view: CornerView) -> float:
@@ -160,8 +182,9 @@ def corner_section(views: list[CornerView]) -> str:
         'corner is shaded.'
     )
     return html.section(
-        'A corner, close up', text,
+        'A corner, close up',
+        text,
         f'<label>Corner <select id="corner-choice">{options}</select></label>'
         '<div class="pair"><div id="corner-space"></div><div id="corner-profile"></div></div>'
         f'{data}<script>{CHOOSER.replace("CONTROLS", html.CONTROLS)}</script>',
-    )  # fmt: skip
+    )

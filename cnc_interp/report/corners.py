@@ -78,21 +78,29 @@ def curves_of(plan: PlanFiles, segments: kinds.PathSegments) -> CurvesView | Non
     plane = np.linalg.svd(points - middle, full_matrices=False)[2][:2]
     chosen = np.unique(np.linspace(0, len(spans) - 1, min(len(spans), MOST_BOUNDS)).astype(int))
     return CurvesView(
-        blocks=int((last - first + 1).sum()), spans=len(spans), runs=int(begins.sum()),
-        share=float(length[spans].sum() / length.sum()), way=np.cumsum(length)[spans][chosen] / MM,
-        bound=bound[chosen], used=(segments.deviation[spans] / tolerance).max(axis=0),
-        curve=(points - middle) @ plane.T / MM, polyline=(tips - middle) @ plane.T / MM,
+        blocks=int((last - first + 1).sum()),
+        spans=len(spans),
+        runs=int(begins.sum()),
+        share=float(length[spans].sum() / length.sum()),
+        way=np.cumsum(length)[spans][chosen] / MM,
+        bound=bound[chosen],
+        used=(segments.deviation[spans] / tolerance).max(axis=0),
+        curve=(points - middle) @ plane.T / MM,
+        polyline=(tips - middle) @ plane.T / MM,
         line=int(segments.line_number[spans[worst]]),
-    )  # fmt: skip
+    )
 
 
 def bounds_figure(view: CurvesView) -> Any:
     figure = go.Figure()
     for k, (name, colour) in enumerate((('contour', BLUE), ('orientation', ORANGE))):
         figure.add_scatter(
-            x=view.way, y=view.bound[:, k], name=name, mode='lines',
+            x=view.way,
+            y=view.bound[:, k],
+            name=name,
+            mode='lines',
             line={'color': colour, 'width': 1.0},
-        )  # fmt: skip
+        )
     own = {'yaxis_title': 'bound (µm)', 'yaxis_rangemode': 'tozero'}
     return laid_out(figure, 360, xaxis_title='path (mm)', **own)
 
@@ -100,13 +108,20 @@ def bounds_figure(view: CurvesView) -> Any:
 def close_figure(view: CurvesView) -> Any:
     figure = go.Figure()
     figure.add_scatter(
-        x=view.polyline[:, 0], y=view.polyline[:, 1], name='programmed', mode='lines+markers',
-        line={'color': '#8d99a5', 'width': 1.5}, marker={'size': 4},
-    )  # fmt: skip
+        x=view.polyline[:, 0],
+        y=view.polyline[:, 1],
+        name='programmed',
+        mode='lines+markers',
+        line={'color': '#8d99a5', 'width': 1.5},
+        marker={'size': 4},
+    )
     figure.add_scatter(
-        x=view.curve[:, 0], y=view.curve[:, 1], name='curve', mode='lines',
+        x=view.curve[:, 0],
+        y=view.curve[:, 1],
+        name='curve',
+        mode='lines',
         line={'color': BLUE, 'width': 2.0},
-    )  # fmt: skip
+    )
     return laid_out(figure, 360, xaxis_title='mm', yaxis_title='mm', yaxis_scaleanchor='x')
 
 
@@ -137,10 +152,12 @@ def lengths(segments: kinds.PathSegments, height: float) -> FloatArray:
     motion = np.where(segments.interpolation == POSES, axes.FOLLOWING, axes.LINEAR)
     rows = zip(segments.kind, motion, shapes, beside, segments.length, strict=True)
     halves = ((0.0, 0.5), (0.5, 1.0))
-    return np.array([
-        sum(axes.arc_length(kind, how, shape, own, height, length, *half) for half in halves)
-        for kind, how, shape, own, length in rows
-    ])  # fmt: skip
+    return np.array(
+        [
+            sum(axes.arc_length(kind, how, shape, own, height, length, *half) for half in halves)
+            for kind, how, shape, own, length in rows
+        ]
+    )
 
 
 MOST = 8
@@ -259,17 +276,28 @@ def _view(
     near = slice(max(first - 1, 0), last + 2)
     slowest, programmed = _speeds(plan, start, end)
     return CornerView(
-        line=int(one.line_number[0]), deviation=one.deviation[0] / UM,
+        line=int(one.line_number[0]),
+        deviation=one.deviation[0] / UM,
         tolerance=_tolerances(plan, segments, np.array([row]))[0] / UM,
-        slowest=slowest / MM_PER_MIN, programmed=programmed / MM_PER_MIN, bottom=tip / MM,
-        top=(top + bend) / MM, bottom_polygon=bottom[0] / MM, top_polygon=polygon[0] / MM,
-        vertex=one.bottom[0, 2] / MM, axis=axis, u=u, top_u=top_u, connection=norm(bend) / UM,
-        way=(way + start - middle) / MM, turn=turn * MM**3,
+        slowest=slowest / MM_PER_MIN,
+        programmed=programmed / MM_PER_MIN,
+        bottom=tip / MM,
+        top=(top + bend) / MM,
+        bottom_polygon=bottom[0] / MM,
+        top_polygon=polygon[0] / MM,
+        vertex=one.bottom[0, 2] / MM,
+        axis=axis,
+        u=u,
+        top_u=top_u,
+        connection=norm(bend) / UM,
+        way=(way + start - middle) / MM,
+        turn=turn * MM**3,
         ends=((start - middle) / MM, (end - middle) / MM),
-        feed_way=(plan.path['s'][near] - middle) / MM, feed=plan.path['feed'][near] / MM_PER_MIN,
+        feed_way=(plan.path['s'][near] - middle) / MM,
+        feed=plan.path['feed'][near] / MM_PER_MIN,
         feed_limit=plan.path['feed_limit'][near] / MM_PER_MIN,
         programmed_feed=plan.path['programmed_feed'][near] / MM_PER_MIN,
-    )  # fmt: skip
+    )
 
 
 def _parameters(parametrization: FloatArray) -> tuple[FloatArray, FloatArray]:

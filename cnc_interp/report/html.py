@@ -17,12 +17,14 @@ BESIDE = Path(__file__).parent  #: The texts of the pages that are no Python.
 STYLE = BESIDE.joinpath('style.css').read_text(encoding='utf-8')
 
 #: Part programs are confidential: no button may upload a figure.
-CONTROLS = json.dumps({
-    'displaylogo': False,
-    'responsive': True,
-    'showSendToCloud': False,
-    'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
-})  # fmt: skip
+CONTROLS = json.dumps(
+    {
+        'displaylogo': False,
+        'responsive': True,
+        'showSendToCloud': False,
+        'modeBarButtonsToRemove': ['sendChartToCloud', 'sendDataToCloud'],
+    }
+)
 
 
 def section(heading: str, text: str, content: str) -> str:
@@ -109,12 +111,16 @@ AT_PLACE = (
 
 def base_layout(height: int) -> dict[str, Any]:
     return {
-        'height': height, 'template': 'none', 'font': {'family': FONT, 'size': 12, 'color': INK},
-        'paper_bgcolor': 'white', 'plot_bgcolor': 'white',
+        'height': height,
+        'template': 'none',
+        'font': {'family': FONT, 'size': 12, 'color': INK},
+        'paper_bgcolor': 'white',
+        'plot_bgcolor': 'white',
         'margin': {'l': 70, 'r': 16, 't': 34, 'b': 46},
-        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'}, 'hovermode': 'x',
+        'legend': {'orientation': 'h', 'x': 0.0, 'y': 1.0, 'yanchor': 'bottom'},
+        'hovermode': 'x',
         'hoverlabel': {'font': {'family': FONT, 'size': 12}},
-    }  # fmt: skip
+    }
 
 
 def laid_out(figure: Any, height: int, **own: Any) -> Any:
@@ -127,9 +133,15 @@ def laid_out(figure: Any, height: int, **own: Any) -> Any:
 
 
 def add_curve(
-    figure: Any, row: int, x: FloatArray, y: FloatArray, name: str, line: Any, shown: bool = True,
+    figure: Any,
+    row: int,
+    x: FloatArray,
+    y: FloatArray,
+    name: str,
+    line: Any,
+    shown: bool = True,
     **more: Any,
-) -> None:  # fmt: skip
+) -> None:
     figure.add_scatter(
         x=rounded(x), y=rounded(y), name=name, line=line, showlegend=shown, row=row, col=1, **more
     )

@@ -34,8 +34,10 @@ def values_of(
         key, unit = axis_drives.key_and_unit(entry, linear)
         width = found.half_width.get(entry.field)
         yield (
-            key, getattr(found.drive, entry.field) / unit, None if width is None else width / unit,
-        )  # fmt: skip
+            key,
+            getattr(found.drive, entry.field) / unit,
+            None if width is None else width / unit,
+        )
 
 
 def identified_lines(machine: Machine, found: Mapping[int, IdentifiedAxis]) -> list[str]:
@@ -149,13 +151,25 @@ def _bode(found: IdentifiedAxis, period: float) -> Any:
     phases = np.degrees(np.angle(measured)), np.degrees(np.angle(model))
     for row, both in ((1, (np.abs(measured), np.abs(model))), (2, phases)):
         figure.add_scatter(
-            x=frequency, y=both[0], mode='markers', name='measured',
-            marker={'color': html.BLUE, 'size': 5}, showlegend=row == 1, row=row, col=1,
-        )  # fmt: skip
+            x=frequency,
+            y=both[0],
+            mode='markers',
+            name='measured',
+            marker={'color': html.BLUE, 'size': 5},
+            showlegend=row == 1,
+            row=row,
+            col=1,
+        )
         figure.add_scatter(
-            x=grid, y=both[1], mode='lines', name='modelled, linear part',
-            line={'color': html.ORANGE}, showlegend=row == 1, row=row, col=1,
-        )  # fmt: skip
+            x=grid,
+            y=both[1],
+            mode='lines',
+            name='modelled, linear part',
+            line={'color': html.ORANGE},
+            showlegend=row == 1,
+            row=row,
+            col=1,
+        )
     figure.update_xaxes(type='log')
     figure.update_xaxes(title_text='frequency [Hz]', row=2, col=1)
     figure.update_yaxes(type='log', title_text='|X/R|', row=1, col=1)
@@ -175,9 +189,12 @@ def time_rows(runs: Sequence[Run], found: Fitted) -> Iterator[tuple[str, str, st
             lines = run.trace.line[[run.windows[first, 0], run.windows[last, 1]]]
             both = measured[first : last + 1].sum(), planned[first : last + 1].sum()
             yield (
-                run.trace.name, f'{lines[0]} to {lines[1]}', f'{both[0]:.2f}', f'{both[1]:.2f}',
+                run.trace.name,
+                f'{lines[0]} to {lines[1]}',
+                f'{both[0]:.2f}',
+                f'{both[1]:.2f}',
                 f'{both[1] / both[0] - 1.0:+.2%}',
-            )  # fmt: skip
+            )
 
 
 def fitted_text(content: Mapping[str, Any], found: Fitted, names: Sequence[str]) -> str:
@@ -206,11 +223,13 @@ def write_fitted(runs: Sequence[Run], found: Fitted, out: Path) -> None:
     text = 'Values with intervals of 95 %, and times of the motion between two functions.'
     sections = [html.section('Fit', text, f'<div class="pair">{tables}</div>')]
     for run, motion in zip(runs, found.motions, strict=True):
-        sections.append(html.section(
-            escape(run.trace.name),
-            'Feed that the control told, and feed of the plan, which begins with each stretch.',
-            html.drawing(_feeds(run, motion)),
-        ))  # fmt: skip
+        sections.append(
+            html.section(
+                escape(run.trace.name),
+                'Feed recorded by the control and feed of the plan, aligned at each stretch.',
+                html.drawing(_feeds(run, motion)),
+            )
+        )
     title = 'Run times of a machine'
     html.write(out, title, f'<h1>{title}</h1>' + ''.join(sections))
 
@@ -233,8 +252,13 @@ def _feeds(run: Run, motion: Any) -> Any:
             continue
         rows = rows[extremes(motion.speed[rows], html.BUCKETS)]
         html.add_curve(
-            figure, 1, end[rows] - motion.duration[rows] - begin + run.trace.time[events[0]],
-            motion.speed[rows] / MM_PER_MIN, 'planned',
-            {'color': html.ORANGE, 'width': 1.2, 'dash': 'dot'}, number == 0, mode='lines',
-        )  # fmt: skip
+            figure,
+            1,
+            end[rows] - motion.duration[rows] - begin + run.trace.time[events[0]],
+            motion.speed[rows] / MM_PER_MIN,
+            'planned',
+            {'color': html.ORANGE, 'width': 1.2, 'dash': 'dot'},
+            number == 0,
+            mode='lines',
+        )
     return html.laid_out(figure, 420, xaxis_title='time [s]', yaxis_title='feed [mm/min]')

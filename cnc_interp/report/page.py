@@ -35,13 +35,25 @@ ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (
     ('path length', ' mm', ',.2f', lambda run: float(np.ptp(run.series.way))),
     ('blocks', '', ',', lambda run: run.proof.blocks),
     ('highest feed', ' mm/min', ',.0f', lambda run: float(run.series.feed.max())),
-    ('mean feed', ' mm/min', ',.0f',
-     lambda run: float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0),
-    ('largest contour error', ' &#181;m', '.4g',
-     lambda run: run.proof.largest('contour error').value / UM),
-    ('largest orientation error', ' &#181;m', '.4g',
-     lambda run: run.proof.largest('orientation error').value / UM),
-)  # fmt: skip
+    (
+        'mean feed',
+        ' mm/min',
+        ',.0f',
+        lambda run: float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0,
+    ),
+    (
+        'largest contour error',
+        ' &#181;m',
+        '.4g',
+        lambda run: run.proof.largest('contour error').value / UM,
+    ),
+    (
+        'largest orientation error',
+        ' &#181;m',
+        '.4g',
+        lambda run: run.proof.largest('orientation error').value / UM,
+    ),
+)
 
 
 def comparison_table(first: ExaminedPlan, second: ExaminedPlan) -> str:
@@ -79,9 +91,17 @@ def comparison_figure(first: ExaminedPlan, second: ExaminedPlan) -> Any:
         hover = html.rounded(np.column_stack([series.time, series.way, series.line])[kept])
         for row, x in ((1, series.way), (2, series.time)):
             html.add_curve(
-                figure, row, x[kept], series.feed[kept], escape(run.name), line, row == 1,
-                legendgroup=line['color'], customdata=hover, hovertemplate=html.AT_PLACE,
-            )  # fmt: skip
+                figure,
+                row,
+                x[kept],
+                series.feed[kept],
+                escape(run.name),
+                line,
+                row == 1,
+                legendgroup=line['color'],
+                customdata=hover,
+                hovertemplate=html.AT_PLACE,
+            )
     for run, line in runs:
         dotted = {**line, 'width': 1.0, 'dash': 'dot'}
         figure.add_vline(run.proof.cycle_time, line=dotted, row=2, col=1)
@@ -176,10 +196,11 @@ def _names(first: Path, second: Path) -> tuple[str, str]:
 
 def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, str]]:
     rows = [
-        (f'{proof.cycle_time:.3f} s', 'cycle time'), (f'{proof.blocks:,}', 'blocks'),
+        (f'{proof.cycle_time:.3f} s', 'cycle time'),
+        (f'{proof.blocks:,}', 'blocks'),
         (f'{series.way[-1] - series.way[0]:,.1f} mm', 'path length'),
         (f'{series.feed.max():,.0f} mm/min', 'highest feed'),
-    ]  # fmt: skip
+    ]
     least: Any = plan.summary.get('time_bound')
     if isinstance(least, int | float):
         label = 'least time within these velocities and accelerations, without jerk limits'

@@ -30,17 +30,25 @@ def path_figure(series: Series) -> Any:
     ):
         place = html.xyz(points)
         figure.add_scatter3d(**place, mode='lines', line=line, name=name, hoverinfo='skip')
-    figure.add_trace(go.Scatter3d(
-        **html.xyz(tip), mode='lines', name='tool path', showlegend=False,
-        line={
-            'color': feed, 'width': 5, 'colorscale': 'Viridis', 'cmin': 0.0,
-            'cmax': feed_span(series)[0],
-            'colorbar': {'title': {'text': feed_span(series)[1]}, 'thickness': 12, 'len': 0.7},
-        },
-        customdata=html.rounded(np.column_stack([feed, series.time[kept], series.line[kept]])),
-        hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min at '
-        '%{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
-    ))  # fmt: skip
+    figure.add_trace(
+        go.Scatter3d(
+            **html.xyz(tip),
+            mode='lines',
+            name='tool path',
+            showlegend=False,
+            line={
+                'color': feed,
+                'width': 5,
+                'colorscale': 'Viridis',
+                'cmin': 0.0,
+                'cmax': feed_span(series)[0],
+                'colorbar': {'title': {'text': feed_span(series)[1]}, 'thickness': 12, 'len': 0.7},
+            },
+            customdata=html.rounded(np.column_stack([feed, series.time[kept], series.line[kept]])),
+            hovertemplate='x %{x:.3f}  y %{y:.3f}  z %{z:.3f} mm<br>%{customdata[0]:.0f} mm/min '
+            'at %{customdata[1]:.3f} s, line %{customdata[2]:.0f}<extra></extra>',
+        )
+    )
     # The longest side is 1, so that flat and slender paths fill the view equally.
     shown = np.concatenate([tip, series.vertices, _tool_lines(series)])
     span = np.nanmax(shown, axis=0) - np.nanmin(shown, axis=0)
@@ -50,8 +58,9 @@ def path_figure(series: Series) -> Any:
     figure.update_layout(
         html.base_layout(600),
         scene={'aspectmode': 'manual', 'aspectratio': ratio, **html.scene(ticks, eye, 0.06)},
-        legend={'orientation': 'h', 'y': 1.0, 'x': 0.0}, margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
-    )  # fmt: skip
+        legend={'orientation': 'h', 'y': 1.0, 'x': 0.0},
+        margin={'l': 0, 'r': 0, 't': 10, 'b': 0},
+    )
     return figure
 
 
@@ -86,12 +95,17 @@ def feed_figure(series: Series) -> Any:
     if series.switched:
         at = list(series.switched)[:: 1 + len(series.switched) // MOST_SWITCHES]
         figure.add_scatter(
-            x=html.rounded(series.time[at]), y=[0.0] * len(at), name='functions', mode='markers',
+            x=html.rounded(series.time[at]),
+            y=[0.0] * len(at),
+            name='functions',
+            mode='markers',
             marker={'symbol': 'triangle-up', 'color': html.INK, 'size': 9},
-            cliponaxis=False, row=2, col=1,
+            cliponaxis=False,
+            row=2,
+            col=1,
             text=[f'{series.switched[k]}<br>line {series.line[k]}' for k in at],
             hovertemplate='%{text}, %{x:.3f} s<extra></extra>',
-        )  # fmt: skip
+        )
     figure.update_xaxes(title_text='path length (mm)', row=1, col=1)
     figure.update_xaxes(title_text='time (s)', range=[0.0, series.time[-1]], row=2, col=1)
     figure.update_yaxes(title_text='mm/min', range=[0.0, ceiling * 1.02])
@@ -101,9 +115,14 @@ def feed_figure(series: Series) -> Any:
 def axes_figure(series: Series) -> Any:
     names, kinds = series.axis_names, list(KINDS) + ['torque'] * bool(series.torque_use)
     figure = make_subplots(
-        rows=len(names), cols=len(kinds), shared_xaxes=True, shared_yaxes=True,
-        vertical_spacing=0.025, horizontal_spacing=0.02, column_titles=kinds,
-    )  # fmt: skip
+        rows=len(names),
+        cols=len(kinds),
+        shared_xaxes=True,
+        shared_yaxes=True,
+        vertical_spacing=0.025,
+        horizontal_spacing=0.02,
+        column_titles=kinds,
+    )
     most = 1.0
     for j, name in enumerate(names):
         unit = series.axis_units[j]
@@ -127,27 +146,44 @@ def axes_figure(series: Series) -> Any:
 
 
 def _draw_use(
-    figure: Any, series: Series, place: tuple[int, int], name: str, use: FloatArray,
-    limit: FloatArray, unit: str,
-) -> None:  # fmt: skip
+    figure: Any,
+    series: Series,
+    place: tuple[int, int],
+    name: str,
+    use: FloatArray,
+    limit: FloatArray,
+    unit: str,
+) -> None:
     row, col = place[0] + 1, place[1] + 1
     rows = extremes(use, SMALL_BUCKETS)
     figure.add_scatter(
-        x=html.rounded(series.time[rows]), y=html.rounded(100.0 * use[rows]), name=name,
-        line={'color': html.BLUE, 'width': 1.0}, showlegend=False, row=row, col=col,
+        x=html.rounded(series.time[rows]),
+        y=html.rounded(100.0 * use[rows]),
+        name=name,
+        line={'color': html.BLUE, 'width': 1.0},
+        showlegend=False,
+        row=row,
+        col=col,
         customdata=html.rounded(np.column_stack([limit[rows], series.line[rows]])),
         hovertemplate=f'{name.split()[0]}: %{{y:.1f}} % of %{{customdata[0]:.4g}} {unit}'
         '<br>%{x:.3f} s, line %{customdata[1]:.0f}<extra></extra>',
-    )  # fmt: skip
+    )
     for level in (-100.0, 100.0):
         line = {'color': html.RED, 'width': 0.8, 'dash': 'dot'}
         figure.add_hline(level, line=line, row=row, col=col)
     largest = float(np.abs(use).max(initial=0.0))
     figure.add_annotation(
-        text=f'{100.0 * largest:.1f} %', xref='x domain', yref='y domain', x=0.995, y=0.98,
-        showarrow=False, font={'size': 11, 'color': html.RED if largest > 1.001 else html.INK},
-        bgcolor='rgba(255,255,255,0.75)', row=row, col=col,
-    )  # fmt: skip
+        text=f'{100.0 * largest:.1f} %',
+        xref='x domain',
+        yref='y domain',
+        x=0.995,
+        y=0.98,
+        showarrow=False,
+        font={'size': 11, 'color': html.RED if largest > 1.001 else html.INK},
+        bgcolor='rgba(255,255,255,0.75)',
+        row=row,
+        col=col,
+    )
 
 
 def error_figure(series: Series) -> Any:
@@ -163,13 +199,24 @@ def error_figure(series: Series) -> Any:
         }
         for label, y, line, hover in (
             ('error', error, {'color': html.BLUE, 'width': 1.2}, place),
-            ('tolerance', tolerance, {'color': html.RED, 'width': 1.2, 'dash': 'dash'},
-             {'hovertemplate': '%{y:.3f}'}),
-        ):  # fmt: skip
+            (
+                'tolerance',
+                tolerance,
+                {'color': html.RED, 'width': 1.2, 'dash': 'dash'},
+                {'hovertemplate': '%{y:.3f}'},
+            ),
+        ):
             html.add_curve(
-                figure, row, series.way[rows], y[rows], label, line, row == 1, legendgroup=label,
+                figure,
+                row,
+                series.way[rows],
+                y[rows],
+                label,
+                line,
+                row == 1,
+                legendgroup=label,
                 **hover,
-            )  # fmt: skip
+            )
         top = 1.15 * float(max(error.max(initial=0.0), tolerance.max(initial=0.0)))
         figure.update_yaxes(title_text=f'{name} (&#181;m)', range=[0.0, top], row=row, col=1)
     figure.update_xaxes(title_text='path length (mm)', row=2, col=1)

@@ -64,7 +64,10 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
     shown = np.array([one.shown_size for one in machine.axes])
     cell: IntArray = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
     return Series(
-        time=plan.setpoints['time'], way=s / MM, tip=tip / MM, axis=axis,
+        time=plan.setpoints['time'],
+        way=s / MM,
+        tip=tip / MM,
+        axis=axis,
         feed=np.abs(np.gradient(s, plan.period)) / MM_PER_MIN,
         programmed_feed=np.asarray(plan.path['programmed_feed'][cell], float) / MM_PER_MIN,
         feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
@@ -72,13 +75,17 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         axis_limits=np.broadcast_to(limits / shown, (3, len(s), len(shown))),
         torque_use=torque_use(plan, machine),
         largest_torque={j: load.torque for j, load in machine.loads.items()},
-        axis_names=machine.axis_names, axis_units=tuple(one.shown_unit for one in machine.axes),
-        contour_error=deviation.contour / UM, orientation_error=deviation.orientation / UM,
-        contour_tolerance=contour / UM, orientation_tolerance=orientation / UM,
+        axis_names=machine.axis_names,
+        axis_units=tuple(one.shown_unit for one in machine.axes),
+        contour_error=deviation.contour / UM,
+        orientation_error=deviation.orientation / UM,
+        contour_tolerance=contour / UM,
+        orientation_tolerance=orientation / UM,
         line=np.asarray(plan.blocks['line'], dtype=np.int64)[plan.block],
-        vertices=plan.blocks['tip'] / MM, flank_height=plan.flank_height / MM,
+        vertices=plan.blocks['tip'] / MM,
+        flank_height=plan.flank_height / MM,
         switched=switched(plan, machine),
-    )  # fmt: skip
+    )
 
 
 def switched(plan: PlanFiles, machine: Machine) -> dict[int, str]:

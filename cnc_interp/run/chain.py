@@ -36,10 +36,14 @@ class Sink(Protocol):
 
 class Chain:
     def __init__(
-        self, machine: Machine, settings: Settings, sink: Sink | PlanWriter,
-        clock: Callable[[], float] = working_time, start: StartFinder | None = None,
+        self,
+        machine: Machine,
+        settings: Settings,
+        sink: Sink | PlanWriter,
+        clock: Callable[[], float] = working_time,
+        start: StartFinder | None = None,
         processes: int = 1,
-    ):  # fmt: skip
+    ):
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
         self.path = PathChain(Transform.of(machine), settings, self._watch)
         period = settings.interpolation_period
@@ -98,9 +102,13 @@ class Chain:
 
 
 def plan_to_files(
-    stream: ProgramStream, machine: Machine, directory: Path, settings: Settings | None = None,
-    progress: Callable[[float], None] | None = None, processes: int = 1,
-) -> dict[str, Any]:  # fmt: skip
+    stream: ProgramStream,
+    machine: Machine,
+    directory: Path,
+    settings: Settings | None = None,
+    progress: Callable[[float], None] | None = None,
+    processes: int = 1,
+) -> dict[str, Any]:
     """Plan a program while it is read and write its plan files; memory does not grow with it.
 
     ``progress``: told the share that has been planned; ``processes``: how many plan motion, to the

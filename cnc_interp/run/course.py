@@ -183,9 +183,13 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
 
 class Leg:
     def __init__(
-        self, limits: AxisLimits, period: float, begun: int = 0, start: tuple[float, float] = (0.0,
-        0.0), tool: ToolLimit | None = None,
-    ):  # fmt: skip
+        self,
+        limits: AxisLimits,
+        period: float,
+        begun: int = 0,
+        start: tuple[float, float] = (0.0, 0.0),
+        tool: ToolLimit | None = None,
+    ):
         self.period = period
         self.planner = FeedPlanner(limits, LIVE, start, max(begun - 1, 0) * period, tool)
         self.interpolator = Interpolator(period, begun)

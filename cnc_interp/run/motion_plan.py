@@ -40,10 +40,16 @@ class OperatorSettings:
 
 class MotionPlan:
     def __init__(
-        self, stream: MotionStream, settings: OperatorSettings, todo: deque[AxisPath | Wait],
-        number: int = 0, leg: Leg | None = None, way_down: PlannedPiece | None = None,
-        before: MotionPlan | None = None, rests: Setpoints | None = None,
-    ):  # fmt: skip
+        self,
+        stream: MotionStream,
+        settings: OperatorSettings,
+        todo: deque[AxisPath | Wait],
+        number: int = 0,
+        leg: Leg | None = None,
+        way_down: PlannedPiece | None = None,
+        before: MotionPlan | None = None,
+        rests: Setpoints | None = None,
+    ):
         self.settings = settings
         self._stream, self._todo, self._way_down = stream, todo, way_down
         self._legs: deque[Leg] = deque([] if leg is None else [leg])
@@ -202,10 +208,15 @@ class MotionStream:
     """The path of one run and the plan that counts now: path in, chunks of setpoints out."""
 
     def __init__(
-        self, limits: AxisLimits, period: float, chunk_size: int = 10,
-        line_of: Callable[[int], int] = int, settings: OperatorSettings | None = None,
-        tool: ToolLimit | None = None, signals: Signals = NO_SIGNALS,
-    ):  # fmt: skip
+        self,
+        limits: AxisLimits,
+        period: float,
+        chunk_size: int = 10,
+        line_of: Callable[[int], int] = int,
+        settings: OperatorSettings | None = None,
+        tool: ToolLimit | None = None,
+        signals: Signals = NO_SIGNALS,
+    ):
         self.limits, self.period, self.chunk_size, self.tool = limits, period, chunk_size, tool
         self.line_of = line_of  #: Source line of a block; single block stops where it changes.
         self.course, self.functions = Course(), FunctionQueue(signals)

@@ -37,9 +37,12 @@ class Stopwatch:
         self.seconds: dict[str, float] = {}
 
     def timed(
-        self, stage: str, work: Callable[Arguments, Made], *arguments: Arguments.args,
+        self,
+        stage: str,
+        work: Callable[Arguments, Made],
+        *arguments: Arguments.args,
         **named: Arguments.kwargs,
-    ) -> Made:  # fmt: skip
+    ) -> Made:
         start = self._clock()
         try:
             return work(*arguments, **named)
@@ -56,9 +59,7 @@ class PathPart:
 class PathChain:
     """Blocks in, segments and their path in machine axes out."""
 
-    def __init__(
-        self, transform: Transform, settings: Settings, watch: Stopwatch | None = None
-    ):  # fmt: skip
+    def __init__(self, transform: Transform, settings: Settings, watch: Stopwatch | None = None):
         self._smoother = smoother_of(transform, settings)
         height, period = settings.flank_height, settings.interpolation_period
         self._builder = AxisPathBuilder(transform, height, period)

@@ -155,9 +155,12 @@ class PlanFigures:
         self._last = held[-BEFORE:]
 
     def summary(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0,
+        self,
+        source: str,
+        seconds: Mapping[str, float],
+        largest_override: float = 1.0,
         setup: str = '',
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
         if self._last is not None:
             self._measure(np.repeat(self._last[-1:], BEFORE, axis=0))  # stays where it is
@@ -178,24 +181,34 @@ class PlanFigures:
             uses['torque'] = {names[axis]: float(use[axis]) for axis in sorted(machine.loads)}
         used = self._tolerances.largest
         return {
-            'program': source, 'machine': machine.file or machine.name,
-            'cycle_time': self.cycle_time, 'time_bound': self._least or None,
+            'program': source,
+            'machine': machine.file or machine.name,
+            'cycle_time': self.cycle_time,
+            'time_bound': self._least or None,
             'windows': {**self._windows, 'over_bound': self._over_bound},
-            'interpolation_period': self._period, 'flank_height': self._height,
-            'settings': values_of(self._settings), 'setup': setup,
+            'interpolation_period': self._period,
+            'flank_height': self._height,
+            'settings': values_of(self._settings),
+            'setup': setup,
             'largest_override': largest_override,
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
-            'functions': self.functions.counts(machine.signals), 'standstill': float(stands.sum()),
-            'samples': self.samples, 'blocks': self._blocks - 1, 'segments': self._segments,
-            'path_length': self._path_length, 'planning_time': sum(seconds.values()),
-            'planning_time_by_room': dict(seconds), 'largest_use': uses,
+            'functions': self.functions.counts(machine.signals),
+            'standstill': float(stands.sum()),
+            'samples': self.samples,
+            'blocks': self._blocks - 1,
+            'segments': self._segments,
+            'path_length': self._path_length,
+            'planning_time': sum(seconds.values()),
+            'planning_time_by_room': dict(seconds),
+            'largest_use': uses,
             'largest_contour_error': float(self._deviation[0]),
             'largest_orientation_error': float(self._deviation[1]),
             'tolerance_used': {'contour': float(used[0]), 'orientation': float(used[1])},
-            'tool_error': error, 'curves': {'blocks': self._curved, 'spans': self._spans},
+            'tool_error': error,
+            'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
-        }  # fmt: skip
+        }
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:

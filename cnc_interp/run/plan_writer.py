@@ -32,9 +32,17 @@ Columns = Mapping[str, NDArray[Any]]
 _CELLS = ('cell_left', 'cell_right')
 #: Columns of ``blocks.npz`` that have the name of their column of ``Blocks``.
 _AS_IN_BLOCKS = (
-    'contour_tolerance', 'orientation_tolerance', 'rapid', 'rotary', 'rotary_from',
-    'interpolation', 'duration', 'exact_stop', 'top', 'knot_interval',
-)  # fmt: skip
+    'contour_tolerance',
+    'orientation_tolerance',
+    'rapid',
+    'rotary',
+    'rotary_from',
+    'interpolation',
+    'duration',
+    'exact_stop',
+    'top',
+    'knot_interval',
+)
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 SELDOM = 'functions', 'followed'  #: Files that only some plans have.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
@@ -129,11 +137,16 @@ class PlanWriter:
         tip, axis = self._transform.forward(path.q)
         cells = path.cell_feed
         columns = {
-            's': path.s, 'tip': tip, 'axis': axis, 'q': path.q,
+            's': path.s,
+            'tip': tip,
+            'axis': axis,
+            'q': path.q,
             'programmed_feed': np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]]),
-            'feed_limit': feed_limit(path, self._machine), 'feed': feed,
-            'block': np.r_[path.cell_block, path.cell_block[-1:]], 'stop': path.stop,
-        }  # fmt: skip
+            'feed_limit': feed_limit(path, self._machine),
+            'feed': feed,
+            'block': np.r_[path.cell_block, path.cell_block[-1:]],
+            'stop': path.stop,
+        }
         self._archives['path'].append({name: column[rows] for name, column in columns.items()})
 
     def setpoints(self, samples: Setpoints) -> None:
@@ -159,9 +172,12 @@ class PlanWriter:
         self._archives['setpoints'].append(columns)
 
     def finish(
-        self, source: str, seconds: Mapping[str, float], largest_override: float = 1.0,
+        self,
+        source: str,
+        seconds: Mapping[str, float],
+        largest_override: float = 1.0,
         setup: str = '',
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
         self._write_path()
         self._write_setpoints()
@@ -247,9 +263,12 @@ class _Column:
 def block_columns(blocks: Blocks, tip_before: FloatArray | None = None) -> dict[str, Any]:
     extra = {'extra_axes': blocks.extra} if blocks.extra.shape[1] else {}
     return extra | {
-        'tip': blocks.tip, 'axis': blocks.axis, 'feed': effective_feed(blocks, tip_before),
-        'line': blocks.line_number, **{name: getattr(blocks, name) for name in _AS_IN_BLOCKS},
-    }  # fmt: skip
+        'tip': blocks.tip,
+        'axis': blocks.axis,
+        'feed': effective_feed(blocks, tip_before),
+        'line': blocks.line_number,
+        **{name: getattr(blocks, name) for name in _AS_IN_BLOCKS},
+    }
 
 
 def effective_feed(blocks: Blocks, tip_before: FloatArray | None = None) -> FloatArray:

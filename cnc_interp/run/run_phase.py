@@ -32,13 +32,19 @@ class PhaseChange(Enum):
 
 P, S = Phase, PhaseChange
 TABLE: dict[tuple[Phase, PhaseChange], Phase] = {
-    (P.QUEUED, S.TURN): P.CHECKING, (P.CHECKING, S.CHECKED): P.WAITING,
-    (P.WAITING, S.STALE): P.CHECKING, (P.WAITING, S.START): P.OFFERED,
-    (P.OFFERED, S.TAKEN): P.STREAMING, (P.OFFERED, S.LOSE): P.LOST, (P.STREAMING, S.LOSE): P.LOST,
-    (P.LOST, S.LOSE): P.LOST, (P.LOST, S.BEGIN_AGAIN): P.OFFERED,
-    (P.OFFERED, S.READ_ON): P.CHECKING, (P.STREAMING, S.READ_ON): P.CHECKING,
+    (P.QUEUED, S.TURN): P.CHECKING,
+    (P.CHECKING, S.CHECKED): P.WAITING,
+    (P.WAITING, S.STALE): P.CHECKING,
+    (P.WAITING, S.START): P.OFFERED,
+    (P.OFFERED, S.TAKEN): P.STREAMING,
+    (P.OFFERED, S.LOSE): P.LOST,
+    (P.STREAMING, S.LOSE): P.LOST,
+    (P.LOST, S.LOSE): P.LOST,
+    (P.LOST, S.BEGIN_AGAIN): P.OFFERED,
+    (P.OFFERED, S.READ_ON): P.CHECKING,
+    (P.STREAMING, S.READ_ON): P.CHECKING,
     **{(phase, S.END): P.ENDED for phase in P},
-}  # fmt: skip
+}
 SENDING = (Phase.OFFERED, Phase.STREAMING, Phase.LOST)  #: Phases in which blocks are sent.
 
 

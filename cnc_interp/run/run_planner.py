@@ -44,17 +44,27 @@ class RunPlanner:
     """
 
     def __init__(
-        self, transform: Transform, choices: Settings, chunk_time: float, stands: FloatArray,
-        continue_at: float = math.nan, settings: OperatorSettings | None = None,
+        self,
+        transform: Transform,
+        choices: Settings,
+        chunk_time: float,
+        stands: FloatArray,
+        continue_at: float = math.nan,
+        settings: OperatorSettings | None = None,
         asks: bool = False,
-    ):  # fmt: skip
+    ):
         self._transform, self._choices, self._stands = transform, choices, stands
         machine, period = transform.machine, choices.interpolation_period
         self._builder = AxisPathBuilder(transform, choices.flank_height, period)
         self.stream = MotionStream(
-            limits_at(machine, period), period, max(1, round(chunk_time / period)), self.line_of,
-            settings, wanted_tool(machine, choices), machine.signals,
-        )  # fmt: skip
+            limits_at(machine, period),
+            period,
+            max(1, round(chunk_time / period)),
+            self.line_of,
+            settings,
+            wanted_tool(machine, choices),
+            machine.signals,
+        )
         self._lines: dict[int, int] = {}
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)

@@ -165,9 +165,12 @@ _AFTER: dict[Event, dict[State, State]] = {
     Event.WAIT: _to(S.HELD, S.IDLE, S.RUNNING, *_RESTS),
     Event.FILL: _to(S.FILLING, S.IDLE, S.RUNNING, *_RESTS),
     Event.STARVE: _to(S.STARVING, S.RUNNING) | _stays(S.JOGGING, S.AWAY),
-    Event.REST: _to(S.HELD, S.HOLDING, S.AWAY) | _to(S.STARVED, S.STARVING)
-    | _to(S.FAULT, S.STOPPING) | _to(S.IDLE, S.JOGGING),
-    Event.HOLD: _to(S.HOLDING, S.RUNNING, S.HOLDING, S.STARVING) | _to(S.HELD, *_RESTS)
+    Event.REST: _to(S.HELD, S.HOLDING, S.AWAY)
+    | _to(S.STARVED, S.STARVING)
+    | _to(S.FAULT, S.STOPPING)
+    | _to(S.IDLE, S.JOGGING),
+    Event.HOLD: _to(S.HOLDING, S.RUNNING, S.HOLDING, S.STARVING)
+    | _to(S.HELD, *_RESTS)
     | _stays(S.JOGGING, S.AWAY),
     Event.RESUME: _stays(S.RUNNING, S.HOLDING, S.STARVING, *_RESTS),
     Event.RESET: _to(S.IDLE, S.IDLE, S.FAULT, *_RESTS),
@@ -175,7 +178,7 @@ _AFTER: dict[Event, dict[State, State]] = {
     Event.REFUSE: {s: S.FAULT if s in _RESTS else s for s in S},
     Event.FAIL: _to(S.FAULT, *_ACTIVE),
     Event.JOG: _to(S.JOGGING, S.IDLE) | _to(S.AWAY, S.HELD),
-}  # fmt: skip
+}
 TRANSITIONS = {(s, event): to for event, rows in _AFTER.items() for s, to in rows.items()}
 _REFUSALS = {
     Event.HOLD: 'nothing to hold: no program is moving',
@@ -270,10 +273,14 @@ class RunState:
         if event is Event.HOLD and self.state in (State.HOLDING, State.HELD):
             return replace(self, start_wanted=False)
         return replace(
-            self, state=following, reason=reason, detail=detail, start_wanted=False,
+            self,
+            state=following,
+            reason=reason,
+            detail=detail,
+            start_wanted=False,
             plan_over=self.plan_over or following is State.FAULT,
             completed=self.completed or event is Event.FINISH,
-        )  # fmt: skip
+        )
 
     def _rests_away(self) -> RunState:
         """Return the hold after a motion by hand: the path goes on from elsewhere."""
@@ -283,9 +290,13 @@ class RunState:
 
     def _refused_at_rest(self) -> RunState:
         return replace(
-            self, state=State.FAULT, reason=Reason.STREAM_REFUSED, detail=self.refusal,
-            plan_over=True, start_wanted=False,
-        )  # fmt: skip
+            self,
+            state=State.FAULT,
+            reason=Reason.STREAM_REFUSED,
+            detail=self.refusal,
+            plan_over=True,
+            start_wanted=False,
+        )
 
     def _refused(self, event: Event) -> str:
         if self.state is State.INACTIVE:

@@ -71,9 +71,11 @@ class Interpolator:
         path = self._path
         assert path is not None, 'nothing was pushed'
         return Setpoints.at_rest(
-            self.next_number * self.period, path.cell_right[0, -1:].copy(),
-            path.cell_block[-1:].copy(), path.s[-1:].copy(),
-        )  # fmt: skip
+            self.next_number * self.period,
+            path.cell_right[0, -1:].copy(),
+            path.cell_block[-1:].copy(),
+            path.s[-1:].copy(),
+        )
 
 
 class Wait(IntEnum):

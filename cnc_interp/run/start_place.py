@@ -62,10 +62,16 @@ class StartPlace:
     def to_json(self) -> dict[str, Any]:
         block = self.block
         return {
-            'line': block.line, 'pass': block.which, 'passes': block.passes, 'row': block.row,
-            'first_line': self.line, 'words': list(block.words), 'path_position': self.s,
-            'position': self.position.tolist(), 'notes': list(self.texts),
-        }  # fmt: skip
+            'line': block.line,
+            'pass': block.which,
+            'passes': block.passes,
+            'row': block.row,
+            'first_line': self.line,
+            'words': list(block.words),
+            'path_position': self.s,
+            'position': self.position.tolist(),
+            'notes': list(self.texts),
+        }
 
 
 class StartFinder:
@@ -95,8 +101,9 @@ class StartFinder:
         if self._vertex.on_spline[1] and begins < self._start.line:
             raise ProgramError(
                 f'inside the spline that begins in line {begins}; start there',
-                self._start.source, self._start.line,
-            )  # fmt: skip
+                self._start.source,
+                self._start.line,
+            )
         return Blocks.concatenate([start_pose(self._vertex[:1]), blocks[row - first :]])
 
     def segments(self, segments: PathSegments) -> PathSegments:
@@ -184,11 +191,16 @@ def start_pose(row: Blocks) -> Blocks:
     """Return the end of a row as the start pose of what follows."""
     none = np.full(1, np.nan)
     return replace(
-        row, feedrate=np.full(1, np.inf), duration=none, exact_stop=np.zeros(1, dtype=np.bool_),
-        program_stop=np.zeros(1, dtype=np.int64), top=np.full((1, 3), np.nan),
-        knot_interval=none.copy(), interpolation=np.full(1, POSES), rotary_from=np.full((1, 2),
-        np.nan),
-    )  # fmt: skip
+        row,
+        feedrate=np.full(1, np.inf),
+        duration=none,
+        exact_stop=np.zeros(1, dtype=np.bool_),
+        program_stop=np.zeros(1, dtype=np.int64),
+        top=np.full((1, 3), np.nan),
+        knot_interval=none.copy(),
+        interpolation=np.full(1, POSES),
+        rotary_from=np.full((1, 2), np.nan),
+    )
 
 
 def approach(
@@ -219,9 +231,13 @@ def _height(line: ToolLine, foot: FloatArray, other: FloatArray, least: float) -
 
 
 def approach_inside(
-    transform: Transform, flank_height: float, stands: FloatArray, place: FloatArray,
-    retract: float, plunge_feed: float,
-) -> AxisPath | None:  # fmt: skip
+    transform: Transform,
+    flank_height: float,
+    stands: FloatArray,
+    place: FloatArray,
+    retract: float,
+    plunge_feed: float,
+) -> AxisPath | None:
     corners = way_inside(transform, stands, place, retract)
     feeds = np.array([np.inf, np.inf, np.inf, plunge_feed])
     return straight(transform, flank_height, corners, feeds)
@@ -249,6 +265,12 @@ def straight(
     tip, axis = transform.forward(points)
     after = np.append(np.cumsum(length[::-1])[::-1], 0.0)
     return AxisPath(
-        s=-after, cell_left=left, cell_right=right, tip=tip, axis=axis, cell_feed=feeds,
-        cell_block=np.zeros(len(feeds), dtype=np.int64), stop=np.ones(len(points), dtype=np.bool_),
-    )  # fmt: skip
+        s=-after,
+        cell_left=left,
+        cell_right=right,
+        tip=tip,
+        axis=axis,
+        cell_feed=feeds,
+        cell_block=np.zeros(len(feeds), dtype=np.int64),
+        stop=np.ones(len(points), dtype=np.bool_),
+    )

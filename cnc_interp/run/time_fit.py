@@ -290,9 +290,11 @@ def with_parameters(machine: Machine, x: FloatArray) -> Machine:
     acceleration[:3] *= np.exp(x[3])
     pace = machine.pace or START
     pace = BlockPace(
-        pace.jump * float(np.exp(x[4])), pace.block_time * float(np.exp(x[5])),
-        float(jerk[:3].min()), pace.stops_at_rapids,
-    )  # fmt: skip
+        pace.jump * float(np.exp(x[4])),
+        pace.block_time * float(np.exp(x[5])),
+        float(jerk[:3].min()),
+        pace.stops_at_rapids,
+    )
     return replace(machine, max_jerk=jerk, max_acceleration=acceleration, pace=pace)
 
 

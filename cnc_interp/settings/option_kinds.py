@@ -176,9 +176,13 @@ class Choice:
 
 
 def number(
-    default: float | None, unit: Unit, bounds: tuple[float, float], stage: Stage, sentence: str,
+    default: float | None,
+    unit: Unit,
+    bounds: tuple[float, float],
+    stage: Stage,
+    sentence: str,
     **more: Any,
-) -> Any:  # fmt: skip
+) -> Any:
     low, high = bounds
     metavar = unit.name.upper().replace('/', '_PER_')
     declared = {'unit': unit, 'low': low, 'high': high, 'metavar': metavar}

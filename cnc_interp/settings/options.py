@@ -33,66 +33,89 @@ class Settings:
     )
     force_tolerances: bool = kinds.switch(False, READING, 'ignore the tolerances of the program')
     feedrate: float | None = kinds.number(
-        None, kinds.FEED, FEEDS, READING,
-        'feedrate where the program has no F', option='feed',
-    )  # fmt: skip
+        None,
+        kinds.FEED,
+        FEEDS,
+        READING,
+        'feedrate where the program has no F',
+        option='feed',
+    )
     setup: Path | None = kinds.file(  # noqa: RUF009 (a field)
         READING, 'YAML file with work offsets, tools and reference points'
     )
     interpolation: str = kinds.one_of(
-        ('auto', 'vector', 'axes'), READING,
+        ('auto', 'vector', 'axes'),
+        READING,
         'between blocks: vector (great circle), axes (linear in them), auto (as programmed)',
-    )  # fmt: skip
+    )
     rotary_sense: str = kinds.one_of(
-        ('programmed', 'shortest'), READING,
+        ('programmed', 'shortest'),
+        READING,
         'rotary words as programmed, or the shortest way there',
-    )  # fmt: skip
+    )
     dialect: str = kinds.one_of(
-        ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'), READING,
+        ('auto', 'plain', 'linuxcnc', 'fanuc', 'siemens'),
+        READING,
         'whose control reads the program; auto: that of the machine, else the one its words tell',
-    )  # fmt: skip
+    )
     arc_centres: str = kinds.one_of(
-        ('auto', 'start', 'absolute', 'reversed'), READING,
+        ('auto', 'start', 'absolute', 'reversed'),
+        READING,
         'I J K of arcs: way from the start to the centre, place of the centre, or way from the '
         'centre to the start; auto: that of the machine, else what all arcs fit',
-    )  # fmt: skip
+    )
     units: str = kinds.one_of(
-        ('auto', 'mm', 'inch'), READING,
+        ('auto', 'mm', 'inch'),
+        READING,
         'unit of a program without G20 or G21; auto: that of the machine, else mm',
-    )  # fmt: skip
+    )
     numbers: str = kinds.one_of(
-        ('auto', 'units', 'increments'), READING,
+        ('auto', 'units', 'increments'),
+        READING,
         'what lengths and angles without a decimal point count: units, or increments (X10 is '
         '0.010 mm or 0.0010 inch); auto: that of the machine, else units',
-    )  # fmt: skip
+    )
     skip_blocks: bool = kinds.switch(False, READING, 'leave out lines that begin with a slash')
     most_jumps: int = kinds.whole_number(
-        1_000_000, (1, 10**12), READING,
+        1_000_000,
+        (1, 10**12),
+        READING,
         'loops and calls after which a program counts as endless',
-    )  # fmt: skip
+    )
     corner_ratio: float | None = kinds.number(
-        None, kinds.PLAIN, (1.2, 4.0), SMOOTHING,
+        None,
+        kinds.PLAIN,
+        (1.2, 4.0),
+        SMOOTHING,
         'shape of the corners, 1.2 to 4, or auto: chosen for each',
-        option='ratio', nothing='auto', metavar='L2/L1',
-    )  # fmt: skip
+        option='ratio',
+        nothing='auto',
+        metavar='L2/L1',
+    )
     corner: str = kinds.one_of(
-        ('default', 'paper'), SMOOTHING,
+        ('default', 'paper'),
+        SMOOTHING,
         'how corners are made; paper: those of Beudaert et al. (2013), word for word',
         for_comparison=True,
-    )  # fmt: skip
+    )
     parametrization: str = kinds.one_of(
-        ('auto', 'exact', 'linear', 'paper'), SMOOTHING,
+        ('auto', 'exact', 'linear', 'paper'),
+        SMOOTHING,
         'how the orientation of a corner joins its lines; auto: exact, or paper on such corners',
         for_comparison=True,
-    )  # fmt: skip
+    )
     top: str = kinds.one_of(
-        ('in_step', 'tolerance'), SMOOTHING,
-        'how the top curve of a corner is placed', for_comparison=True,
-    )  # fmt: skip
-    septic: bool = kinds.switch(
-        False, SMOOTHING, 'continue the third derivative of the tool axis too',
+        ('in_step', 'tolerance'),
+        SMOOTHING,
+        'how the top curve of a corner is placed',
         for_comparison=True,
-    )  # fmt: skip
+    )
+    septic: bool = kinds.switch(
+        False,
+        SMOOTHING,
+        'continue the third derivative of the tool axis too',
+        for_comparison=True,
+    )
     compress: bool = kinds.switch(
         True, SMOOTHING, 'make curves of dense blocks, or round every corner'
     )
@@ -100,48 +123,75 @@ class Settings:
         5.0 * MM, kinds.LENGTH, LENGTHS, SMOOTHING, 'longer blocks stay straight lines'
     )
     corner_angle: float = kinds.number(
-        35.0 * DEG, kinds.ANGLE, (0.01 * DEG, pi), SMOOTHING,
+        35.0 * DEG,
+        kinds.ANGLE,
+        (0.01 * DEG, pi),
+        SMOOTHING,
         'a sharper turn of dense blocks is a corner',
-    )  # fmt: skip
+    )
     tolerance_share: float = kinds.number(
-        0.98, kinds.PLAIN, (0.01, 1.0), SMOOTHING,
-        'part of the tolerances that curves through dense blocks may use', metavar='SHARE',
-    )  # fmt: skip
+        0.98,
+        kinds.PLAIN,
+        (0.01, 1.0),
+        SMOOTHING,
+        'part of the tolerances that curves through dense blocks may use',
+        metavar='SHARE',
+    )
     interpolation_period: float = kinds.number(
-        1.0 * MS, kinds.TIME, (0.01 * MS, 100.0 * MS), MOTION, 'interpolation period',
+        1.0 * MS,
+        kinds.TIME,
+        (0.01 * MS, 100.0 * MS),
+        MOTION,
+        'interpolation period',
         option='period',
-    )  # fmt: skip
+    )
     compensation: str | None = kinds.name(
-        MOTION, 'machine whose drives are the model that is compensated, as identify writes it',
-        option='compensate', metavar='M',
-    )  # fmt: skip
+        MOTION,
+        'machine whose drives are the model that is compensated, as identify writes it',
+        option='compensate',
+        metavar='M',
+    )
     learnt: Path | None = kinds.file(  # noqa: RUF009 (a field)
         MOTION, 'what earlier runs taught, added to the compensation; `learn` writes it'
     )
     tool_error: float | None = kinds.number(
-        None, kinds.LENGTH, TOLERANCES, PLANNING,
-        'largest error that the drives leave at the tool, also at flank height', nothing='none',
-    )  # fmt: skip
+        None,
+        kinds.LENGTH,
+        TOLERANCES,
+        PLANNING,
+        'largest error that the drives leave at the tool, also at flank height',
+        nothing='none',
+    )
     from_line: int = kinds.whole_number(
         0, (0, 10**12), START, 'line of the program at which the run starts, 0: at its top'
     )
     line_pass: int = kinds.whole_number(
-        0, (0, 10**12), START,
+        0,
+        (0, 10**12),
+        START,
         'which execution of that line, where loops or calls repeat it, 0: the only one',
         option='pass',
-    )  # fmt: skip
+    )
     retract: float = kinds.number(
-        25.0 * MM, kinds.LENGTH, (0.0, 1e3 * MM), APPROACH,
+        25.0 * MM,
+        kinds.LENGTH,
+        (0.0, 1e3 * MM),
+        APPROACH,
         'way along the tool on which the tool is drawn back and plunges',
-    )  # fmt: skip
+    )
     plunge_feed: float = kinds.number(
-        500.0 * MM_PER_MIN, kinds.FEED, FEEDS, APPROACH,
+        500.0 * MM_PER_MIN,
+        kinds.FEED,
+        FEEDS,
+        APPROACH,
         'feedrate of the plunge to a place inside the program',
-    )  # fmt: skip
+    )
     law: str = kinds.one_of(
-        ('optimal', 'vpop'), kinds.Stage.OFFLINE,
-        'how the motion law is found; vpop goes forward period by period', for_comparison=True,
-    )  # fmt: skip
+        ('optimal', 'vpop'),
+        kinds.Stage.OFFLINE,
+        'how the motion law is found; vpop goes forward period by period',
+        for_comparison=True,
+    )
 
     def __post_init__(self) -> None:
         for choice in kinds.choices(self):

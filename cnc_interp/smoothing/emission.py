@@ -56,13 +56,20 @@ class Emission:
         tool = spans.top[:, 0] - spans.bottom[:, 0]
         final = np.append(row[1:] != row[:-1], True)
         return PathSegments(
-            kind=np.full(n, kinds.SPLINE), bottom=spans.bottom, top=spans.top,
-            connection=empty_curves.connection, parametrization=empty_curves.parametrization,
-            axis=tool / norm(tool)[:, None], feed=spans.feed, block=spans.block,
-            line_number=spans.line_number, stop=final & (self.vertex[row + 1] == STOP),
-            deviation=spans.deviation, room=spans.room,
+            kind=np.full(n, kinds.SPLINE),
+            bottom=spans.bottom,
+            top=spans.top,
+            connection=empty_curves.connection,
+            parametrization=empty_curves.parametrization,
+            axis=tool / norm(tool)[:, None],
+            feed=spans.feed,
+            block=spans.block,
+            line_number=spans.line_number,
+            stop=final & (self.vertex[row + 1] == STOP),
+            deviation=spans.deviation,
+            room=spans.room,
             extra=np.repeat(self.rows.blocks.extra[row, None], kinds.POINTS, axis=1),
-        )  # fmt: skip
+        )
 
     def _lines(self, last: int) -> tuple[IntArray, PathSegments]:
         """Return lines between corners, and rotations; first the vertices before them."""
@@ -107,20 +114,33 @@ class Emission:
         self._put_axis_lines(start, end, bottom, axis, values, extra)
         return kept, PathSegments(
             kind=np.where(resting, kinds.ROTATION, kinds.LINE)[kept],
-            bottom=kinds.padded(bottom[kept]), top=kinds.padded(curves.top[kept]),
+            bottom=kinds.padded(bottom[kept]),
+            top=kinds.padded(curves.top[kept]),
             connection=curves.connection[kept],
-            parametrization=curves.parametrization[kept], axis=axis[kept],
-            rotation=(rotation * part[:, None])[kept], rotary=values[kept], length=length[kept],
-            feed=np.repeat(feed[kept, None], 2, axis=1), block=np.repeat(row[:, None], 2, axis=1),
-            line_number=blocks.line_number[kept + 1], stop=stop[1 : last + 1][kept],
-            deviation=rows.used[kept + 1], extra=extra[kept],
-            interpolation=blocks.interpolation[kept + 1], room=self._least_tolerance(kept),
-        )  # fmt: skip
+            parametrization=curves.parametrization[kept],
+            axis=axis[kept],
+            rotation=(rotation * part[:, None])[kept],
+            rotary=values[kept],
+            length=length[kept],
+            feed=np.repeat(feed[kept, None], 2, axis=1),
+            block=np.repeat(row[:, None], 2, axis=1),
+            line_number=blocks.line_number[kept + 1],
+            stop=stop[1 : last + 1][kept],
+            deviation=rows.used[kept + 1],
+            extra=extra[kept],
+            interpolation=blocks.interpolation[kept + 1],
+            room=self._least_tolerance(kept),
+        )
 
     def _put_axis_lines(
-        self, start: FloatArray, end: FloatArray, bottom: FloatArray, axis: FloatArray,
-        rotary: FloatArray, extra: FloatArray,
-    ) -> None:  # fmt: skip
+        self,
+        start: FloatArray,
+        end: FloatArray,
+        bottom: FloatArray,
+        axis: FloatArray,
+        rotary: FloatArray,
+        extra: FloatArray,
+    ) -> None:
         axes, geometry = self.legs.axes, self.machine.geometry
         if axes is None or geometry is None:
             return
@@ -147,16 +167,20 @@ class Emission:
         before, after = self._feed(own - 1, np.zeros(n)), self._feed(own, np.zeros(n))
         curves = self.style.empty_curves(n)
         return PathSegments(
-            kind=np.full(n, kinds.CORNER), bottom=points[..., POINT].copy(),
-            top=kinds.padded(curves.top), connection=curves.connection,
+            kind=np.full(n, kinds.CORNER),
+            bottom=points[..., POINT].copy(),
+            top=kinds.padded(curves.top),
+            connection=curves.connection,
             parametrization=np.zeros_like(curves.parametrization),
-            axis=geometry.tool_axis(points[:, 0, TURN]), rotary=points[..., TURN].copy(),
+            axis=geometry.tool_axis(points[:, 0, TURN]),
+            rotary=points[..., TURN].copy(),
             feed=np.stack([before, after], axis=1),
             block=np.stack([self.rows.row[own], self.rows.row[own + 1]], axis=1),
             line_number=blocks.line_number[own + 1],
-            deviation=deviation, extra=points[..., EXTRA].copy(),
+            deviation=deviation,
+            extra=points[..., EXTRA].copy(),
             interpolation=np.where(corners.in_axes, AXES_LINEAR, ROTARY_LINEAR),
-        ), own  # fmt: skip
+        ), own
 
     def _resting_way(self, rows: IntArray, swept: FloatArray) -> FloatArray:
         moved = self.legs.extra_step[rows]
@@ -232,8 +256,10 @@ class Emission:
             )
         zero = np.zeros(n)
         return PathSegments(
-            kind=np.full(n, kinds.CORNER), bottom=kinds.padded(curves.bottom),
-            top=kinds.padded(curves.top), connection=curves.connection,
+            kind=np.full(n, kinds.CORNER),
+            bottom=kinds.padded(curves.bottom),
+            top=kinds.padded(curves.top),
+            connection=curves.connection,
             parametrization=curves.parametrization,
             axis=(curves.top[:, 0] - curves.bottom[:, 0]) / self.style.height,
             feed=np.stack([self._feed(rows - 1, zero), self._feed(rows, zero)], axis=1),
@@ -242,4 +268,4 @@ class Emission:
             deviation=deviation + np.maximum(lines.used[rows], lines.used[rows + 1]),
             extra=self._extra_on_corners(rows, inner),
             room=np.maximum(self._orientation_tolerance(rows) - deviation[:, 1], 0.0),
-        )  # fmt: skip
+        )

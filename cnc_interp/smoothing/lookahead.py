@@ -30,9 +30,14 @@ ROUNDING = 1e-9
 
 class LookAhead:
     def __init__(
-        self, settings: Settings, machine: MachineTraits, choice: Choice | None = None,
-        row: int = 0, joined: bool = False, stops: list[int] | None = None,
-    ):  # fmt: skip
+        self,
+        settings: Settings,
+        machine: MachineTraits,
+        choice: Choice | None = None,
+        row: int = 0,
+        joined: bool = False,
+        stops: list[int] | None = None,
+    ):
         self._settings, self._machine = settings, machine
         self._style = Style.of(settings)
         self._ratio = settings.corner_ratio

@@ -67,9 +67,12 @@ def angles_between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def share_near_pole(
-    pole: FloatArray, axis: FloatArray, rotation: tuple[float, float, float], tolerance: float,
+    pole: FloatArray,
+    axis: FloatArray,
+    rotation: tuple[float, float, float],
+    tolerance: float,
     corner: bool,
-) -> float:  # fmt: skip
+) -> float:
     """Return what a corner or curve may use of the orientation tolerance beside a great circle."""
     sense = -1.0 if axis[0] * pole[0] + axis[1] * pole[1] + axis[2] * pole[2] < 0.0 else 1.0
     x, y, z = rotation

@@ -105,9 +105,10 @@ class Upright:
             return blocks
         sense = np.where(blocks.axis @ self._pole < 0.0, -1.0, 1.0)
         return replace(
-            blocks, axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
+            blocks,
+            axis=np.where(near[:, None], sense[:, None] * self._pole, blocks.axis),
             orientation_tolerance=blocks.orientation_tolerance - used,
-        )  # fmt: skip
+        )
 
 
 def _least(tolerance: FloatArray) -> FloatArray:
@@ -302,9 +303,13 @@ class PathSmoother:
         self._run = None
         pose = replace(run.last_row, top=np.full((1, 3), np.nan), knot_interval=np.full(1, np.nan))
         self._lookahead = LookAhead(
-            self._settings, self._machine, self._choice, self._row - 1, after is not None,
+            self._settings,
+            self._machine,
+            self._choice,
+            self._row - 1,
+            after is not None,
             self.stops,
-        )  # fmt: skip
+        )
         self._lookahead.push(pose)
         self._recent = pose
         return [rest]

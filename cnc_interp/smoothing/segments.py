@@ -141,9 +141,13 @@ def corner_breaks(parametrization: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def corner_jets(
-    bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
-    u: float, inside: float,
-) -> tuple[VectorJet, VectorJet]:  # fmt: skip
+    bottom: FloatArray,
+    top: FloatArray,
+    connection: FloatArray,
+    parametrization: FloatArray,
+    u: float,
+    inside: float,
+) -> tuple[VectorJet, VectorJet]:
     """Return the jets in u of tool tip [m] and unit tool axis on a CORNER [B2013, Eq. 5].
 
     ``parametrization`` (spans, 8) has the start of each span of f and seven Bezier values on it.

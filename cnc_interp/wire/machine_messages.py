@@ -19,9 +19,10 @@ from cnc_interp.wire.run_messages import NUMBERS
 
 def joint_state(feedback: Recording, machine: Machine, stamp: Any) -> JointState:
     message = JointState(
-        name=list(machine.axis_names), position=feedback.position[-1].tolist(),
+        name=list(machine.axis_names),
+        position=feedback.position[-1].tolist(),
         velocity=feedback.velocity[-1].tolist(),
-    )  # fmt: skip
+    )
     message.header.stamp = stamp
     message.header.frame_id = 'base_link'
     return message
@@ -45,8 +46,9 @@ def executed_setpoints(
             chunk = msg.SetpointChunk(**common, first_sample=playback.played)
             found.append((chunk, msg.AxisFeedback(**common, first_sample=playback.played)))
         chunk.functions = [
-            *chunk.functions, *(act_message(act, sample, signals) for _, act, sample in acts)
-        ]  # fmt: skip
+            *chunk.functions,
+            *(act_message(act, sample, signals) for _, act, sample in acts),
+        ]
     return found
 
 
@@ -56,11 +58,14 @@ def followed_spindle(playback: Playback) -> Iterator[msg.FollowedSpindle]:
     for (run_id, block), parts in groupby(found, lambda each: (each.run_id, each.block)):
         each = list(parts)
         yield msg.FollowedSpindle(
-            program_id=run_id.program_id, sequence=block, line_number=each[-1].line,
-            ramp=each[-1].ramp, later=each[-1].later,
+            program_id=run_id.program_id,
+            sequence=block,
+            line_number=each[-1].line,
+            ramp=each[-1].ramp,
+            later=each[-1].later,
             angles=np.concatenate([part.angle for part in each]).tolist(),
             positions=packed(np.concatenate([part.position for part in each])),
-        )  # fmt: skip
+        )
 
 
 def _executed_of_plan(
@@ -69,23 +74,36 @@ def _executed_of_plan(
     first = executed[0]
     samples = Setpoints.concatenate([stretch.rows for stretch in executed])
     common = {
-        **vars(first.run_id), 'first_sample': first.number, 'period': period,
+        **vars(first.run_id),
+        'first_sample': first.number,
+        'period': period,
         'axis_count': samples.position.shape[1],
-    }  # fmt: skip
+    }
     actual = np.concatenate([stretch.actual for stretch in executed])
     setpoints = msg.SetpointChunk(
-        **common, **setpoint_fields(samples), end_of_program=executed[-1].ends,
-    )  # fmt: skip
+        **common,
+        **setpoint_fields(samples),
+        end_of_program=executed[-1].ends,
+    )
     return setpoints, msg.AxisFeedback(**common, positions=packed(actual))
 
 
 #: Fields of ``MachineState`` with the names that ``RunState`` and ``Playback`` have for them.
 OF_RUN = (
-    'waits_for', 'reason', 'resting', 'may_resume', 'plan_over', 'start_wanted', 'completed',
-)  # fmt: skip
+    'waits_for',
+    'reason',
+    'resting',
+    'may_resume',
+    'plan_over',
+    'start_wanted',
+    'completed',
+)
 OF_PLAYBACK = (
-    'single_block', 'approach_samples', 'largest_contour_error', 'starvations',
-)  # fmt: skip
+    'single_block',
+    'approach_samples',
+    'largest_contour_error',
+    'starvations',
+)
 
 
 def machine_state(playback: Playback, period: float) -> msg.MachineState:
@@ -96,23 +114,36 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
     speed, angle = playback.turning
     message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
-        **{name: getattr(playback, name) for name in OF_PLAYBACK}, **vars(playback.run_id),
+        **{name: getattr(playback, name) for name in OF_PLAYBACK},
+        **vars(playback.run_id),
         functions=playback.switching.functions,
-        state=NUMBERS[run.state], interpolation_period=period, samples=playback.played,
-        sequence=last.block if last else 0, line_number=last.line if last else 0,
-        path_position=last.s if last else 0.0, resume_positions=playback.away.tolist(),
+        state=NUMBERS[run.state],
+        interpolation_period=period,
+        samples=playback.played,
+        sequence=last.block if last else 0,
+        line_number=last.line if last else 0,
+        path_position=last.s if last else 0.0,
+        resume_positions=playback.away.tolist(),
         positions=feedback.position[-1].tolist(),
-        commanded_positions=feedback.setpoint[-1].tolist(), tip=feedback.tip[-1],
-        axis=feedback.axis[-1], following_error=feedback.following_error[-1].tolist(),
+        commanded_positions=feedback.setpoint[-1].tolist(),
+        tip=feedback.tip[-1],
+        axis=feedback.axis[-1],
+        following_error=feedback.following_error[-1].tolist(),
         largest_following_error=playback.largest_following_error.tolist(),
-        contour_error=float(feedback.contour_error[-1]), velocity_use=axes.largest_use[0].tolist(),
-        acceleration_use=axes.largest_use[1].tolist(), jerk_use=axes.largest_use[2].tolist(),
-        feedrate=float(feedback.feedrate[-1]), recent_velocity_use=recent[0].tolist(),
-        recent_acceleration_use=recent[1].tolist(), recent_jerk_use=recent[2].tolist(),
+        contour_error=float(feedback.contour_error[-1]),
+        velocity_use=axes.largest_use[0].tolist(),
+        acceleration_use=axes.largest_use[1].tolist(),
+        jerk_use=axes.largest_use[2].tolist(),
+        feedrate=float(feedback.feedrate[-1]),
+        recent_velocity_use=recent[0].tolist(),
+        recent_acceleration_use=recent[1].tolist(),
+        recent_jerk_use=recent[2].tolist(),
         buffered_time=playback.buffer.count * period,
-        least_buffered_time=least * period if np.isfinite(least) else np.nan, spindle_speed=speed,
-        spindle_angle=angle, message=run.text,
-    )  # fmt: skip
+        least_buffered_time=least * period if np.isfinite(least) else np.nan,
+        spindle_speed=speed,
+        spindle_angle=angle,
+        message=run.text,
+    )
     message.header.frame_id = 'workpiece'
     return message
 
@@ -123,7 +154,9 @@ def signals_message(
     """Return outputs and inputs, without those that change all the time: numbers."""
     told = [k for k, signal in enumerate(signals.inputs) if not signal.is_number]
     return msg.MachineSignals(
-        outputs=[signal.name for signal in signals.wires], output_values=list(outputs),
+        outputs=[signal.name for signal in signals.wires],
+        output_values=list(outputs),
         output_is_number=[signal.is_number for signal in signals.wires],
-        inputs=[signals.inputs[k].name for k in told], input_values=[inputs[k] for k in told],
-    )  # fmt: skip
+        inputs=[signals.inputs[k].name for k in told],
+        input_values=[inputs[k] for k in told],
+    )

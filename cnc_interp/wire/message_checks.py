@@ -216,8 +216,13 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
         _check_rows(f'{name}: resume_positions', message.resume_positions, count)
     if message.state > MachineState.JOGGING or not message.interpolation_period > 0.0:
         raise StreamError(f'{name}: it tells no state of a machine that works')
-    for field in ('interpolation_period', 'feed_override', 'rapid_override', 'spindle_override',
-                  'path_position'):  # fmt: skip
+    for field in (
+        'interpolation_period',
+        'feed_override',
+        'rapid_override',
+        'spindle_override',
+        'path_position',
+    ):
         if not math.isfinite(getattr(message, field)):
             raise StreamError(f'{name}: {field} is not finite')
 

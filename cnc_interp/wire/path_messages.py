@@ -40,10 +40,16 @@ SPAN_DEGREE = 6
 FIELDS = {'extra': 'extra_axes'}  #: Columns of ``Blocks`` by another name.
 #: Columns of ``PathSegments`` that messages have alike, and those of two values: their fields.
 ALIKE = {
-    'kind': 'kind', 'axis': 'axis', 'rotation': 'rotation', 'interpolation': 'interpolation',
-    'length': 'length', 'feed': 'feedrate', 'room': 'orientation_room', 'stop': 'stop',
+    'kind': 'kind',
+    'axis': 'axis',
+    'rotation': 'rotation',
+    'interpolation': 'interpolation',
+    'length': 'length',
+    'feed': 'feedrate',
+    'room': 'orientation_room',
+    'stop': 'stop',
     'line_number': 'line_number',
-}  # fmt: skip
+}
 PAIRS = {
     'block': ('first_block', 'last_block'),
     'deviation': ('contour_deviation', 'orientation_deviation'),
@@ -61,12 +67,15 @@ def block_messages(
     columns['extra_axes'] = [packed(row) for row in blocks.extra]
     return [
         G1Block(
-            program_id=run_id.program_id, attempt=run_id.attempt, sequence=first_sequence + i,
-            flank_height=flank_height, end_of_program=end and i == len(blocks) - 1,
+            program_id=run_id.program_id,
+            attempt=run_id.attempt,
+            sequence=first_sequence + i,
+            flank_height=flank_height,
+            end_of_program=end and i == len(blocks) - 1,
             **{field: values[i] for field, values in columns.items()},
         )
         for i in range(len(blocks))
-    ]  # fmt: skip
+    ]
 
 
 def blocks_of(message: G1Block | G1BlockBatch) -> list[G1Block]:
@@ -99,12 +108,16 @@ def _segment_message(
 ) -> PathSegment:
     kind = int(segments.kind[i])
     message = PathSegment(
-        program_id=run_id.program_id, attempt=run_id.attempt, sequence=sequence,
-        bottom=_spline(segments.bottom[i], kind), flank_height=height,
-        rotary=segments.rotary[i].ravel(), extra_axes=packed(segments.extra[i]),
+        program_id=run_id.program_id,
+        attempt=run_id.attempt,
+        sequence=sequence,
+        bottom=_spline(segments.bottom[i], kind),
+        flank_height=height,
+        rotary=segments.rotary[i].ravel(),
+        extra_axes=packed(segments.extra[i]),
         end_of_program=end,
         **{field: getattr(segments, name)[i].tolist() for name, field in ALIKE.items()},
-    )  # fmt: skip
+    )
     for name, pair in PAIRS.items():
         for field, value in zip(pair, getattr(segments, name)[i].tolist(), strict=True):
             setattr(message, field, value)
@@ -167,16 +180,20 @@ def segments_from(messages: list[PathSegment]) -> PathSegments:
         for name, field in ALIKE.items()
     }
     columns |= {
-        name: np.array([[getattr(m, field) for field in pair] for m in messages],
-                       declared[name].kind)
+        name: np.array(
+            [[getattr(m, field) for field in pair] for m in messages], declared[name].kind
+        )
         for name, pair in PAIRS.items()
-    }  # fmt: skip
+    }
     return PathSegments(
-        bottom=bottom, top=top, connection=connection, parametrization=parametrization,
+        bottom=bottom,
+        top=top,
+        connection=connection,
+        parametrization=parametrization,
         rotary=np.array([m.rotary for m in messages]).reshape(n, POINTS, 2),
         extra=np.array([m.extra_axes for m in messages], dtype=float).reshape(n, POINTS, -1),
         **columns,
-    )  # fmt: skip
+    )
 
 
 def function_messages(functions: Functions, first: int, signals: Signals) -> list[Function]:
@@ -196,9 +213,14 @@ def _message(number: int, row: tuple[Any, ...], signals: Signals) -> Function:
     block, line, step, value, before_stop = row
     output = signals.outputs[signals.steps[step].output].name
     return Function(
-        number=number, sequence=block, line_number=line, step=step, output=output, value=value,
+        number=number,
+        sequence=block,
+        line_number=line,
+        step=step,
+        output=output,
+        value=value,
         before_stop=before_stop,
-    )  # fmt: skip
+    )
 
 
 def functions_from(messages: Sequence[Function]) -> Functions:
@@ -223,26 +245,40 @@ def check_functions(name: str, messages: Sequence[Function], signals: Signals) -
 
 #: Fields of ``SetpointChunk`` with a row for each setpoint, and their columns in ``Setpoints``.
 SETPOINT_FIELDS = {
-    'positions': 'position', 'velocities': 'velocity', 'accelerations': 'acceleration',
-    'jerks': 'jerk', 'path_positions': 's', 'sequences': 'block', 'line_numbers': 'line',
-}  # fmt: skip
+    'positions': 'position',
+    'velocities': 'velocity',
+    'accelerations': 'acceleration',
+    'jerks': 'jerk',
+    'path_positions': 's',
+    'sequences': 'block',
+    'line_numbers': 'line',
+}
 INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Those of integers, with their types.
 NO_SIGNALS = Signals()
 
 
 def chunk_message(
-    chunk: Chunk, run_id: RunId, first: int, period: float, joins: bool = False,
+    chunk: Chunk,
+    run_id: RunId,
+    first: int,
+    period: float,
+    joins: bool = False,
     signals: Signals = NO_SIGNALS,
-) -> SetpointChunk:  # fmt: skip
+) -> SetpointChunk:
     """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
     return SetpointChunk(
-        **vars(run_id), joins=joins, first_sample=first, period=period,
-        axis_count=samples.position.shape[1], wait=int(chunk.wait),
+        **vars(run_id),
+        joins=joins,
+        first_sample=first,
+        period=period,
+        axis_count=samples.position.shape[1],
+        wait=int(chunk.wait),
         end_of_program=chunk.wait is Wait.END,
         functions=function_messages(chunk.functions, chunk.first_function, signals),
-        **setpoint_fields(samples), **setpoint_fields(chunk.tail, 'tail_'),
-    )  # fmt: skip
+        **setpoint_fields(samples),
+        **setpoint_fields(chunk.tail, 'tail_'),
+    )
 
 
 def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:

@@ -33,9 +33,11 @@ def add_executed(result: RunProgram.Result, states: Sequence[msg.MachineState]) 
     result.least_buffered_time = min(state.least_buffered_time for state in states)
     result.contour_error = max(state.largest_contour_error for state in states)
     for told, name in (
-        ('following_error', 'largest_following_error'), ('velocity_use', 'velocity_use'),
-        ('acceleration_use', 'acceleration_use'), ('jerk_use', 'jerk_use'),
-    ):  # fmt: skip
+        ('following_error', 'largest_following_error'),
+        ('velocity_use', 'velocity_use'),
+        ('acceleration_use', 'acceleration_use'),
+        ('jerk_use', 'jerk_use'),
+    ):
         setattr(result, told, np.max([getattr(state, name) for state in states], axis=0).tolist())
 
 
@@ -46,9 +48,12 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
     driven = (state.samples - state.approach_samples) * period
     left = driven * (1.0 - share) / share if share > 0.0 else math.nan
     return RunProgram.Feedback(
-        sequence=state.sequence, line_number=state.line_number, progress=share,
-        remaining_time=left, elapsed_time=state.samples * period,
-    )  # fmt: skip
+        sequence=state.sequence,
+        line_number=state.line_number,
+        progress=share,
+        remaining_time=left,
+        elapsed_time=state.samples * period,
+    )
 
 
 def modal_state(modes: ActiveModes, program_id: str = '') -> msg.ModalState:
@@ -61,22 +66,36 @@ def run_id_of(message: Any) -> RunId:
 
 
 def setup_table(
-    setup: JobSetup, file: str, zero: Mapping[str, float], program_id: str, in_use: Iterable[str],
-    by: str, what: str,
-) -> msg.SetupTable:  # fmt: skip
+    setup: JobSetup,
+    file: str,
+    zero: Mapping[str, float],
+    program_id: str,
+    in_use: Iterable[str],
+    by: str,
+    what: str,
+) -> msg.SetupTable:
     """``zero``: that of the machine file; ``program_id``: the run that began with the setup."""
     tools = [
         msg.Tool(number=number, length=tool.length, radius=tool.radius, remark=tool.remark)
         for number, tool in sorted(setup.tools.items())
     ]
     return msg.SetupTable(
-        file=file, work_offsets=_offsets(setup.work_offsets), axes=list(zero),
-        zero=list(zero.values()), active=setup.offset, g92=_offset('G92', setup.g92),
-        g92_on=setup.g92_on, tools=tools, tool=setup.tool,
-        reference_points=_offsets(setup.reference_points), program_id=program_id,
-        in_use=sorted(in_use), changed_by=by, change=what,
+        file=file,
+        work_offsets=_offsets(setup.work_offsets),
+        axes=list(zero),
+        zero=list(zero.values()),
+        active=setup.offset,
+        g92=_offset('G92', setup.g92),
+        g92_on=setup.g92_on,
+        tools=tools,
+        tool=setup.tool,
+        reference_points=_offsets(setup.reference_points),
+        program_id=program_id,
+        in_use=sorted(in_use),
+        changed_by=by,
+        change=what,
         text=setup.text() if setup != JobSetup() else '',
-    )  # fmt: skip
+    )
 
 
 def _offsets(positions: Mapping[str, Position]) -> list[msg.Offset]:
@@ -89,9 +108,11 @@ def _offset(name: str, position: Position) -> msg.Offset:
 
 #: States of which the message has no number of their own; those of all others have their names.
 TOLD_AS = {
-    State.PAUSED: State.RUNNING, State.FILLING: State.RUNNING, State.STARVING: State.STARVED,
+    State.PAUSED: State.RUNNING,
+    State.FILLING: State.RUNNING,
+    State.STARVING: State.STARVED,
     State.AWAY: State.JOGGING,
-}  # fmt: skip
+}
 #: The number of each state in ``MachineState``.
 NUMBERS = {state: getattr(msg.MachineState, TOLD_AS.get(state, state).name) for state in State}
 
@@ -113,12 +134,15 @@ def machine_report(message: msg.MachineState) -> MachineReport:
     stamp = message.header.stamp
     same = ('plan_over', 'start_wanted', 'completed', 'path_position', 'message', 'functions')
     return MachineReport(
-        run_id=run_id_of(message), state=state_of(message),
-        stands=np.array(message.commanded_positions), time=stamp.sec + 1e-9 * stamp.nanosec,
-        must_home=tuple(message.must_home), away=len(message.resume_positions) > 0,
+        run_id=run_id_of(message),
+        state=state_of(message),
+        stands=np.array(message.commanded_positions),
+        time=stamp.sec + 1e-9 * stamp.nanosec,
+        must_home=tuple(message.must_home),
+        away=len(message.resume_positions) > 0,
         probed=message.reason == msg.MachineState.REASON_PROBE,
         **{name: getattr(message, name) for name in same},
-    )  # fmt: skip
+    )
 
 
 def pairs_of(settings: Settings) -> list[KeyValue]:

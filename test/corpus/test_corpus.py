@@ -92,10 +92,16 @@ def outcome(number, machine):
         names = Machine.load(machine).axis_names
         q = q / [DEG if name in 'ABC' else MM for name in names]
         return Outcome(
-            code, error, said(['check', str(plan)])[0] == FINE, summary['cycle_time'],
-            dict(zip(names, q[0])), dict(zip(names, q[-1])), dict(zip(names, np.ptp(q, axis=0))),
-            {int(n): dict(zip(names, q[line == n][-1])) for n in np.unique(line)}, tuple(tip),
-        )  # fmt: skip
+            code,
+            error,
+            said(['check', str(plan)])[0] == FINE,
+            summary['cycle_time'],
+            dict(zip(names, q[0])),
+            dict(zip(names, q[-1])),
+            dict(zip(names, np.ptp(q, axis=0))),
+            {int(n): dict(zip(names, q[line == n][-1])) for n in np.unique(line)},
+            tuple(tip),
+        )
 
 
 def near(axis):
@@ -117,9 +123,12 @@ def largest_memory(case, machine, folder):
     """Largest memory of the command as a process of its own [MB]; it may not take 6 GB."""
     words = [*arguments_of(case, machine, folder), '--out', str(folder)]
     done = subprocess.run(
-        [sys.executable, '-c', MEASURED, *words], check=True, capture_output=True, text=True,
+        [sys.executable, '-c', MEASURED, *words],
+        check=True,
+        capture_output=True,
+        text=True,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30)),
-    )  # fmt: skip
+    )
     return int(done.stdout.split()[-2]) / 1024
 
 

@@ -22,9 +22,16 @@ PATIENCE = 120.0  # [s]; a bound for slow and busy computers, not a timing
 IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
 #: Codes of keys of the keyboard that have no character, or are told by their code, too.
 CODES = {
-    'Enter': 13, 'Escape': 27, ' ': 32, 'ArrowLeft': 37, 'ArrowUp': 38, 'ArrowRight': 39,
-    'ArrowDown': 40, 'R': 82, 'F1': 112,
-}  # fmt: skip
+    'Enter': 13,
+    'Escape': 27,
+    ' ': 32,
+    'ArrowLeft': 37,
+    'ArrowUp': 38,
+    'ArrowRight': 39,
+    'ArrowDown': 40,
+    'R': 82,
+    'F1': 112,
+}
 #: Drawing in software takes half a core at the 20 frames a second of the view, and smooth edges
 #: take as long as all the rest of a frame.
 FEW_FRAMES = """
@@ -59,17 +66,26 @@ class Browser:
         profile = Path(self._folder.name)
         self.process = subprocess.Popen(
             [
-                PATH, '--headless=new', '--no-sandbox', '--disable-gpu-sandbox',
-                '--remote-debugging-port=0', f'--user-data-dir={profile}', '--no-first-run',
-                '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--hide-scrollbars',
-                '--disable-dev-shm-usage', '--disable-background-networking',
+                PATH,
+                '--headless=new',
+                '--no-sandbox',
+                '--disable-gpu-sandbox',
+                '--remote-debugging-port=0',
+                f'--user-data-dir={profile}',
+                '--no-first-run',
+                '--use-angle=swiftshader',
+                '--enable-unsafe-swiftshader',
+                '--hide-scrollbars',
+                '--disable-dev-shm-usage',
+                '--disable-background-networking',
                 '--disable-gpu-compositing',
-                '--disable-background-timer-throttling', '--disable-renderer-backgrounding',
+                '--disable-background-timer-throttling',
+                '--disable-renderer-backgrounding',
                 'about:blank',
             ],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
         marker = profile / 'DevToolsActivePort'
         deadline = time.monotonic() + PATIENCE
         while not (marker.exists() and marker.read_text().count('\n')):
@@ -120,15 +136,19 @@ class Tab:
     def size(self, width, height, mobile=False):
         self.send(
             'Emulation.setDeviceMetricsOverride',
-            width=width, height=height, deviceScaleFactor=1, mobile=mobile,
-        )  # fmt: skip
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=mobile,
+        )
 
     def go(self, url):
         self.send('Page.navigate', url=url)
 
     def run(self, script):
-        answer = self.send('Runtime.evaluate', expression=script, returnByValue=True,
-                           awaitPromise=True)  # fmt: skip
+        answer = self.send(
+            'Runtime.evaluate', expression=script, returnByValue=True, awaitPromise=True
+        )
         assert 'exceptionDetails' not in answer, answer
         return answer['result'].get('value')
 
@@ -173,10 +193,15 @@ class Tab:
         name = {'press': 'mousePressed', 'move': 'mouseMoved', 'release': 'mouseReleased'}[kind]
         down = self._button if kind == 'move' else 'left'
         self.send(
-            'Input.dispatchMouseEvent', type=name, x=x, y=y, button=down, pointerType=device,
+            'Input.dispatchMouseEvent',
+            type=name,
+            x=x,
+            y=y,
+            button=down,
+            pointerType=device,
             buttons=int(kind == 'press' or (down == 'left' and kind == 'move')),
             clickCount=int(kind != 'move'),
-        )  # fmt: skip
+        )
         self._button = {'press': 'left', 'release': 'none'}.get(kind, self._button)
 
     def click_with_mouse(self, name):

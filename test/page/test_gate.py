@@ -30,9 +30,11 @@ def answered(**headers):
 
     fields = {'host': '127.0.0.1:8650'} | {k.replace('_', '-'): v for k, v in headers.items()}
     scope = {
-        'type': 'http', 'method': 'POST', 'path': '/',
+        'type': 'http',
+        'method': 'POST',
+        'path': '/',
         'headers': [(name.encode(), value.encode()) for name, value in fields.items()],
-    }  # fmt: skip
+    }
     asyncio.run(Gate(page, '127.0.0.1', LONGEST)(scope, receive, send))
     return sent[0]['status'], bool(read)
 

@@ -47,7 +47,7 @@ from cnc_interp.page.readings import (
     history_text,
     progress_words,
     words_before_start,
-)  # fmt: skip
+)
 from cnc_interp.page.scene import FACES, INDISTINCT, SCALE, SIDES, UNSEEN, tube
 from cnc_interp.page.start_choice import WayAhead
 from cnc_interp.proof.plan_files import read_plan
@@ -89,9 +89,13 @@ def test_the_tube_lies_around_the_path_and_takes_its_colours():
     angle = np.linspace(0.0, 6.0, 60)
     points = np.c_[np.cos(angle), np.sin(angle), 0.2 * angle] * 50 * MM
     values = np.linspace(0.0, 2.0, len(points))
-    mesh = next(iter(trimesh.load(
-        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
-    ).geometry.values()))  # fmt: skip
+    mesh = next(
+        iter(
+            trimesh.load(
+                io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
+            ).geometry.values()
+        )
+    )
     vertices = mesh.vertices.reshape(len(points), SIDES, 3)
     assert np.linalg.norm(vertices - points[:, None], axis=2) == pytest.approx(0.5 * MM, abs=1e-8)
     along = np.gradient(points, axis=0)
@@ -107,9 +111,13 @@ def test_a_dense_path_is_drawn_with_what_can_be_seen():
     angle = np.linspace(0.0, 20.0, 20_000)
     points = np.c_[np.cos(angle), np.sin(angle), 0.02 * angle] * 50 * MM
     values = 1.0 + np.sin(3.0 * angle)
-    mesh = next(iter(trimesh.load(
-        io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
-    ).geometry.values()))  # fmt: skip
+    mesh = next(
+        iter(
+            trimesh.load(
+                io.BytesIO(tube(points, values, 2.0, 0.5 * MM)[0]), file_type='glb'
+            ).geometry.values()
+        )
+    )
     drawn = mesh.vertices.reshape(-1, SIDES, 3).mean(axis=1)
     colours = mesh.visual.vertex_attributes['color'][::SIDES, :3].astype(float)
     assert len(drawn) < len(points) / 20
@@ -135,9 +143,13 @@ def test_a_path_that_stands_still_is_a_mesh_too():
 
 def test_read_outs_are_in_the_words_of_the_shop():
     state = MachineState(
-        positions=[0.0123456, -0.5, 0.0, 0.25, -12.3456 * DEG], tip=[0.001, 0.002, -0.003],
-        axis=[0.0, 0.6, 0.8], line_number=12, samples=75500, interpolation_period=0.001,
-    )  # fmt: skip
+        positions=[0.0123456, -0.5, 0.0, 0.25, -12.3456 * DEG],
+        tip=[0.001, 0.002, -0.003],
+        axis=[0.0, 0.6, 0.8],
+        line_number=12,
+        samples=75500,
+        interpolation_period=0.001,
+    )
     words = axis_words(state, Machine.load('xyzac'), MILLIMETRES)
     assert [words[f'axis {x}'] for x in 'XYZ'] == ['12.346', '-500.000', '0.000']
     assert words['axis C'] == '-12.3456'
@@ -185,9 +197,7 @@ def test_the_preview_is_the_plan(planned):
         assert abs(place.time - time[k]) < 0.02
         end = 20 * MM if s[k] < 20 * MM else preview.length
         assert place.block_end == pytest.approx(end, abs=0.1 * MM)
-    left = progress_words(
-        MachineState(path_position=preview.length / 2), preview, 0.5
-    )['left']  # fmt: skip
+    left = progress_words(MachineState(path_position=preview.length / 2), preview, 0.5)['left']
     assert left == clock((preview.cycle_time - preview.at(preview.length / 2).time) / 0.5)
 
 
@@ -199,11 +209,16 @@ def test_long_paths_are_thinned_with_their_ends():
 @pytest.mark.parametrize(
     ('name', 'kept'),
     [
-        ('a.ngc', 'a.ngc'), ('Teil 7-ü (2).NC', 'Teil 7-ü (2).NC'), ('', 'program.ngc'),
-        ('..', 'program.ngc'), ('.plan', 'plan'), ('/etc/a.h', 'a.h'),
-        ('a\0\n\udcff.apt', 'a___.apt'), ('x' * 300 + '.apt', 56 * 'x' + '.apt'),
+        ('a.ngc', 'a.ngc'),
+        ('Teil 7-ü (2).NC', 'Teil 7-ü (2).NC'),
+        ('', 'program.ngc'),
+        ('..', 'program.ngc'),
+        ('.plan', 'plan'),
+        ('/etc/a.h', 'a.h'),
+        ('a\0\n\udcff.apt', 'a___.apt'),
+        ('x' * 300 + '.apt', 56 * 'x' + '.apt'),
     ],
-)  # fmt: skip
+)
 def test_a_program_is_kept_whatever_it_is_called(name, kept):
     planner = Planner()
     try:
@@ -285,9 +300,12 @@ def test_the_way_to_the_path_leads_from_the_machine_to_the_place():
     stands, place = np.array([0.0, 0.0, 0.2, 0.0, 0.0]), np.array([0.05, -0.07, 0.15, 0.3, 0.5])
     program = LoadedProgram(program_id='run', start_positions=place, start_notes=['at line 7'])
     state = MachineState(
-        program_id='run', reason=MachineState.REASON_APPROACH, resting=True, path_position=-0.1,
+        program_id='run',
+        reason=MachineState.REASON_APPROACH,
+        resting=True,
+        path_position=-0.1,
         commanded_positions=stands,
-    )  # fmt: skip
+    )
     ahead = WayAhead(transform)
     way = ahead.at(state, program)
     assert [name for name, _ in way.legs] == ['1 retract', '2 position', '3 plunge']
@@ -434,9 +452,12 @@ def test_charts_stand_while_the_machine_rests(monkeypatch):
     now = 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
     desk = SimpleNamespace(
-        history=deque(), switched={}, feeds=lambda state: (0.0, 0.0),
-        _peak=np.zeros((3, 1)), _moved=0.0,
-    )  # fmt: skip
+        history=deque(),
+        switched={},
+        feeds=lambda state: (0.0, 0.0),
+        _peak=np.zeros((3, 1)),
+        _moved=0.0,
+    )
     for speed in (*[0.1] * 5, *[0.0] * 50, 0.2):
         state = SimpleNamespace(single_block=False, feedrate=speed)
         for kind in KINDS:

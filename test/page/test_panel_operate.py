@@ -569,9 +569,15 @@ def test_lengths_in_inches_and_a_light_page_are_remembered(panel):
     ratios = np.array([25.4, 25.4, 1.0])
     for _ in range(2):
         tab.wait(lambda: tab.run('document.documentElement.className') == 'light')
-        tab.wait(lambda: np.abs(
-            [float(tab.text(name)) for name in ('axis Y', 'work Z', 'work A')]
-            - millimetres / ratios).max() < 1e-4)  # fmt: skip
+        tab.wait(
+            lambda: (
+                np.abs(
+                    [float(tab.text(name)) for name in ('axis Y', 'work Z', 'work A')]
+                    - millimetres / ratios
+                ).max()
+                < 1e-4
+            )
+        )
         tab.reload()
         tab.wait(lambda: tab.text('rights') == 'in charge')
     tab.click('show touch off')

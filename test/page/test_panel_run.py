@@ -28,9 +28,12 @@ def test_a_run_with_the_page_beside_it(tmp_path):
     command = [sys.executable, '-m', 'cnc_interp', 'run', str(program), '--panel', '--port', '0']
     run = subprocess.Popen(
         [*command, '--token-file', str(token_file)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean_environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=clean_environment(),
         preexec_fn=hear_ctrl_c,
-    )  # fmt: skip
+    )
     bound = threading.Timer(PATIENCE, run.kill)
     bound.start()
     try:

@@ -26,8 +26,11 @@ def served(request, tmp_path_factory):
     page = subprocess.Popen(
         [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--host', request.param]
         + ['--port', '0', '--token-file', tmp_path / 'token'],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=clean_environment(),
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=clean_environment(),
+    )
     line = page.stdout.readline()
     if not line and 'cannot be used' in (said := page.stderr.read()):
         pytest.skip(said)

@@ -205,7 +205,10 @@ def test_the_same_bits_in_another_process():
             digest.update(column.tobytes())
     unit = str(Path(__file__).parents[1] / 'unit')
     found = subprocess.run(
-        [sys.executable, '-c', DIGEST, unit], env={**os.environ, 'PYTHONHASHSEED': '1'},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, '-c', DIGEST, unit],
+        env={**os.environ, 'PYTHONHASHSEED': '1'},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert found.stdout.strip() == digest.hexdigest()

@@ -26,9 +26,26 @@ SETUP = (
 )
 #: Words that mutations put in.
 WORDS = (
-    b'\x00', b'nan', b'-1', b'1e999', b'*a', b'&a [', b'{', b']', b'null', b'"', b'\xff', b': ',
-    b'9' * 400, b'!!python/object:os.system', b'true', b'2001-99-99', b'[[[[[[[[', b'\n', b'0',
-)  # fmt: skip
+    b'\x00',
+    b'nan',
+    b'-1',
+    b'1e999',
+    b'*a',
+    b'&a [',
+    b'{',
+    b']',
+    b'null',
+    b'"',
+    b'\xff',
+    b': ',
+    b'9' * 400,
+    b'!!python/object:os.system',
+    b'true',
+    b'2001-99-99',
+    b'[[[[[[[[',
+    b'\n',
+    b'0',
+)
 
 
 def mutant(content, rng):
@@ -95,12 +112,27 @@ def test_mutated_plans(name, tmp_path):
 
 
 @pytest.mark.parametrize('kind', SMALL)
-@pytest.mark.parametrize('hostile', [
-    'a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a]\nlimits: [*b,*b,*b,*b]\n',
-    '[' * 50_000, '{"a":' * 3000, 'a: ' + '9' * 100_000, 'x' * (1 << 25), '\x00', '', '- 1', '7',
-    'limits: 5', 'rotary: [1, 2]\nlimits: {}', 'rotary: {primary: 4}\nlimits: {}',
-    'extra: 3\nlimits: {}', 'name: [1]\nlimits: {X: 1}', '{1: 2}', '? [a]\n: b',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    'hostile',
+    [
+        'a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a,*a]\nlimits: [*b,*b,*b,*b]\n',
+        '[' * 50_000,
+        '{"a":' * 3000,
+        'a: ' + '9' * 100_000,
+        'x' * (1 << 25),
+        '\x00',
+        '',
+        '- 1',
+        '7',
+        'limits: 5',
+        'rotary: [1, 2]\nlimits: {}',
+        'rotary: {primary: 4}\nlimits: {}',
+        'extra: 3\nlimits: {}',
+        'name: [1]\nlimits: {X: 1}',
+        '{1: 2}',
+        '? [a]\n: b',
+    ],
+)
 def test_hostile_small_files(kind, hostile, tmp_path):
     _, suffix, read = SMALL[kind]
     file = tmp_path / f'a{suffix}'

@@ -172,10 +172,16 @@ def planned_words(name, tcp):
         )
         for i in range(2)
     ]
-    text = '\n'.join([
-        'G21 G90 G94', *(['M428'] if tcp else []), f'G0 X0 Y0 Z0 {words[0]}',
-        f'G1 X8 Y5 {words[1]} F1500', 'X16 Y0', 'M30',
-    ])  # fmt: skip
+    text = '\n'.join(
+        [
+            'G21 G90 G94',
+            *(['M428'] if tcp else []),
+            f'G0 X0 Y0 Z0 {words[0]}',
+            f'G1 X8 Y5 {words[1]} F1500',
+            'X16 Y0',
+            'M30',
+        ]
+    )
     transform = Transform.of(machine)
     program = read_text(text, 't.ngc', transform, Settings())
     return machine, transform, rotary_words.files_of(plan_program(program, machine))
@@ -190,8 +196,10 @@ def other_branch(transform, q):
     tip, axis = transform.forward(q)
     rotary = []
     for pair, o in zip(q[:, 3:5], axis, strict=True):
-        far = max(transform.rotary_solutions(o),
-                  key=lambda found: np.abs(np.sin(0.5 * (found - pair))).max())  # fmt: skip
+        far = max(
+            transform.rotary_solutions(o),
+            key=lambda found: np.abs(np.sin(0.5 * (found - pair))).max(),
+        )
         rotary.append(far)
     other = q.copy()
     other[:, 3:5] = np.unwrap(rotary, axis=0)

@@ -334,14 +334,16 @@ def test_a_run_that_teaches_nothing_is_refused(recorded_now, tmp_path):
         (recorded_now, {}, 'record a run with --compensate MODEL'),
         (recorded_now, COMPENSATED, held_back),
         (
-            recorded_now, COMPENSATED | {'machine_node.machine': 'xyz'},
+            recorded_now,
+            COMPENSATED | {'machine_node.machine': 'xyz'},
             'was recorded on a machine with other axes than xyz',
         ),
         (
-            no_feedback, COMPENSATED,
+            no_feedback,
+            COMPENSATED,
             'feedback of setpoint 0 was not recorded; record the run again',
         ),
-    ):  # fmt: skip
+    ):
         with Bag(path) as bag:
             bag.parameters.update(parameters)
             with pytest.raises(InterpError) as refusal:

@@ -81,8 +81,10 @@ def test_metadata_that_stand_for_any_length(bag):
 def test_a_bomb_is_not_unpacked(bag):
     """A bag that says it is compressed as a file: 16 GB of zeros in half a megabyte."""
     metadata = (bag / 'metadata.yaml').read_text()
-    for old, new in (('compression_format: \'\'', 'compression_format: zstd'),
-                     ('compression_mode: \'\'', 'compression_mode: file')):  # fmt: skip
+    for old, new in (
+        ("compression_format: ''", 'compression_format: zstd'),
+        ("compression_mode: ''", 'compression_mode: file'),
+    ):
         metadata = metadata.replace(old, new).replace(old.replace("''", 'none'), new)
     metadata = metadata.replace('compression_mode: storage', 'compression_mode: file')
     assert 'compression_mode: file' in metadata

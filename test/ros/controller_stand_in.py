@@ -63,8 +63,11 @@ class StandIn:
         environment = os.environ | {'ROS_DOMAIN_ID': str(self._domain)}
         self._process = subprocess.Popen(
             [sys.executable, __file__, self.name, str(self._log)],
-            stdin=subprocess.PIPE, env=environment, text=True, start_new_session=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            env=environment,
+            text=True,
+            start_new_session=True,
+        )
         return self
 
     def tell(self, **order):

@@ -10,13 +10,17 @@ from cnc_interp.nodes import qos
 
 KINDS = ('dropped', 'duplicated', 'reordered', 'corrupted')
 STREAMS = {
-    'block_batches': G1BlockBatch, 'segments': PathSegmentBatch, 'setpoints': SetpointChunk,
+    'block_batches': G1BlockBatch,
+    'segments': PathSegmentBatch,
+    'setpoints': SetpointChunk,
     'blocks': G1Block,
-}  # fmt: skip
+}
 #: Each stream with its sender; what it sends goes through the relay.
 SENDERS = {
-    'block_batches': 'program_node', 'segments': 'lookahead_node', 'setpoints': 'feedrate_node',
-}  # fmt: skip
+    'block_batches': 'program_node',
+    'segments': 'lookahead_node',
+    'setpoints': 'feedrate_node',
+}
 SENT = 'sent/'
 
 #: ROS arguments of the nodes for which the relay stands in between.
@@ -53,9 +57,12 @@ class Relay:
             kind = STREAMS[stream]
             self._publishers[stream] = self._node.create_publisher(kind, stream, qos.STREAM)
             self._node.create_subscription(
-                kind, f'{SENT}{stream}', lambda data, name=stream: self._pass(name, data),
-                qos.STREAM, raw=True,
-            )  # fmt: skip
+                kind,
+                f'{SENT}{stream}',
+                lambda data, name=stream: self._pass(name, data),
+                qos.STREAM,
+                raw=True,
+            )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)

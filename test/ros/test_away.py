@@ -120,8 +120,10 @@ def test_jogged_away_twice_it_comes_back_and_the_bag_is_proven(bench, tmp_path):
     recorder.close()
     done = subprocess.run(
         [sys.executable, '-m', 'cnc_interp', 'check', str(tmp_path / 'bag'), '--json'],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads(done.stdout)['samples'] == len(s)
     assert 'beside program' in json.loads(done.stdout)['beside']

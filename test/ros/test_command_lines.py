@@ -160,8 +160,9 @@ class Client:
 
 def environment_of(domain):
     return os.environ | {
-        'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'
-    }  # fmt: skip
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }
 
 
 def done(line, domain):
@@ -169,9 +170,13 @@ def done(line, domain):
     words = shlex.split(line)
     if REAL:
         return subprocess.run(
-            words, env=environment_of(domain), check=True, capture_output=True, text=True,
+            words,
+            env=environment_of(domain),
+            check=True,
+            capture_output=True,
+            text=True,
             timeout=PATIENCE,
-        ).stdout  # fmt: skip
+        ).stdout
     client = Client(domain)
     try:
         return client.run(words)

@@ -61,9 +61,12 @@ def test_the_run_and_its_plan_have_one_verdict(tmp_path):
     verdicts = []
     for command in (['plan', *words, '--out', str(tmp_path / 'plan')], ['run', *words]):
         done = subprocess.run(
-            [sys.executable, '-m', 'cnc_interp', *command], capture_output=True, text=True,
-            stdin=subprocess.DEVNULL, check=False,
-        )  # fmt: skip
+            [sys.executable, '-m', 'cnc_interp', *command],
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
         assert done.returncode == FAILED, done.stderr
         assert 'WARNING: friction and backlash of the linear axes take up to' in done.stderr
         verdicts.append(re.findall(r'^(?:tool error|NOT proven).*', done.stdout, re.M))

@@ -33,7 +33,8 @@ signals:
 SIGNALS = signals(yaml.safe_load(HOMING), ['X'])
 SWITCH, MET = -37.0, -30.0  #: The switch, and the index after it, as X stands really [mm].
 #: A loop whose encoder, a spindle with an index in 10 mm, counts anew; its place is in x-true.
-LINUXCNC = """loadrt [EMCMOT]EMCMOT servo_period_nsec=1000000
+LINUXCNC = (
+    """loadrt [EMCMOT]EMCMOT servo_period_nsec=1000000
 loadrt lowpass names=y-axis,z-axis,a-axis,c-axis
 loadrt sum2 names=x-drive
 loadrt sim_spindle names=x-motor
@@ -59,13 +60,17 @@ setp x-drive.gain1 -500
 setp x-home.hyst 0
 setp x-motor.scale 0.1
 setp x-lead.gain 10
-""" + f'setp x-home.in1 {SWITCH}\n' + ''.join(
-    f"""addf {x}-axis servo-thread
+"""
+    + f'setp x-home.in1 {SWITCH}\n'
+    + ''.join(
+        f"""addf {x}-axis servo-thread
 net {x}-cmd joint.{k}.motor-pos-cmd => {x}-axis.in
 net {x}-fb {x}-axis.out => joint.{k}.motor-pos-fb
 setp {x}-axis.gain 0.5
-""" for k, x in enumerate('yzac', 1)
-)  # fmt: skip
+"""
+        for k, x in enumerate('yzac', 1)
+    )
+)
 
 
 @pytest.fixture

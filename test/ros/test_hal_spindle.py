@@ -105,8 +105,10 @@ def recorded_run(text, folder):
     words = ['run', str(program), '--machine', str(file), '--drives', f'hal,hal_depth={AHEAD}']
     done = subprocess.run(
         [sys.executable, '-m', 'cnc_interp', *words, '--record', str(bag), '--json'],
-        capture_output=True, text=True, timeout=280,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=280,
+    )
     assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
     return bag
 
@@ -117,8 +119,11 @@ def test_threads_and_a_tapped_hole_follow_the_encoder_at_the_pins(hal, tmp_path,
     z, turns = periods.commanded[:, 2], periods.more[:, 0]
     moved = np.flatnonzero(np.diff(z))
     assert not periods.empty[moved[0] : moved[-1]].any()
-    lines = [line for line in np.split(moved, np.flatnonzero(np.diff(moved) > 20) + 1)
-             if np.ptp(z[line]) > 14.9 and z[line[0]] > z[line[len(line) // 2]]]  # fmt: skip
+    lines = [
+        line
+        for line in np.split(moved, np.flatnonzero(np.diff(moved) > 20) + 1)
+        if np.ptp(z[line]) > 14.9 and z[line[0]] > z[line[len(line) // 2]]
+    ]
     assert len(lines) == 3
     phases = []
     for k, line in enumerate(lines):

@@ -21,11 +21,15 @@ IMPORT = b'import time:'
 @pytest.mark.parametrize(
     'module',
     [
-        'numpy.core.multiarray', 'numba', 'cnc_interp.commands.cli', 'rclpy',
-        'cnc_interp.client.session', 'cnc_interp.client.operator_client',
+        'numpy.core.multiarray',
+        'numba',
+        'cnc_interp.commands.cli',
+        'rclpy',
+        'cnc_interp.client.session',
+        'cnc_interp.client.operator_client',
         'cnc_interp.nodes.preload_nodes',
     ],
-)  # fmt: skip
+)
 @pytest.mark.thorough
 def test_ctrl_c_during_imports(module, words):
     if words[0] == 'plan' and ('rclpy' in module or 'client' in module or 'nodes' in module):
@@ -37,9 +41,13 @@ def test_ctrl_c_during_imports(module, words):
         python = [sys.executable, '-X', 'importtime']
         run = subprocess.Popen(
             [*python, '-m', 'cnc_interp', words[0], 'a.ngc', *words[1:]],
-            cwd=folder, env=os.environ | {'TMPDIR': str(folder / 'tmp')}, start_new_session=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c,
-        )  # fmt: skip
+            cwd=folder,
+            env=os.environ | {'TMPDIR': str(folder / 'tmp')},
+            start_new_session=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            preexec_fn=hear_ctrl_c,
+        )
         for line in run.stderr:
             if line.startswith(IMPORT) and line.split()[-1].decode() == module:
                 break
@@ -61,7 +69,9 @@ def press_before_python():
 
 def test_ctrl_c_before_python_is_up():
     done = subprocess.run(
-        [sys.executable, '-m', 'cnc_interp', 'check', 'none'], preexec_fn=press_before_python,
-        capture_output=True, timeout=PATIENCE,
-    )  # fmt: skip
+        [sys.executable, '-m', 'cnc_interp', 'check', 'none'],
+        preexec_fn=press_before_python,
+        capture_output=True,
+        timeout=PATIENCE,
+    )
     assert (done.returncode, done.stderr) == (130, b'cnc-interp: interrupted\n')

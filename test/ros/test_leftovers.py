@@ -72,8 +72,10 @@ def started(folder, text=LONG, *words):
     return subprocess.Popen(
         [sys.executable, '-m', 'cnc_interp', 'run', program, *words],
         env=plain | {'TMPDIR': str(folder / 'tmp')},
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def seen_until(run, done):

@@ -99,10 +99,13 @@ class Viewer:
         for k in range(0, len(q) - 1, CHUNK):
             self.executed.publish(
                 SetpointChunk(
-                    program_id=run, attempt=attempt, axis_count=5,
-                    positions=q[k : k + CHUNK].ravel(), sequences=[1] * CHUNK,
+                    program_id=run,
+                    attempt=attempt,
+                    axis_count=5,
+                    positions=q[k : k + CHUNK].ravel(),
+                    sequences=[1] * CHUNK,
                 )
-            )  # fmt: skip
+            )
             time.sleep(0.02)  # five times as fast as a machine reports; listeners may miss bursts
         return tips[CHUNK - 1 :: CHUNK]
 

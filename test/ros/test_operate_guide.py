@@ -28,9 +28,13 @@ CNC = [sys.executable, '-m', 'cnc_interp']
 def serve(panel, folder, touches_off):
     """Start the page, set the zero by its nodes where they may, end it by Ctrl-C."""
     page = subprocess.Popen(
-        [*CNC, *panel], cwd=folder, stdout=subprocess.PIPE, text=True, env=clean_environment(),
+        [*CNC, *panel],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=clean_environment(),
         preexec_fn=hear_ctrl_c,
-    )  # fmt: skip
+    )
     try:
         said = ''
         for line in page.stdout:
@@ -73,9 +77,13 @@ def test_a_page_whose_nodes_cannot_work_ends_with_their_last_words(tmp_path):
     setup = tmp_path / 'file' / 'setup.yaml'
     command = [sys.executable, '-m', 'cnc_interp', 'panel', '--port', '0', '--setup', setup]
     done = subprocess.run(
-        command, env=clean_environment(), capture_output=True, text=True, timeout=PATIENCE,
+        command,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN),
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     said = done.stderr.splitlines()[-1]
     assert said.startswith('cnc-interp: program_node ended: ') and str(setup) in said

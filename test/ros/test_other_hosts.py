@@ -120,9 +120,12 @@ def program(tmp_path):
 def started(host, words, **variables):
     """Run one of our commands on a host."""
     process = subprocess.Popen(
-        [*host.inside, sys.executable, '-m', *map(str, words)], env=environment(**variables),
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [*host.inside, sys.executable, '-m', *map(str, words)],
+        env=environment(**variables),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     try:
         yield process
     finally:
@@ -145,8 +148,12 @@ def attack(hosts, words, participants, **variables):
             time.sleep(0.1)
         found = subprocess.run(
             [*theirs.inside, sys.executable, str(STRANGER), OURS, str(DOMAIN)],
-            env=environment(), check=True, capture_output=True, text=True, timeout=PATIENCE,
-        )  # fmt: skip
+            env=environment(),
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
         for _, port, _ in ours.open_to_others('udp', 'udp6'):
             theirs.do('bash', '-c', f'echo hello >/dev/udp/{OURS}/{port}')
         time.sleep(1.0)  # a reader would have read it
@@ -181,9 +188,12 @@ def test_the_range_of_discovery_alone_does_not_keep_out_who_knows_the_address(
     plain.write_text('<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"/>')
     words = ['cnc_interp', 'run', program]
     found, _, unread = attack(
-        hosts, words, 5, ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
+        hosts,
+        words,
+        5,
+        ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST',
         FASTRTPS_DEFAULT_PROFILES_FILE=str(plain),
-    )  # fmt: skip
+    )
     assert not unread
     assert 'program_node' in found['nodes'] and found['texts'] == [TEXT]
 

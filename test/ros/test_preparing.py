@@ -92,10 +92,15 @@ def test_a_program_of_a_folder_is_read(folder, allowed):
 @pytest.mark.parametrize(
     'path',
     [
-        'secret', 'parts/../secret', 'parts/link.ngc', 'parts/../nosuch',
-        'parts_of_others/b.ngc', '/etc/passwd', '/dev/zero',
+        'secret',
+        'parts/../secret',
+        'parts/link.ngc',
+        'parts/../nosuch',
+        'parts_of_others/b.ngc',
+        '/etc/passwd',
+        '/dev/zero',
     ],
-)  # fmt: skip
+)
 def test_nothing_else_is_read_and_the_answer_does_not_tell_whether_it_exists(folder, path):
     """Whoever reached program_node could have it read any file, and quote its first line."""
     told = []

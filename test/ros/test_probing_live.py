@@ -63,13 +63,21 @@ def run(tmp_path_factory):
         program = folder / 'part.ngc'
         program.write_text(text)
         words = [
-            'run', str(program), '--machine', 'vmc', '--json', *words,
-            '--drives', f'simulated,probe_touches={part}',
-        ]  # fmt: skip
+            'run',
+            str(program),
+            '--machine',
+            'vmc',
+            '--json',
+            *words,
+            '--drives',
+            f'simulated,probe_touches={part}',
+        ]
         return subprocess.run(
-            [sys.executable, '-m', 'cnc_interp', *words], capture_output=True, text=True,
+            [sys.executable, '-m', 'cnc_interp', *words],
+            capture_output=True,
+            text=True,
             timeout=280,
-        )  # fmt: skip
+        )
 
     start.bag = bag
     return start
@@ -169,14 +177,28 @@ def test_rotary_axes_are_found_by_touching_a_ball(tmp_path):
     try:
         nodes.run(text='G0 X31 Y-19.5 Z28', mdi=True)
         words = [
-            '--ball', '25', '--tip', '3', '--feed', '1500', '--slow', '60',
-            '--primary', '-40', '40', '--secondary', '0', '90',
-        ]  # fmt: skip
+            '--ball',
+            '25',
+            '--tip',
+            '3',
+            '--feed',
+            '1500',
+            '--slow',
+            '60',
+            '--primary',
+            '-40',
+            '40',
+            '--secondary',
+            '0',
+            '90',
+        ]
         words += ['--domain', str(nodes.domain), '--namespace', nodes.namespace, '--out', str(out)]
         done = subprocess.Popen(
-            [sys.executable, '-m', 'cnc_interp', 'probe-rotary', *words], stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
+            [sys.executable, '-m', 'cnc_interp', 'probe-rotary', *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
         nodes.spin_until(lambda: done.poll() is not None, 250)
         assert done.returncode == 0, done.stdout.read()
     finally:

@@ -24,9 +24,12 @@ from cnc_interp.program import JobSetup
 
 Result = RunProgram.Result
 SERVICES = {
-    'read_setup': ReadSetup, 'set_offset': SetOffset, 'set_tool': SetTool, 'touch_off': TouchOff,
+    'read_setup': ReadSetup,
+    'set_offset': SetOffset,
+    'set_tool': SetTool,
+    'touch_off': TouchOff,
     'move_axes': MoveAxes,
-}  # fmt: skip
+}
 
 
 class Bench(NodesUnderTest):
@@ -100,8 +103,15 @@ def bench(tmp_path_factory):
 
 
 def test_touch_off_then_run_lands_where_it_must(bench):
-    bench.do('set_tool', number=3, fields=['length', 'radius', 'remark'], length=0.075,
-             radius=0.005, remark='ball', load=True)  # fmt: skip
+    bench.do(
+        'set_tool',
+        number=3,
+        fields=['length', 'radius', 'remark'],
+        length=0.075,
+        radius=0.005,
+        remark='ball',
+        load=True,
+    )
     bench.move(X=0.1, Y=-0.05, Z=0.3)
     told = bench.do('touch_off', offset='G55', axes=['X', 'Y', 'Z'], values=[0.002, 0.0, 0.01])
     assert told == 'G55: not set -> X 98 Y -50 Z 215'

@@ -77,6 +77,11 @@ def dirty(seed, most=160):
         duration[1:] = np.maximum(1e-4, way / rng.uniform(0.02, 0.05, n - 1))
         feed = np.where(np.isfinite(duration), np.nan, feed)
     return blocks_of(
-        tip, axis, tolerance=tolerance, feedrate=np.where(rapid, np.inf, feed),
-        duration=np.where(rapid, np.nan, duration), exact_stop=stop, rapid=rapid,
-    )  # fmt: skip
+        tip,
+        axis,
+        tolerance=tolerance,
+        feedrate=np.where(rapid, np.inf, feed),
+        duration=np.where(rapid, np.nan, duration),
+        exact_stop=stop,
+        rapid=rapid,
+    )

@@ -46,9 +46,10 @@ def turned_tip(a: Any, c: Any) -> Any:
     d = np.array([0.0, 0.15, 80.0]) * MM
     around = np.stack([d[0] * np.cos(c) - d[1] * np.sin(c), d[0] * np.sin(c) + d[1] * np.cos(c)])
     arm = np.stack([d[0] - around[0], d[1] - around[1], np.zeros_like(c)])
-    return np.stack([
-        arm[0], arm[1] * np.cos(a) - arm[2] * np.sin(a), arm[1] * np.sin(a) + arm[2] * np.cos(a)
-    ], axis=1)  # fmt: skip
+    return np.stack(
+        [arm[0], arm[1] * np.cos(a) - arm[2] * np.sin(a), arm[1] * np.sin(a) + arm[2] * np.cos(a)],
+        axis=1,
+    )
 
 
 def files(
@@ -63,19 +64,28 @@ def files(
     rows = len(tip)
     content: Files = {
         'setpoints': {
-            'time': np.arange(len(block)) * PERIOD, 'position': motion[0], 'velocity': motion[1],
-            'acceleration': motion[2], 'block': block,
+            'time': np.arange(len(block)) * PERIOD,
+            'position': motion[0],
+            'velocity': motion[1],
+            'acceleration': motion[2],
+            'block': block,
         },
         'blocks': {
-            'tip': tip, 'axis': axis, 'feed': np.full(rows, feed),
-            'line': 10 * np.arange(1, rows + 1), 'contour_tolerance': np.full(rows, 0.01 * MM),
-            'orientation_tolerance': np.full(rows, 0.01 * MM), 'rapid': np.zeros(rows, bool),
+            'tip': tip,
+            'axis': axis,
+            'feed': np.full(rows, feed),
+            'line': 10 * np.arange(1, rows + 1),
+            'contour_tolerance': np.full(rows, 0.01 * MM),
+            'orientation_tolerance': np.full(rows, 0.01 * MM),
+            'rapid': np.zeros(rows, bool),
         },
         'summary': {
-            'cycle_time': (len(block) - 1) * PERIOD, 'interpolation_period': PERIOD,
-            'flank_height': HEIGHT, 'machine': machine.name,
+            'cycle_time': (len(block) - 1) * PERIOD,
+            'interpolation_period': PERIOD,
+            'flank_height': HEIGHT,
+            'machine': machine.name,
         },
-    }  # fmt: skip
+    }
     lay_path(machine, content, feed)
     return content
 
@@ -108,10 +118,18 @@ def lay_path(machine: Machine, content: Files, feed: float) -> None:
             limit[at_side] = np.minimum(limit[at_side], reach)
     content['setpoints']['s'] = way
     content['path'] = {
-        's': s, 'tip': at[grid], 'axis': towards[grid], 'q': q, 'cell_left': left,
-        'cell_right': right, 'programmed_feed': np.full(len(grid), feed), 'feed_limit': limit,
-        'feed': speed[grid], 'block': block[grid], 'stop': stop,
-    }  # fmt: skip
+        's': s,
+        'tip': at[grid],
+        'axis': towards[grid],
+        'q': q,
+        'cell_left': left,
+        'cell_right': right,
+        'programmed_feed': np.full(len(grid), feed),
+        'feed_limit': limit,
+        'feed': speed[grid],
+        'block': block[grid],
+        'stop': stop,
+    }
 
 
 def write(directory: Path, content: Files) -> Path:

@@ -135,8 +135,9 @@ def test_dead_time_shifts_the_answer():
 
 
 def test_slip_and_mode_against_an_integrator():
-    drive = replace(DRIVE, static=130.0, stribeck_velocity=5 * MM, mode_frequency=35.0,
-                    mode_damping=0.06)  # fmt: skip
+    drive = replace(
+        DRIVE, static=130.0, stribeck_velocity=5 * MM, mode_frequency=35.0, mode_damping=0.06
+    )
     way, _, _ = stroke(20 * MM, 0.05, 1.0, 20.0)
     time, rate = np.arange(len(way)) * 1e-3, np.gradient(way, 1e-3)
     position, _ = run(one_axis(drive, LOAD), 1e-3, way)
@@ -149,8 +150,16 @@ def test_slip_and_mode_against_an_integrator():
         drag = level * np.tanh(v / 1e-7) + VISCOUS / MASS * v
         return [v, push - drag, w, omega**2 * (m - x) + 2 * zeta * omega * (v - w)]
 
-    exact = solve_ivp(slope, (0, time[-1]), [0.0] * 4, t_eval=time, method='Radau', rtol=1e-8,
-                      atol=1e-11, max_step=1e-3)  # fmt: skip
+    exact = solve_ivp(
+        slope,
+        (0, time[-1]),
+        [0.0] * 4,
+        t_eval=time,
+        method='Radau',
+        rtol=1e-8,
+        atol=1e-11,
+        max_step=1e-3,
+    )
     assert position == pytest.approx(exact.y[2], abs=0.2 * UM)
 
 
@@ -190,8 +199,10 @@ def test_cycle_and_simulation_of_real_drives_agree_to_the_last_bit(period):
     cycle = Cycle(period, endless, np.full(5, np.inf), 4, drives.step, drives.memory)
     cycle.place(q[0])
     zeros, ones = np.zeros_like(q), np.ones(len(q), dtype=int)
-    parts = [Setpoints(time[:n], q[:n], rate[:n], zeros[:n], zeros[:n], ones[:n], time[:n])
-             for n in (len(q), 0)]  # fmt: skip
+    parts = [
+        Setpoints(time[:n], q[:n], rate[:n], zeros[:n], zeros[:n], ones[:n], time[:n])
+        for n in (len(q), 0)
+    ]
     cycle.start(cycle.push(Chunk(*parts, Wait.PROGRAM_STOP)))
     for _ in q:
         cycle.step()

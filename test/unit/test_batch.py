@@ -273,8 +273,10 @@ def test_interrupted_and_started_again(programs, tmp_path):
         (programs / f'more {k}.ngc').write_text(LINE.format(f'{k}\nY{k + 1}\nX0'))
     out = tmp_path / 'out'
     words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out', str(out)]
-    script = f'import signal, os; signal.signal(2, signal.default_int_handler); ' \
-             f'os.execv({sys.executable!r}, {words!r})'  # fmt: skip
+    script = (
+        f'import signal, os; signal.signal(2, signal.default_int_handler); '
+        f'os.execv({sys.executable!r}, {words!r})'
+    )
     process = subprocess.Popen([sys.executable, '-c', script], stderr=subprocess.PIPE, text=True)
     results = out / 'results'
     while len(list(results.glob('[0-9a-f]*.json'))) < 3:
@@ -296,9 +298,11 @@ def test_nothing_runs_any_more_once_the_command_has_ended(programs, tmp_path):
     words = [sys.executable, '-m', 'cnc_interp', 'batch', str(programs), '--out']
     subprocess.run(
         [*words, str(tmp_path / 'out')],
-        env=os.environ | dict([mark.split('=')]), check=False,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        env=os.environ | dict([mark.split('=')]),
+        check=False,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
 
     def left():
         for environment in Path('/proc').glob('[0-9]*/environ'):

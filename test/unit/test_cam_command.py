@@ -27,21 +27,26 @@ thorough = pytest.mark.thorough
 EXAMPLES = Path(__file__).parents[2] / 'examples'
 
 SURFACE = {
-    'kind': 'bumps', 'size_mm': [16, 12], 'bumps_mm': [[0, 0, 0.5, 8]],
+    'kind': 'bumps',
+    'size_mm': [16, 12],
+    'bumps_mm': [[0, 0, 0.5, 8]],
     'placement': {'rotation_deg': [25, 0, 0]},
-}  # fmt: skip
+}
 
 
-TILTED = np.array([
-    [1.0, 0.0, 0.0],
-    [0.0, np.cos(25 * DEG), -np.sin(25 * DEG)],
-    [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
-])  # fmt: skip
+TILTED = np.array(
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, np.cos(25 * DEG), -np.sin(25 * DEG)],
+        [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
+    ]
+)
 MILL = Cutter(5 * MM, 1.5 * MM)
 NEEDLES = Needles.on(
-    Placed(Bumps((16 * MM, 12 * MM), [(0, 0, 0.5 * MM, 8 * MM)]), TILTED, np.zeros(3)), 0.3 * MM,
+    Placed(Bumps((16 * MM, 12 * MM), [(0, 0, 0.5 * MM, 8 * MM)]), TILTED, np.zeros(3)),
+    0.3 * MM,
     1 * MM,
-)  # fmt: skip
+)
 
 
 @pytest.fixture

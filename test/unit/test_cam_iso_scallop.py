@@ -55,9 +55,12 @@ def test_width_on_a_plane_is_that_of_the_offset_ellipse(tilt):
 
 @pytest.mark.parametrize(
     ('surface', 'normal', 'curvature'),
-    [(Cylinder(0.03, 0.8, 0.03), X, 1 / 0.03), (Torus(0, 0.05, 0.5, 0.4), Y, 1 / 0.05),
-     (Cylinder(0.2, 0.1, 0.03, hollow=True), X, -1 / 0.2)],
-)  # fmt: skip
+    [
+        (Cylinder(0.03, 0.8, 0.03), X, 1 / 0.03),
+        (Torus(0, 0.05, 0.5, 0.4), Y, 1 / 0.05),
+        (Cylinder(0.2, 0.1, 0.03, hollow=True), X, -1 / 0.2),
+    ],
+)
 def test_width_on_curved_surfaces_follows_the_curvatures(surface, normal, curvature):
     _, _, postures = one_pass(surface, 10 * DEG, normal)
     found = scallop_points(surface, postures, HEIGHT)
@@ -74,8 +77,12 @@ def test_frames_move_as_their_rates_say():
     s = np.linspace(0.0, curve.length, 60)
     here, ahead, behind = (curve.frames(s + ds) for ds in (0.0, 1e-6, -1e-6))
     np.testing.assert_allclose(here.position @ Y, curve.plane, atol=1e-11)
-    for name, rate in (('position', here.feed), ('normal', here.normal_rate),
-                       ('feed', here.feed_rate), ('across', here.across_rate)):  # fmt: skip
+    for name, rate in (
+        ('position', here.feed),
+        ('normal', here.normal_rate),
+        ('feed', here.feed_rate),
+        ('across', here.across_rate),
+    ):
         found = (getattr(ahead, name) - getattr(behind, name)) / 2e-6
         np.testing.assert_allclose(found, rate, atol=1e-5)
 
@@ -149,8 +156,10 @@ def test_all_passes_cover_the_surface_and_share_their_scallops():
     for a, b in zip(paths.passes[:-1], paths.passes[1:], strict=True):
         left = scallop_points(BUMPS, b.postures, HEIGHT, -1.0)
         inner = slice(4, -4)
-        there = [np.interp(left.position[inner, 0], a.right.position[::-1, 0], x[::-1])
-                 for x in a.right.position.T[1:]]  # fmt: skip
+        there = [
+            np.interp(left.position[inner, 0], a.right.position[::-1, 0], x[::-1])
+            for x in a.right.position.T[1:]
+        ]
         np.testing.assert_allclose(left.position[inner, 1], there[0], atol=20 * UM)
     assert all(gouge_depth(BUMPS, p.postures).max() < 1 * UM for p in paths.passes)
 
@@ -178,15 +187,22 @@ def test_largest_distance_keeps_the_tilt():
     [
         (Plane((0.03, 0.02)), MILL, {'stepover': 0.7 * MM}, 'too narrow .* larger plane distance'),
         (BUMPS, MILL, {'stepover': 6 * MM}, 'too wide .* smaller plane distance'),
-        (BUMPS, MILL, {'stepover': 5 * MM, 'start': 'tilt', 'stray': None},
-         r'pass 2, point \d+ at .* a plane distance of 5.000 mm does not fit'),
-        (Cylinder(0.02, 0.8, 0.03, hollow=True), Cutter(5 * MM, 3 * MM),
-         {'stepover': 1 * MM, 'start': 'tilt', 'stray': None, 'tilt_limits': (DEG, 80 * DEG)},
-         'take|enters'),
+        (
+            BUMPS,
+            MILL,
+            {'stepover': 5 * MM, 'start': 'tilt', 'stray': None},
+            r'pass 2, point \d+ at .* a plane distance of 5.000 mm does not fit',
+        ),
+        (
+            Cylinder(0.02, 0.8, 0.03, hollow=True),
+            Cutter(5 * MM, 3 * MM),
+            {'stepover': 1 * MM, 'start': 'tilt', 'stray': None, 'tilt_limits': (DEG, 80 * DEG)},
+            'take|enters',
+        ),
         (Cylinder(0.001, 0.5, 0.03, hollow=True), MILL, {}, 'smallest concave radius is 1 mm'),
         (Plane((0.03, 0.02)), Cutter(0.0, 5 * MM), {}, 'ball mill'),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_refused_with_place_and_remedy(surface, mill, options, says):
     with pytest.raises(SurfaceError, match=says):
         iso_scallop_paths(surface, mill, Y, IsoScallopOptions(**options))

@@ -181,8 +181,15 @@ def test_links_do_not_touch_the_surface_and_passes_keep_their_chords():
     tip, axis = sampled(curves[3], 1 * UM)
     finer_tip, finer_axis = curves[3].poses(np.linspace(*curves[3].ends, 4001))
     chord = np.linalg.norm(np.diff(tip, axis=0), axis=1)
-    at = np.clip(np.searchsorted(np.r_[0, np.cumsum(chord)], np.r_[0, np.cumsum(
-        np.linalg.norm(np.diff(finer_tip, axis=0), axis=1))]) - 1, 0, len(chord) - 1)  # fmt: skip
+    at = np.clip(
+        np.searchsorted(
+            np.r_[0, np.cumsum(chord)],
+            np.r_[0, np.cumsum(np.linalg.norm(np.diff(finer_tip, axis=0), axis=1))],
+        )
+        - 1,
+        0,
+        len(chord) - 1,
+    )
     pairs = [np.stack([x[at], x[at + 1]], axis=1) for x in (tip, tip + 10 * MM * axis)]
     error = chord_error(*pairs, finer_tip, finer_tip + 10 * MM * finer_axis)
     assert np.median(error) < 1 * UM and error.max() < 2 * UM

@@ -201,8 +201,9 @@ def test_trimmed_spline_face_is_the_part_within_its_boundary(tmp_path):
     found = read_surface(part.write(tmp_path / 'a.stp'))
     np.testing.assert_allclose(found.domain, [[-8, 8], [-5, 5]], atol=1e-9)
     u, v = found.grid(81, 101)
-    np.testing.assert_allclose(found.at(u, v).position / MM, np.stack([u, v, 0 * u], axis=-1),
-                               atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(
+        found.at(u, v).position / MM, np.stack([u, v, 0 * u], axis=-1), atol=1e-9
+    )
     edge = 0.8 * (8 - np.abs(u)) / 0.8 * 10 / 8 - 5 - v
     away = np.minimum(edge, np.hypot(u, v + 2) - 1)
     sure = np.abs(away) > 0.01
@@ -237,8 +238,9 @@ def test_straight_direction_of_degree_1_is_raised(tmp_path):
     u, v = found.grid(9, 9)
     line = BSplineSurface(
         (knots[0], np.array([0, 0, 0, 2, 2, 2.0])),
-        MM * np.stack([straight[:, 0], straight.mean(axis=1), straight[:, 1]], axis=1), (3, 2),
-    )  # fmt: skip
+        MM * np.stack([straight[:, 0], straight.mean(axis=1), straight[:, 1]], axis=1),
+        (3, 2),
+    )
     assert_same(found, line)
     middle = 0.5 * (found.at(u[:, :1], v[:, :1]).position + found.at(u[:, :1], v[:, -1:]).position)
     np.testing.assert_allclose(found.at(u, v).position[:, 4:5], middle, atol=1e-15)
@@ -288,12 +290,16 @@ def rounded_face(kind, u, v, sense):
             return rounded(np.array(a), np.array(0.0), 0.0, radius) + b * AXES[2]
         return rounded(np.array(a), np.array(b), ring, radius)
 
-    ends = [part.vertex(at(a, b)) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]),
-                                               (u[0], v[1]))]  # fmt: skip
+    ends = [
+        part.vertex(at(a, b)) for a, b in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1]))
+    ]
     edges = []
     for k, b in ((0, v[0]), (2, v[1])):
-        far, height = (radius, b) if kind == 'CYLINDRICAL' else (
-            ring + radius * np.cos(b), radius * np.sin(b))  # fmt: skip
+        far, height = (
+            (radius, b)
+            if kind == 'CYLINDRICAL'
+            else (ring + radius * np.cos(b), radius * np.sin(b))
+        )
         circle = part.frame(ORIGIN + height * AXES[2], AXES[2], AXES[1])
         # The second edge of each kind is written from its end, as where another face uses it.
         order = (ends[0], ends[1], 'T', 'T') if k == 0 else (ends[3], ends[2], 'T', 'F')
@@ -382,8 +388,7 @@ def test_spline_edges_run_with_or_against_their_curve(form, sense, highest, tmp_
         ends = '(PARAMETER_VALUE(0.)),(PARAMETER_VALUE(4.))'
         curve = part.add(f"TRIMMED_CURVE('',{curve},{ends},.T.,.PARAMETER.)")
     ends = [part.vertex(p) for p in ((0, 0, 0), (8, 0, 0), (4, -2, 0))]
-    edges = [part.edge(*ends[:2], curve, sense), part.line(*ends[1:]),
-             part.line(ends[2], ends[0])]  # fmt: skip
+    edges = [part.edge(*ends[:2], curve, sense), part.line(*ends[1:]), part.line(ends[2], ends[0])]
     part.face(part.add(f"PLANE('',{part.frame()})"), part.bound(*edges))
     found = read_surface(part.write(tmp_path / 'a.step'))
     np.testing.assert_allclose(found.domain, np.array([[0, 8], [-2, highest]]) * MM, atol=1e-15)
@@ -397,9 +402,11 @@ def border_about_z(part, low, high):
     ]
     below, above = (part.frame((0, 0, z)) for z in (0, 6))
     return part.bound(
-        part.circle(ends[0], ends[1], below, low), part.line(ends[1], ends[2]),
-        part.circle(ends[3], ends[2], above, high, 'T', 'F'), part.line(ends[3], ends[0]),
-    )  # fmt: skip
+        part.circle(ends[0], ends[1], below, low),
+        part.line(ends[1], ends[2]),
+        part.circle(ends[3], ends[2], above, high, 'T', 'F'),
+        part.line(ends[3], ends[0]),
+    )
 
 
 def cone(part):
@@ -499,7 +506,7 @@ def changed(old, new):
         (changed("#4=CARTESIAN_POINT('',", f"#4=CARTESIAN_POINT('',{'(' * 5000}"), 'is not a c'),
         (changed('EDGE_LOOP', 'VERTEX_LOOP'), 'VertexLoop: '),
     ],
-)  # fmt: skip
+)
 def test_wrong_files_get_one_line(change, says, tmp_path, capsys):
     knots, points, degree = wavy()
     part = Part()
@@ -524,8 +531,10 @@ def offset_plane(part):
 
 def whole_cylinder(part):
     end = part.vertex((5, 0, 0)), part.vertex((5, 0, 9))
-    circles = [part.circle(e, e, part.frame((0, 0, z)), 5.0, 'T', s)
-               for e, z, s in ((end[0], 0, 'T'), (end[1], 9, 'F'))]  # fmt: skip
+    circles = [
+        part.circle(e, e, part.frame((0, 0, z)), 5.0, 'T', s)
+        for e, z, s in ((end[0], 0, 'T'), (end[1], 9, 'F'))
+    ]
     loop = part.bound(circles[0], part.line(*end), circles[1], part.line(*end[::-1]))
     part.face(part.add(f"CYLINDRICAL_SURFACE('',{part.frame()},5.)"), loop)
 
@@ -625,10 +634,18 @@ def test_face_makes_the_program_of_the_same_surface_in_json(kinds, tmp_path, cap
     part = Part()
     part.face(part.spline(knots, points, degree), part.border(knots, points, degree), sense='F')
     files = {'step': part.write(tmp_path / 'a.step'), 'json': tmp_path / 'a.json'}
-    files['json'].write_text(json.dumps({
-        'kind': 'bspline', 'knots_u': knots[0].tolist(), 'knots_v': knots[1].tolist(),
-        'points_mm': points.tolist(), 'degree': degree, 'flip': True,
-    }))  # fmt: skip
+    files['json'].write_text(
+        json.dumps(
+            {
+                'kind': 'bspline',
+                'knots_u': knots[0].tolist(),
+                'knots_v': knots[1].tolist(),
+                'points_mm': points.tolist(),
+                'degree': degree,
+                'flip': True,
+            }
+        )
+    )
     options = ['--stepover', '4', '--json']
     assert_same(*map(read_surface, files.values()))
     for kind in kinds:

@@ -62,10 +62,14 @@ def test_derivatives_are_those_of_differences(name):
     u, v = random_parameters(surface)
     h, k = (2e-5 * (high - low) for low, high in surface.domain)
     s = surface.derivatives(u, v)
-    by_u = [(a - b) / (2 * h) for a, b in zip(
-        surface.derivatives(u + h, v), surface.derivatives(u - h, v), strict=True)]  # fmt: skip
-    by_v = [(a - b) / (2 * k) for a, b in zip(
-        surface.derivatives(u, v + k), surface.derivatives(u, v - k), strict=True)]  # fmt: skip
+    by_u = [
+        (a - b) / (2 * h)
+        for a, b in zip(surface.derivatives(u + h, v), surface.derivatives(u - h, v), strict=True)
+    ]
+    by_v = [
+        (a - b) / (2 * k)
+        for a, b in zip(surface.derivatives(u, v + k), surface.derivatives(u, v - k), strict=True)
+    ]
     second = max(np.abs(x).max() for x in s[3:]) + 1e-9
     np.testing.assert_allclose(by_u[0], s[1], atol=1e-8 * np.abs(s[1]).max())
     np.testing.assert_allclose(by_v[0], s[2], atol=1e-8 * np.abs(s[2]).max())
@@ -92,8 +96,10 @@ def test_foot_points_are_found(name):
     rng = np.random.default_rng(3)
     height = rng.uniform(-0.3, 1.5, len(u)) * MM
     away = point.position + height[:, None] * point.normal
-    near = [x + rng.uniform(-0.02, 0.02, len(x)) * (high - low)
-            for x, (low, high) in zip((u, v), surface.domain, strict=True)]  # fmt: skip
+    near = [
+        x + rng.uniform(-0.02, 0.02, len(x)) * (high - low)
+        for x, (low, high) in zip((u, v), surface.domain, strict=True)
+    ]
     found_u, found_v, found = surface.project(away, near[0], near[1])
     np.testing.assert_allclose(found, height, atol=1e-14)
     np.testing.assert_allclose(surface.at(found_u, found_v).position, point.position, atol=1e-12)
@@ -169,10 +175,15 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
     t = made.spline.t
     rows = (points / MM).tolist()
     first = read_part(write(tmp_path / 'g.json', kind='grid', points_mm=rows)).surfaces[1]
-    second = read_part(write(
-        tmp_path / 's.json', kind='bspline', knots_u=t[0].tolist(), knots_v=t[1].tolist(),
-        points_mm=(made.spline.c / MM).tolist(),
-    )).surfaces[1]  # fmt: skip
+    second = read_part(
+        write(
+            tmp_path / 's.json',
+            kind='bspline',
+            knots_u=t[0].tolist(),
+            knots_v=t[1].tolist(),
+            points_mm=(made.spline.c / MM).tolist(),
+        )
+    ).surfaces[1]
     u, v = random_parameters(made)
     for other in (first, second):
         np.testing.assert_allclose(other.at(u, v).position, made.at(u, v).position, atol=1e-15)
@@ -190,13 +201,17 @@ def test_files_of_splines_and_grids_give_the_same_surface(tmp_path):
         ({'kind': 'bumps', 'size_mm': [9, 9], 'bumps_mm': [[0, 0, 1, 0]]}, 'a positive width'),
         ({'kind': 'grid', 'points_mm': [[[0, 0, 0]] * 3] * 3}, 'at least 4 x 4 points'),
         (
-            {'kind': 'bspline', 'knots_u': [0, 1], 'knots_v': [0, 1],
-             'points_mm': [[[0, 0, 0]] * 4] * 4},
+            {
+                'kind': 'bspline',
+                'knots_u': [0, 1],
+                'knots_v': [0, 1],
+                'points_mm': [[[0, 0, 0]] * 4] * 4,
+            },
             '2 knots in u for 4 control points of degree 3; there must be 8',
         ),
         ({'kind': 'plane', 'size_mm': [9, 9], 'placement': [1]}, 'placement has rotation_deg'),
     ],
-)  # fmt: skip
+)
 def test_wrong_files_are_answered_with_file_and_key(contents, says, tmp_path):
     file = write(tmp_path / 'wrong.json', **contents)
     with pytest.raises(SurfaceError) as caught:

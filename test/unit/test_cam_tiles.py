@@ -25,11 +25,13 @@ from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core import DEG, MM, UM, InterpError
 
-TILTED = np.array([
-    [1.0, 0.0, 0.0],
-    [0.0, np.cos(25 * DEG), -np.sin(25 * DEG)],
-    [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
-])  # fmt: skip
+TILTED = np.array(
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, np.cos(25 * DEG), -np.sin(25 * DEG)],
+        [0.0, np.sin(25 * DEG), np.cos(25 * DEG)],
+    ]
+)
 SURFACE = Placed(Bumps((9 * MM, 8 * MM), [(0, 0, 0.4 * MM, 6 * MM)]), TILTED, np.zeros(3))
 MILL = Cutter(2 * MM, 1 * MM)
 
@@ -107,8 +109,11 @@ def test_figures_of_parts_are_those_of_the_whole():
     height[3, 4] = height[80, 2] = -0.9 * MM
     height[:5, 60:] = TOP
     whole = Figures.of(height)
-    parts = [Figures.of(height[i : i + 20, j : j + 33], i, j)
-             for i in range(0, 90, 20) for j in range(0, 70, 33)]  # fmt: skip
+    parts = [
+        Figures.of(height[i : i + 20, j : j + 33], i, j)
+        for i in range(0, 90, 20)
+        for j in range(0, 70, 33)
+    ]
     for order in (parts, parts[::-1]):
         assert sum(order, Figures()) == whole
     assert Figures.of_json(json.loads(json.dumps(whole.to_json()))) == whole
@@ -116,9 +121,16 @@ def test_figures_of_parts_are_those_of_the_whole():
     h = height[height < 0.999 * TOP]
     found = whole.statistics(deviations(height, whole.mean))
     away = h - h.mean()
-    expected = {'mean': h.mean(), 'Sa': np.abs(away).mean(), 'Sq': np.sqrt((away**2).mean()),
-                'lowest': h.min(), 'highest': h.max(), 'Sz': np.ptp(h),
-                'gouged': np.mean(h < -0.5 * UM), 'uncut': 1 - len(h) / height.size}  # fmt: skip
+    expected = {
+        'mean': h.mean(),
+        'Sa': np.abs(away).mean(),
+        'Sq': np.sqrt((away**2).mean()),
+        'lowest': h.min(),
+        'highest': h.max(),
+        'Sz': np.ptp(h),
+        'gouged': np.mean(h < -0.5 * UM),
+        'uncut': 1 - len(h) / height.size,
+    }
     assert found == pytest.approx(expected, rel=1e-11)
     assert sum(whole.classes.values()) == whole.cut == len(h)
     empty = Figures.of(np.full((4, 4), TOP))
@@ -242,9 +254,16 @@ def files(tmp_path):
     (tmp_path / 'surface.json').write_text(json.dumps(surface))
     (tmp_path / 'program.ngc').write_text(PROGRAM)
     return [
-        'cam', 'simulate', str(tmp_path / 'program.ngc'), '--surface',
-        str(tmp_path / 'surface.json'), '--spacing', '0.025', '--margin', '1',
-    ]  # fmt: skip
+        'cam',
+        'simulate',
+        str(tmp_path / 'program.ngc'),
+        '--surface',
+        str(tmp_path / 'surface.json'),
+        '--spacing',
+        '0.025',
+        '--margin',
+        '1',
+    ]
 
 
 @pytest.mark.thorough
@@ -319,10 +338,18 @@ def test_the_text_for_warp_cuts_the_same():
     for j in range(0, 99, 7):
         wp.tid = lambda j=j: j
         names['cut_needle'](
-            needle, sweep.first, sweep.middle, sweep.last, sweep.slack, sweep.rough,
-            np.flatnonzero(np.diff(sweep.batch, append=-1)) + 1, *sweep.search, MILL.tool_radius,
-            sweep.skin, height,
-        )  # fmt: skip
+            needle,
+            sweep.first,
+            sweep.middle,
+            sweep.last,
+            sweep.slack,
+            sweep.rough,
+            np.flatnonzero(np.diff(sweep.batch, append=-1)) + 1,
+            *sweep.search,
+            MILL.tool_radius,
+            sweep.skin,
+            height,
+        )
     assert np.array_equal(height[::7], cut_part(needles, sweep).ravel()[::7])
     assert doubles and (height[::7] < 0.2 * MM).any()
 

@@ -108,10 +108,17 @@ def chunk(q, rate, tail, tail_rate):
     zeros = np.zeros((len(q) + len(tail), 5))
     ones, times = np.ones(len(zeros), dtype=int), np.zeros(len(zeros))
     parts = [
-        Setpoints(times[: len(p)], p, v, zeros[: len(p)], zeros[: len(p)], ones[: len(p)],
-                  times[: len(p)])
+        Setpoints(
+            times[: len(p)],
+            p,
+            v,
+            zeros[: len(p)],
+            zeros[: len(p)],
+            ones[: len(p)],
+            times[: len(p)],
+        )
         for p, v in ((q, rate), (tail, tail_rate))
-    ]  # fmt: skip
+    ]
     return Chunk(*parts, Wait.PROGRAM_STOP)
 
 

@@ -83,9 +83,11 @@ def test_the_bound_is_above_what_is_measured_and_not_far():
     tip, axis = sampled(segments, 33)
     path = ProgrammedPath.of(blocks.tip, blocks.axis, blocks.rotary, HEIGHT)
     found = path.deviation(
-        tip.reshape(-1, 3), axis.reshape(-1, 3), np.repeat(segments.block[:, 0], 33),
+        tip.reshape(-1, 3),
+        axis.reshape(-1, 3),
+        np.repeat(segments.block[:, 0], 33),
         np.full(tip[..., 0].size, 10 * MM),
-    )  # fmt: skip
+    )
     measured = np.stack(
         [part.reshape(-1, 33).max(axis=1) for part in (found.contour, found.orientation)], axis=1
     )
@@ -103,9 +105,14 @@ def test_no_random_span_is_beyond_its_certificate():
     u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
     zero = np.zeros((2 * count - 1, 2))
     line = Polyline(
-        np.hstack([tip, axis]), u, np.arange(2 * count), zero, zero + scale * UM,
-        zero[:, 0].copy(), zero.astype(int),
-    )  # fmt: skip
+        np.hstack([tip, axis]),
+        u,
+        np.arange(2 * count),
+        zero,
+        zero + scale * UM,
+        zero[:, 0].copy(),
+        zero.astype(int),
+    )
     knots = np.sort(np.append(rng.uniform(0.0, u[-1], count - 1), [0.0, u[-1]]))
 
     def programmed(at):
@@ -165,8 +172,13 @@ def test_memory_does_not_grow_with_a_curve_that_never_ends():
 
 def test_a_sharp_turn_of_dense_blocks_keeps_its_corner():
     corner = np.array([20.0, 0, 0]) * MM
-    tips = np.vstack([[[0, 0, 0]], straight([0, 0, 0], corner, 50),
-                      straight(corner, corner + [14 * MM, 14 * MM, 0], 50)])  # fmt: skip
+    tips = np.vstack(
+        [
+            [[0, 0, 0]],
+            straight([0, 0, 0], corner, 50),
+            straight(corner, corner + [14 * MM, 14 * MM, 0], 50),
+        ]
+    )
     tips[:, 2] = 0.5 * UM * np.sin(np.arange(101))
     blocks = blocks_of(tips, [[0, 0.3, 1]] * 101, tolerance=TOLERANCE)
     segments = smooth(blocks)
@@ -189,9 +201,13 @@ def test_what_is_not_dense_stays_as_it_is():
     tips[300:] += [30 * MM, 0, 0]
     stop, rapid = np.arange(400) == 100, np.arange(400) == 150
     blocks = blocks_of(
-        tips, np.column_stack([np.sin(lean), np.zeros(400), np.cos(lean)]), tolerance=TOLERANCE,
-        exact_stop=stop, rapid=rapid, feedrate=np.where(rapid, np.inf, FEED),
-    )  # fmt: skip
+        tips,
+        np.column_stack([np.sin(lean), np.zeros(400), np.cos(lean)]),
+        tolerance=TOLERANCE,
+        exact_stop=stop,
+        rapid=rapid,
+        feedrate=np.where(rapid, np.inf, FEED),
+    )
     segments = smooth(blocks)
     sound(segments, blocks)
     kind_of = {row: set(segments.kind[segments.block[:, 1] == row]) for row in (150, 200, 300)}

@@ -13,9 +13,13 @@ from cnc_interp.settings.options import Settings
 
 FIVE_AXES = ['xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzacw']
 SETUP = JobSetup(
-    tools={1: Tool(0.0, 5 * MM, 'ball', 5 * MM), 2: Tool(0.0, 5 * MM, 'fillet', 1 * MM),
-           3: Tool(0.0, 5 * MM, 'end', 0.0), 4: Tool(0.0, 5 * MM)}
-)  # fmt: skip
+    tools={
+        1: Tool(0.0, 5 * MM, 'ball', 5 * MM),
+        2: Tool(0.0, 5 * MM, 'fillet', 1 * MM),
+        3: Tool(0.0, 5 * MM, 'end', 0.0),
+        4: Tool(0.0, 5 * MM),
+    }
+)
 CUTTERS = {1: (0.0, 5.0), 2: (4.0, 1.0), 3: (5.0, 0.0)}
 
 
@@ -48,10 +52,11 @@ def on_sphere(radius=20.0, rows=7):
 def test_the_cutter_touches_a_sphere_at_each_point(name, tool):
     first, second = Machine.load(name).axis_names[3:5]
     lines = [
-        'G1 ' + ' '.join(f'{w}{v:.12f}' for w, v in zip('XYZIJK', [*c, *n], strict=True))
+        'G1 '
+        + ' '.join(f'{w}{v:.12f}' for w, v in zip('XYZIJK', [*c, *n], strict=True))
         + f' {first}{a:.9f} {second}{t:.9f}'
         for c, n, (a, t) in on_sphere()
-    ]  # fmt: skip
+    ]
     blocks = read(f'G41.2 D{tool}\n' + '\n'.join(lines) + '\nG40\nG0 X0 Y0 Z60\n', name)
     ring, corner = CUTTERS[tool]
     ends = np.flatnonzero(np.diff(blocks.line_number, append=0))
@@ -127,8 +132,9 @@ def test_a_hollow_surface_that_the_tool_does_not_fit_is_refused_with_its_line():
         rows = []
         for angle in np.radians(np.arange(-60, 61, 10)):
             place = radius * np.sin(angle), -radius * np.cos(angle)
-            rows.append(f'G1 X{place[0]:.9f} Z{place[1]:.9f} I{-np.sin(angle):.9f} '
-                        f'K{np.cos(angle):.9f}')  # fmt: skip
+            rows.append(
+                f'G1 X{place[0]:.9f} Z{place[1]:.9f} I{-np.sin(angle):.9f} K{np.cos(angle):.9f}'
+            )
         return 'G41.2 D1\n' + '\n'.join(rows)
 
     tips = read(groove(6)).tip[-13:] / MM

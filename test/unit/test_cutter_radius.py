@@ -154,8 +154,9 @@ def test_the_other_planes_and_tilted_planes_have_their_own_left():
     text = 'G0 X-20 Y-20 Z0\nG41 D2\nG1 X0 Y0 F900\nX10\nY-10\nX0\nG40 G1 X-20'
     blocks = read(plane + text, AC).blocks
     c, s = np.cos([30 * DEG, 20 * DEG]), np.sin([30 * DEG, 20 * DEG])
-    turn = np.array([[c[0], -s[0] * c[1], s[0] * s[1]], [s[0], c[0] * c[1], -c[0] * s[1]],
-                     [0.0, s[1], c[1]]])  # fmt: skip
+    turn = np.array(
+        [[c[0], -s[0] * c[1], s[0] * s[1]], [s[0], c[0] * c[1], -c[0] * s[1]], [0.0, s[1], c[1]]]
+    )
     there = (blocks.tip[blocks.line_number >= 4] / MM - [10, 20, 30]) @ turn
     np.testing.assert_allclose(there, flat, atol=1e-9)
 

@@ -36,7 +36,10 @@ def test_files_of_a_worker_that_died_are_run_by_the_next(dies, tmp_path):
     shutil.copy(TESTS / 'conftest.py', tmp_path / 'test')
     done = subprocess.run(
         [sys.executable, '-m', 'pytest', '-q', '-n', '3', '-p', 'no:cacheprovider', 'test'],
-        cwd=tmp_path, capture_output=True, text=True, timeout=280,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=280,
         env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)},
-    )  # fmt: skip
+    )
     assert '1 failed, 18 passed' in done.stdout, done.stdout[-2000:] + done.stderr[-2000:]

@@ -124,9 +124,15 @@ def spoiled(path: AxisPath, what: str, cell: int) -> AxisPath:
     else:
         s[cell + 1] = s[cell]
     return AxisPath(
-        s, left, path.cell_right.copy(), path.tip.copy(), path.axis.copy(), feed,
-        path.cell_block.copy() + 7, path.stop.copy(),
-    )  # fmt: skip
+        s,
+        left,
+        path.cell_right.copy(),
+        path.tip.copy(),
+        path.axis.copy(),
+        feed,
+        path.cell_block.copy() + 7,
+        path.stop.copy(),
+    )
 
 
 @pytest.mark.parametrize('what', ['jet', 'feed', 'length'])
@@ -197,9 +203,13 @@ def test_a_window_that_does_not_converge_is_divided_by_a_rest(monkeypatch):
         if len(path.s) <= 20:
             return law
         return replace(
-            law, v=law.v / 3, a=law.a / 9, jerk=law.jerk / 27, duration=3 * law.duration,
+            law,
+            v=law.v / 3,
+            a=law.a / 9,
+            jerk=law.jerk / 27,
+            duration=3 * law.duration,
             converged=False,
-        )  # fmt: skip
+        )
 
     path = polyline_path(CORNER, 0.05)
     best = plan_path(path, XYZAC)

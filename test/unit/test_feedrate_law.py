@@ -110,9 +110,15 @@ def test_axes_that_move_far_in_nanometres_meet_from_cell_to_cell():
     jet = jet[..., None]
     steady = np.tile([[0.0, 0.0, 1.0]], (9, 1))
     path = AxisPath(
-        s, jet[:, :-1].copy(), jet[:, 1:].copy(), 0.0 * steady, steady,
-        np.ones(8), np.zeros(8, np.int64), np.zeros(9, bool),
-    )  # fmt: skip
+        s,
+        jet[:, :-1].copy(),
+        jet[:, 1:].copy(),
+        0.0 * steady,
+        steady,
+        np.ones(8),
+        np.zeros(8, np.int64),
+        np.zeros(9, bool),
+    )
     just_before = evaluate(path, s[1:] - 1e-9 * h, np.arange(8))[0]
     assert np.abs(just_before - jet[0, 1:]).max() < 3e-12
 

@@ -129,9 +129,15 @@ def test_axes_that_never_move_and_rotary_only_moves():
     left[:, :, 4], right[:, :, 4] = left[:, :, 0] / 0.03, right[:, :, 0] / 0.03
     left[:, :, 0] = right[:, :, 0] = 0.0
     turn = AxisPath(
-        path.s.copy(), left, right, path.tip.copy(), path.axis.copy(),
-        np.full(len(path.s) - 1, np.inf), path.cell_block.copy(), path.stop.copy(),
-    )  # fmt: skip
+        path.s.copy(),
+        left,
+        right,
+        path.tip.copy(),
+        path.axis.copy(),
+        np.full(len(path.s) - 1, np.inf),
+        path.cell_block.copy(),
+        path.stop.copy(),
+    )
     piece = plan_path(turn, XYZAC)
     assert_within_limits(piece, XYZAC)
     assert sampled_ratios(piece.path, piece.law, XYZAC)[2, 4] > 0.9
@@ -166,12 +172,14 @@ def test_some_limit_is_always_at_work():
     law, path = piece.law, piece.path
     jets = path.cell_left[:, law.cell]
     v, a, j = law.s_dot[:, None], law.s_ddot[:, None], law.jerk[:, None]
-    use = np.column_stack([
-        np.abs(jets[1] * v) / XYZAC.max_velocity,
-        np.abs(jets[2] * v**2 + jets[1] * a) / XYZAC.max_acceleration,
-        np.abs(jets[3] * v**3 + 3 * jets[2] * v * a + jets[1] * j) / XYZAC.max_jerk,
-        law.s_dot / path.cell_feed,
-    ])  # fmt: skip
+    use = np.column_stack(
+        [
+            np.abs(jets[1] * v) / XYZAC.max_velocity,
+            np.abs(jets[2] * v**2 + jets[1] * a) / XYZAC.max_acceleration,
+            np.abs(jets[3] * v**3 + 3 * jets[2] * v * a + jets[1] * j) / XYZAC.max_jerk,
+            law.s_dot / path.cell_feed,
+        ]
+    )
     busy = np.max(use, axis=1) > 0.95
     assert np.sum(law.duration[busy]) > 0.9 * law.end_time
 

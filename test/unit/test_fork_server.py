@@ -44,7 +44,10 @@ def test_a_signal_that_comes_too_early_counts_later(tmp_path):
     script = tmp_path / 'parent.py'
     script.write_text(PARENT)
     told = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, timeout=120,
+        [sys.executable, script],
+        capture_output=True,
+        text=True,
+        timeout=120,
         env=os.environ | {'PYTHONPATH': str(Path.cwd())},
-    )  # fmt: skip
+    )
     assert told.stdout.split() == ['SIGINT', 'forked', str(-signal.SIGTERM)], told

@@ -50,20 +50,31 @@ def functions_of(
     found = stream.functions
     assert (found.block <= len(lines)).all()
     told = zip(found.block, found.step, found.value, strict=True)
-    return [(int(b), machine.signals.text(machine.signals.steps[k].output, v))
-            for b, k, v in told], stream  # fmt: skip
+    return [
+        (int(b), machine.signals.text(machine.signals.steps[k].output, v)) for b, k, v in told
+    ], stream
 
 
 def test_functions_act_before_or_after_the_motion_of_their_block() -> None:
     found, stream = functions_of(PROGRAM)
     outputs = [(block, text) for block, text in found if 'tool' not in text]
     assert outputs[2:] == [
-        (0, 'spindle_speed 8000 rev/min'), (0, 'spindle_reverse off'), (0, 'spindle_forward on'),
-        (1, 'coolant_flood on'), (2, 'spindle_speed 9000 rev/min'), (3, 'coolant_mist off'),
-        (3, 'coolant_flood off'), (4, 'spindle_forward off'), (4, 'spindle_reverse off'),
-        (4, 'spindle_reverse off'), (4, 'spindle_forward on'), *[(6, f'{name} off') for name in (
-            'spindle_forward', 'spindle_reverse', 'coolant_mist', 'coolant_flood')],
-    ]  # fmt: skip
+        (0, 'spindle_speed 8000 rev/min'),
+        (0, 'spindle_reverse off'),
+        (0, 'spindle_forward on'),
+        (1, 'coolant_flood on'),
+        (2, 'spindle_speed 9000 rev/min'),
+        (3, 'coolant_mist off'),
+        (3, 'coolant_flood off'),
+        (4, 'spindle_forward off'),
+        (4, 'spindle_reverse off'),
+        (4, 'spindle_reverse off'),
+        (4, 'spindle_forward on'),
+        *[
+            (6, f'{name} off')
+            for name in ('spindle_forward', 'spindle_reverse', 'coolant_mist', 'coolant_flood')
+        ],
+    ]
     # M5 acts before M0 waits, M3 after it.
     at_stop = stream.functions.before_stop[stream.functions.block == 4]
     assert at_stop.tolist() == [True, True, False, False]
@@ -83,7 +94,7 @@ def test_a_machine_without_outputs_keeps_its_notices() -> None:
         ('G1 X10 Y5\nM8', 3),
         ('G41.1 D2\nM8\nX10 Y20\nG40', 2),
     ],
-)  # fmt: skip
+)
 def test_a_function_stays_between_its_motions(between: str, block: int) -> None:
     found, _ = functions_of(f'G0 X0 Y0 Z0\nG1 X10 F1000\n{between}\nX20 Y20\nM2')
     assert (block, 'coolant_flood on') in found
@@ -131,11 +142,18 @@ def test_a_speed_that_was_changed_later_is_set_before_the_spindle_starts() -> No
 @pytest.mark.parametrize(
     ('name', 'word', 'seconds'),
     [
-        ('p.ngc', 'P0.5', 0.5), ('p.ngc', 'P2', 2.0), ('p.nc', 'X1.5', 1.5), ('p.nc', 'P2.5', 2.5),
-        ('p.nc', 'P500', 0.0), ('fanuc.nc', 'P500', 0.5), ('fanuc.nc', 'U2.', 2.0),
-        ('p.mpf', 'F3', 3.0), ('p.mpf', 'S30', 2.0), ('p.nc', '', 0.0),
+        ('p.ngc', 'P0.5', 0.5),
+        ('p.ngc', 'P2', 2.0),
+        ('p.nc', 'X1.5', 1.5),
+        ('p.nc', 'P2.5', 2.5),
+        ('p.nc', 'P500', 0.0),
+        ('fanuc.nc', 'P500', 0.5),
+        ('fanuc.nc', 'U2.', 2.0),
+        ('p.mpf', 'F3', 3.0),
+        ('p.mpf', 'S30', 2.0),
+        ('p.nc', '', 0.0),
     ],
-)  # fmt: skip
+)
 def test_a_dwell_is_a_function_of_its_time(name: str, word: str, seconds: float) -> None:
     dialect = 'fanuc' if name.startswith('fanuc') else None
     text = f'S900 M3\nG0 X0 Y0 Z0\nG1 X5 F1000\nG4 {word}\nX9\nM2'
@@ -158,26 +176,32 @@ def test_a_dwell_is_a_function_of_its_time(name: str, word: str, seconds: float)
 @pytest.mark.parametrize(
     ('name', 'cycle', 'seconds'),
     [
-        ('p.ngc', 'G98 G82 X5 Z-2 R1 P0.5 F900', 0.5), ('p.ngc', 'G98 G81 X5 Z-2 R1 F900', 0.0),
+        ('p.ngc', 'G98 G82 X5 Z-2 R1 P0.5 F900', 0.5),
+        ('p.ngc', 'G98 G81 X5 Z-2 R1 F900', 0.0),
         ('fanuc.nc', 'O1234\nG0\nG89 X5 Z-2 R1 P500 F900', 0.5),
-        ('p.nc', 'G82 X5 Z-2 R1 P500 F900', None), ('p.nc', 'G82 X5 Z-2 R1 P1.5 F900', 1.5),
+        ('p.nc', 'G82 X5 Z-2 R1 P500 F900', None),
+        ('p.nc', 'G82 X5 Z-2 R1 P1.5 F900', 1.5),
         ('p.mpf', 'F900\nCYCLE82(5,0,1,-2,,0.7)', 0.7),
         ('p.mpf', 'F900\nCYCLE85(5,0,1,-2,,-30,90,90)', 2.0),
         ('p.mpf', 'F900\nCYCLE83(5,0,1,-2,,-1,,0,0.4)', 0.4),
         ('p.mpf', 'F900\nCYCLE83(5,0,1,-2,,-1)', 0.0),
         (
-            'p.h', 'CYCL DEF 200\nQ200=1\nQ201=-2\nQ206=900\nQ202=5\nQ203=0\nQ204=5\nQ211=0.3\n'
-            'L X+5 FMAX M99', 0.3,
+            'p.h',
+            'CYCL DEF 200\nQ200=1\nQ201=-2\nQ206=900\nQ202=5\nQ203=0\nQ204=5\nQ211=0.3\n'
+            'L X+5 FMAX M99',
+            0.3,
         ),
         ('p.apt', 'CYCLE/DRILL,FEDTO,2,MMPM,900,RAPTO,1,DWELL,0.6\nGOTO/5,0,0\nCYCLE/OFF', 0.6),
         ('p.apt', 'FEDRAT/900\nGOTO/5,0,-2\nDELAY/0.8', 0.8),
     ],
-)  # fmt: skip
+)
 def test_a_cycle_rests_at_the_bottom_for_its_dwell(
     name: str, cycle: str, seconds: float | None
 ) -> None:
-    begin = {'h': 'BEGIN PGM P MM\nTOOL CALL 1 Z S900\nL X+0 Y+0 Z+9 R0 FMAX\n',
-             'apt': 'UNITS/MM\nRAPID\nGOTO/0,0,9\n'}  # fmt: skip
+    begin = {
+        'h': 'BEGIN PGM P MM\nTOOL CALL 1 Z S900\nL X+0 Y+0 Z+9 R0 FMAX\n',
+        'apt': 'UNITS/MM\nRAPID\nGOTO/0,0,9\n',
+    }
     end = {'h': '\nL X+9 R0 FMAX\nEND PGM P MM', 'apt': '\nRAPID\nGOTO/9,0,9\nFINI'}
     kind = name.split('.')[-1]
     text = begin.get(kind, 'S900 M3\nG0 X0 Y0 Z9\n') + cycle + end.get(kind, '\nG80\nG0 X9\nM2')
@@ -220,15 +244,22 @@ def test_what_a_subprogram_restores_is_switched_again() -> None:
     back = [name for _, name in found[begun[0] : restored[1] + 4]]
     assert len(begun) == 2 and len(restored) == 3
     assert back == [
-        'spindle_reverse on', 'coolant_mist on', 'spindle_speed 900 rev/min',
-        'spindle_reverse off', 'spindle_forward on', 'coolant_mist off', 'coolant_flood off',
+        'spindle_reverse on',
+        'coolant_mist on',
+        'spindle_speed 900 rev/min',
+        'spindle_reverse off',
+        'spindle_forward on',
+        'coolant_mist off',
+        'coolant_flood off',
         'coolant_flood on',
-    ]  # fmt: skip
+    ]
 
 
 def test_cl_data_switch_the_same() -> None:
-    text = ('LOADTL/3\nSPINDL/8000,CLW\nCOOLNT/MIST\nFEDRAT/100,MMPM\nGOTO/0,0,0\nGOTO/10,0,0\n'
-            'COOLNT/OFF\nSPINDL/OFF\nFINI')  # fmt: skip
+    text = (
+        'LOADTL/3\nSPINDL/8000,CLW\nCOOLNT/MIST\nFEDRAT/100,MMPM\nGOTO/0,0,0\nGOTO/10,0,0\n'
+        'COOLNT/OFF\nSPINDL/OFF\nFINI'
+    )
     found, stream = functions_of(text)
     names = [name for _, name in found]
     assert stream.dialect == 'cl' and not stream.notices
@@ -238,18 +269,25 @@ def test_cl_data_switch_the_same() -> None:
 
 @pytest.mark.parametrize(
     ('line', 'told'),
-    [('S70000 M3', 'spindle_speed 70000 is outside 0 ... 60000 rev/min'),
-     ('M6 T100000', 'tool_number 100000 is outside')],
-)  # fmt: skip
+    [
+        ('S70000 M3', 'spindle_speed 70000 is outside 0 ... 60000 rev/min'),
+        ('M6 T100000', 'tool_number 100000 is outside'),
+    ],
+)
 def test_a_value_beyond_its_range_is_refused(line: str, told: str) -> None:
     with pytest.raises(ProgramError, match=told):
         functions_of(f'G0 X0\n{line}\nG1 X1 F100\nM2')
 
 
 def test_an_own_word_takes_values_of_its_block() -> None:
-    own = signals({'signals': {
-        'outputs': {'clamp': {'range': [0, 10]}}, 'functions': {'M100': {'clamp': 'P'}},
-    }})  # fmt: skip
+    own = signals(
+        {
+            'signals': {
+                'outputs': {'clamp': {'range': [0, 10]}},
+                'functions': {'M100': {'clamp': 'P'}},
+            }
+        }
+    )
     found, _ = functions_of('G0 X0\nM100 P7\nG1 X1 F100\nM2', replace(MACHINE, signals=own))
     assert found == [(1, 'clamp 7')]
     with pytest.raises(ProgramError, match='clamp cannot be nan'):
@@ -274,7 +312,7 @@ def test_an_own_word_takes_values_of_its_block() -> None:
         ({'outputs': {'a': {'range': [1, 0]}}}, 'must be .lowest, highest.'),
         ('drilling', "no signals 'drilling'; choose milling"),
     ],
-)  # fmt: skip
+)
 def test_a_machine_file_that_cannot_be_meant_is_refused(changed: object, told: str) -> None:
     given = changed
     if isinstance(changed, dict):
@@ -313,9 +351,11 @@ def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None
         ({'sample': np.where(np.arange(len(sample)) == at, -1, sample)}, 'did not come out'),
         ({'block': plan.functions['block'][::-1]}, 'is out of order'),
         ({'step': plan.functions['step'] + 100}, 'names steps that the machine does not have'),
-        ({'step': np.where(plan.functions['step'] == m8, m8 - 1, plan.functions['step'])},
-         'summary.json says functions'),
-    ):  # fmt: skip
+        (
+            {'step': np.where(plan.functions['step'] == m8, m8 - 1, plan.functions['step'])},
+            'summary.json says functions',
+        ),
+    ):
         proof = verify(replace(plan, functions={**plan.functions, **changed}), MACHINE)
         assert any(told in failure for failure in proof.failures), told
 

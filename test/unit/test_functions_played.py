@@ -36,9 +36,11 @@ MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))
 NAMES = [signal.name for signal in MACHINE.signals.wires]
 ANSWERED = 'G21 G90\nT3 M6\nS5000 M3\nM8\nG0 X0 Y0 Z0\nG1 X10 F3000\nM9 X20\nM5\nX30\nM30\n'
 #: One function without an answer in each of many short blocks.
-MANY = 'G0 X0 Y0 Z0\n' + ''.join(
-    f'S{100 + k} G1 X{0.5 * k} Y{k % 2} F6000\n' for k in range(1, 25)
-) + 'M30\n'  # fmt: skip
+MANY = (
+    'G0 X0 Y0 Z0\n'
+    + ''.join(f'S{100 + k} G1 X{0.5 * k} Y{k % 2} F6000\n' for k in range(1, 25))
+    + 'M30\n'
+)
 
 
 class Bench:
@@ -151,8 +153,12 @@ def test_answers_are_waited_for_at_rest_and_in_order():
     bench.prove()
     changes = [name for _, name, _ in bench.set]
     assert changes[:5] == [
-        'tool_number', 'tool_change', 'tool_change', 'spindle_speed', 'spindle_forward'
-    ]  # fmt: skip
+        'tool_number',
+        'tool_change',
+        'tool_change',
+        'spindle_speed',
+        'spindle_forward',
+    ]
     # Tool change and spindle need their time before anything moves; coolant does not.
     still = bench.blocks_played.index(next(b for b in bench.blocks_played if b >= 0))
     assert still * T > 0.8 + 0.6
@@ -254,12 +260,14 @@ def test_a_stop_switches_off_in_the_order_of_the_file_and_nothing_comes_on_after
 def deaf(limit=0.3):
     """Return a machine whose changer never answers."""
     table = {
-        'outputs': {'clamp': None, 'lamp': None}, 'inputs': {'clamped': None},
+        'outputs': {'clamp': None, 'lamp': None},
+        'inputs': {'clamped': None},
         'functions': {
             'M100': [{'clamp': 1, 'wait_for': 'clamped', 'limit_s': limit}, {'lamp': 1}],
-            'M101': {'lamp': 0, 'wait_for': 'operator'}, 'emergency_stop': {'clamp': 0},
+            'M101': {'lamp': 0, 'wait_for': 'operator'},
+            'emergency_stop': {'clamp': 0},
         },
-    }  # fmt: skip
+    }
     return replace(MACHINE, signals=signals({'signals': table}))
 
 

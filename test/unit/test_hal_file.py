@@ -128,10 +128,15 @@ def test_inputs_of_reference_switches_take_over_their_pins():
 
 def test_a_module_of_the_configuration_is_not_loaded_again():
     added = 'loadrt not count=2\nloadrt and2 names=a,b\n'
-    loaded = [line for line in hal_file(added + HAL, 'XYZ', 'XYZ')[0].splitlines()
-              if line.startswith('loadrt ')]  # fmt: skip
-    assert loaded[:2] == ['loadrt not names=not.0,not.1,stream-alive',
-                          'loadrt and2 names=a,b,power-wanted,power-given']  # fmt: skip
+    loaded = [
+        line
+        for line in hal_file(added + HAL, 'XYZ', 'XYZ')[0].splitlines()
+        if line.startswith('loadrt ')
+    ]
+    assert loaded[:2] == [
+        'loadrt not names=not.0,not.1,stream-alive',
+        'loadrt and2 names=a,b,power-wanted,power-given',
+    ]
     modules = [line.split()[1] for line in loaded]
     assert len(modules) == len(set(modules)) and 'timedelay' in modules
 

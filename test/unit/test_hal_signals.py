@@ -59,9 +59,11 @@ class Stand:
         self.block.is_number[:] = [signal.is_number for signal in both]
         self.sent, self.sampled = np.zeros(40), np.zeros(40)
         for word, function in (
-            (hal_step.WRITE, write), (hal_step.READ, read), (hal_step.DEPTH, zero),
+            (hal_step.WRITE, write),
+            (hal_step.READ, read),
+            (hal_step.DEPTH, zero),
             (hal_step.OVERRUNS, zero),
-        ):  # fmt: skip
+        ):
             self.words[word] = ctypes.cast(function, ctypes.c_void_p).value
         streams = self.sent.ctypes.data, self.sampled.ctypes.data
         self.words[[hal_step.STREAM, hal_step.SAMPLES]] = streams

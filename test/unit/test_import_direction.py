@@ -68,9 +68,24 @@ ROS_MODULES = ('rclpy', 'rosbags', 'rcl_interfaces', 'std_srvs')
 
 # Imported, but without a rosdep key: the README names them for a full ROS 2.
 WITHOUT_KEY = {
-    'OCP', 'apsw', 'argparse_manpage', 'contourpy', 'dask', 'distributed', 'fastapi', 'mcap',
-    'nicegui', 'plotly', 'pyarrow', 'rosbags', 'ruckig', 'shtab', 'starlette', 'warp', 'zarr',
-}  # fmt: skip
+    'OCP',
+    'apsw',
+    'argparse_manpage',
+    'contourpy',
+    'dask',
+    'distributed',
+    'fastapi',
+    'mcap',
+    'nicegui',
+    'plotly',
+    'pyarrow',
+    'rosbags',
+    'ruckig',
+    'shtab',
+    'starlette',
+    'warp',
+    'zarr',
+}
 RENAMED = {
     'toppra': 'python3-toppra-pip',
     'yaml': 'python3-yaml',

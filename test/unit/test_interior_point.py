@@ -27,9 +27,18 @@ def iterations(lines: int) -> int:
     build_rows(stretch.left, stretch.right, table, stretch.scale, rows)
     caps = np.repeat(grid.bounds[:, 4:5] ** 2, 2, axis=1)
     status, count, _ = solve(
-        stretch.h, rows, caps, stretch.ends, stretch.m, stretch.reset_widths(), stretch.slack,
-        stretch.dual, False, options.gap, 80,
-    )  # fmt: skip
+        stretch.h,
+        rows,
+        caps,
+        stretch.ends,
+        stretch.m,
+        stretch.reset_widths(),
+        stretch.slack,
+        stretch.dual,
+        False,
+        options.gap,
+        80,
+    )
     assert status == SOLVED
     return int(count)
 

@@ -15,9 +15,14 @@ FAR = 10_000
 
 def chunk(run_id, first, joins=False, wait=SetpointChunk.NOTHING):
     return SetpointChunk(
-        program_id=run_id.program_id, attempt=run_id.attempt, plan=run_id.plan, joins=joins,
-        first_sample=first, sequences=[1] * 5, wait=wait,
-    )  # fmt: skip
+        program_id=run_id.program_id,
+        attempt=run_id.attempt,
+        plan=run_id.plan,
+        joins=joins,
+        first_sample=first,
+        sequences=[1] * 5,
+        wait=wait,
+    )
 
 
 def pass_all(gate, *chunks, limit=FAR):

@@ -30,9 +30,12 @@ def package(tmp_path):
     folder.mkdir()
     shutil.copy(kernel_cache.__file__, folder)
     for name, text in (
-        ('__init__', START), ('limits', CONSTANT.format(value=1)),
-        ('inner', INNER), ('outer', OUTER), ('plain', 'x = 1\n'),
-    ):  # fmt: skip
+        ('__init__', START),
+        ('limits', CONSTANT.format(value=1)),
+        ('inner', INNER),
+        ('outer', OUTER),
+        ('plain', 'x = 1\n'),
+    ):
         (folder / f'{name}.py').write_text(text)
     return folder
 
@@ -64,9 +67,12 @@ def environment(package):
 def outer(package, first='', **variables):
     """What the outer kernel says in a fresh process, and whether its code was there."""
     done = subprocess.run(
-        [sys.executable, '-c', first + ASK], env=environment(package) | variables,
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, '-c', first + ASK],
+        env=environment(package) | variables,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     said, found = done.stdout.split()
     return int(said), found == '1'
 
@@ -126,16 +132,21 @@ def test_two_processes_that_compile_two_forms_at_once_keep_both(package):
     started = [
         subprocess.Popen(
             [sys.executable, '-c', SLOWLY.format(value=value)],
-            env=environment(package), stdout=subprocess.PIPE, text=True,
+            env=environment(package),
+            stdout=subprocess.PIPE,
+            text=True,
         )
         for value in values
-    ]  # fmt: skip
+    ]
     assert [float(process.communicate()[0]) for process in started] == [4.0, 1.5]
     ask = 'from pack.twice import twice; print(twice(2), twice(0.75), twice.stats.cache_misses)'
     done = subprocess.run(
-        [sys.executable, '-c', ask], env=environment(package), capture_output=True, text=True,
+        [sys.executable, '-c', ask],
+        env=environment(package),
+        capture_output=True,
+        text=True,
         check=True,
-    )  # fmt: skip
+    )
     assert done.stdout.split() == ['4', '1.5', 'Counter()']
 
 
@@ -152,12 +163,16 @@ def test_every_kernel_of_the_package_is_told_apart():
     assert len(names) > 100
 
 
-@pytest.mark.parametrize('line', [
-    'import cnc_interp.machine.spindle as s', 'from cnc_interp.machine import spindle as s',
-    'from cnc_interp.machine.spindle import follow',
-    '    from cnc_interp.machine import axes, spindle',
-    'from cnc_interp.machine import (\n    axes,\n    spindle,\n)',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    'line',
+    [
+        'import cnc_interp.machine.spindle as s',
+        'from cnc_interp.machine import spindle as s',
+        'from cnc_interp.machine.spindle import follow',
+        '    from cnc_interp.machine import axes, spindle',
+        'from cnc_interp.machine import (\n    axes,\n    spindle,\n)',
+    ],
+)
 def test_every_way_to_import_a_file_counts(line, tmp_path):
     file = tmp_path / 'kernel.py'
     file.write_text(f'import os\n{line}\n')

@@ -37,9 +37,15 @@ def program():
     p = np.concatenate([[0.0, 0.0], x, x[-1] - x]) / x[-1]
     turn = 2 * np.pi * p
     return np.stack(
-        [15 * MM * np.sin(turn), 15 * MM * (1 - np.cos(turn)), 5 * MM * np.sin(2 * turn),
-         0.1 * (1 - np.cos(turn)), 0.3 * p], axis=1,
-    )  # fmt: skip
+        [
+            15 * MM * np.sin(turn),
+            15 * MM * (1 - np.cos(turn)),
+            5 * MM * np.sin(2 * turn),
+            0.1 * (1 - np.cos(turn)),
+            0.3 * p,
+        ],
+        axis=1,
+    )
 
 
 def wrong(up_and_down):

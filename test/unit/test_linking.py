@@ -192,8 +192,11 @@ def test_corners_are_written_by_their_own_control_points(corner):
     """Section 4.1: 5 + 5 control points; read back, the motion is the same."""
     program = read_text(
         'TRAORI\nORIVECT\nG0 X0 Y0 Z0 A-12 C10\nG1 X30 A-15 C-30 F3000\nX34 Y25 A-20 C-75\n'
-        'X5 Y27 A-14 C-100\nM30\n', 'p.mpf', TRANSFORM, Settings(),
-    )  # fmt: skip
+        'X5 Y27 A-14 C-100\nM30\n',
+        'p.mpf',
+        TRANSFORM,
+        Settings(),
+    )
     way = Settings(corner=corner, parametrization='linear')
     plan = plan_program(program, MACHINE, way)
     text = convert(program, MACHINE, way, 'siemens-bspline', 0.01 * UM).text

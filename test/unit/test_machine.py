@@ -36,10 +36,17 @@ def chunk_of(positions, velocities):
     k, zeros = len(positions), np.zeros_like(positions)
     ones = np.ones(k, dtype=int)
     parts = [
-        Setpoints(np.arange(n) * PERIOD, positions[:n], velocities[:n], zeros[:n], zeros[:n],
-                  ones[:n], np.zeros(n))
+        Setpoints(
+            np.arange(n) * PERIOD,
+            positions[:n],
+            velocities[:n],
+            zeros[:n],
+            zeros[:n],
+            ones[:n],
+            np.zeros(n),
+        )
         for n in (k, 0)
-    ]  # fmt: skip
+    ]
     return Chunk(*parts, Wait.PROGRAM_STOP)
 
 
@@ -137,8 +144,9 @@ def test_a_step_of_the_setpoint_against_an_integrator():
         command = 60.0 * (np.interp(t, time, r) - z[0]) + 0.7 * np.interp(t, time, f)
         return [z[1], (command - z[1]) / 5e-3]
 
-    exact = solve_ivp(slope, (0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-14,
-                      max_step=1e-4)  # fmt: skip
+    exact = solve_ivp(
+        slope, (0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-14, max_step=1e-4
+    )
     assert run.position[:, 1] == pytest.approx(exact.y[0], abs=1e-10)
     assert run.velocity[:, 1] == pytest.approx(exact.y[1], abs=1e-8)
 
@@ -156,8 +164,15 @@ def test_cycle_and_simulation_agree_to_the_last_bit():
             cycle.step()
         played, part = cycle.read(), slice(first, first + count)
         found = axes.measure(setpoints[part], played.position, played.velocity)
-        for name in ('position', 'velocity', 'following_error', 'tip', 'axis',
-                     'contour_error', 'feedrate'):  # fmt: skip
+        for name in (
+            'position',
+            'velocity',
+            'following_error',
+            'tip',
+            'axis',
+            'contour_error',
+            'feedrate',
+        ):
             assert np.array_equal(getattr(found, name), getattr(run, name)[part]), name
         first += count
     assert np.array_equal(axes.largest_use, run.largest_use)

@@ -50,8 +50,10 @@ def test_fourth_axis():
         back = turn('x', -a)
         np.testing.assert_allclose(tips[i], back @ (np.array([x, y, z]) - [0.4, 0.25, -0.4]))
         np.testing.assert_allclose(axes[i], back[:, 2], atol=1e-15)
-        gaps = [np.abs(np.sin(0.5 * (pair - q[i, 3:]))).max()
-                for pair in transform.rotary_solutions(axes[i])]  # fmt: skip
+        gaps = [
+            np.abs(np.sin(0.5 * (pair - q[i, 3:]))).max()
+            for pair in transform.rotary_solutions(axes[i])
+        ]
         assert min(gaps) < 1e-9
 
 

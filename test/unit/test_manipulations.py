@@ -101,31 +101,71 @@ def at(row, value, *axis):
 for j, axis in enumerate(MACHINE.axis_names):
     small = 1e-7 if j < 3 else 1e-6
     for row in (0.2, 0.5, 0.8):
-        column(f'{axis}: one setpoint off by 0.1 um or 1 urad at {row:.0%}', CAUGHT,
-               'setpoints', 'position', at(row, small, j))  # fmt: skip
-    column(f'{axis}: all setpoints off by 1 um', CAUGHT, 'setpoints', 'position',
-           lambda q, j=j: q + 1e-6 * np.eye(5)[j])  # fmt: skip
-    column(f'{axis}: a slow drift of 2 um', CAUGHT, 'setpoints', 'position',
-           lambda q, j=j: q + np.outer(np.linspace(0, 2e-6, len(q)), np.eye(5)[j]))  # fmt: skip
+        column(
+            f'{axis}: one setpoint off by 0.1 um or 1 urad at {row:.0%}',
+            CAUGHT,
+            'setpoints',
+            'position',
+            at(row, small, j),
+        )
+    column(
+        f'{axis}: all setpoints off by 1 um',
+        CAUGHT,
+        'setpoints',
+        'position',
+        lambda q, j=j: q + 1e-6 * np.eye(5)[j],
+    )
+    column(
+        f'{axis}: a slow drift of 2 um',
+        CAUGHT,
+        'setpoints',
+        'position',
+        lambda q, j=j: q + np.outer(np.linspace(0, 2e-6, len(q)), np.eye(5)[j]),
+    )
     for key in ('velocity', 'acceleration'):
-        column(f'{axis}: {key} times 2', CAUGHT, 'setpoints', key,
-               lambda v, j=j: v * (1 + np.eye(5)[j]))  # fmt: skip
-        column(f'{axis}: {key} changes its sign', CAUGHT, 'setpoints', key,
-               lambda v, j=j: v * (1 - 2 * np.eye(5)[j]))  # fmt: skip
+        column(
+            f'{axis}: {key} times 2',
+            CAUGHT,
+            'setpoints',
+            key,
+            lambda v, j=j: v * (1 + np.eye(5)[j]),
+        )
+        column(
+            f'{axis}: {key} changes its sign',
+            CAUGHT,
+            'setpoints',
+            key,
+            lambda v, j=j: v * (1 - 2 * np.eye(5)[j]),
+        )
     column(f'{axis}: of the path off by 0.1 um', CAUGHT, 'path', 'q', at(0.5, 1e-7, j))
     for side in ('cell_left', 'cell_right'):
         for order, by in ((0, 1e-7), (1, 1.0), (2, 1e4)):
-            column(f'{axis}: {side} of order {order} in one row', CAUGHT, 'path', side,
-                   lambda c, j=j, order=order, by=by: c + by * np.eye(5)[j]
-                   * (np.arange(4) == order)[:, None, None]
-                   * (np.arange(c.shape[1]) == c.shape[1] // 2)[:, None])  # fmt: skip
+            column(
+                f'{axis}: {side} of order {order} in one row',
+                CAUGHT,
+                'path',
+                side,
+                lambda c, j=j, order=order, by=by: (
+                    c
+                    + by
+                    * np.eye(5)[j]
+                    * (np.arange(4) == order)[:, None, None]
+                    * (np.arange(c.shape[1]) == c.shape[1] // 2)[:, None]
+                ),
+            )
 column('time begins at 1 s', CAUGHT, 'setpoints', 'time', lambda time: time + 1.0)
-column('a row with linear rotary axes that names no start', CAUGHT, 'blocks', 'interpolation',
-       lambda kind: np.r_[kind[:2], 1, kind[3:]])  # fmt: skip
+column(
+    'a row with linear rotary axes that names no start',
+    CAUGHT,
+    'blocks',
+    'interpolation',
+    lambda kind: np.r_[kind[:2], 1, kind[3:]],
+)
 manipulation(
-    'one setpoint of three axes moved along the tool by 1 um', CAUGHT,
+    'one setpoint of three axes moved along the tool by 1 um',
+    CAUGHT,
     lambda content: at(0.5, 1e-6, slice(0, 3))(content['setpoints']['position']),
-)  # fmt: skip
+)
 for name, change in {
     'one late setpoint': at(0.5, 0.1 * PERIOD),
     'a slower clock': lambda t: t * 1.01,
@@ -154,9 +194,13 @@ for name, change in {
     column(f's of the path: {name}', CAUGHT, 'path', 's', change)
 for key in ('tip', 'axis'):
     column(f'{key} of the path: one row', CAUGHT, 'path', key, at(0.5, 1e-6, 1))
-for name, change in {'times 1.01': lambda f: f * 1.01, 'one row': at(0.5, 0.001),
-                     'NaN': lambda f: f * np.nan, 'zero': lambda f: 0 * f,
-                     'times 0.99': lambda f: f * 0.99}.items():  # fmt: skip
+for name, change in {
+    'times 1.01': lambda f: f * 1.01,
+    'one row': at(0.5, 0.001),
+    'NaN': lambda f: f * np.nan,
+    'zero': lambda f: 0 * f,
+    'times 0.99': lambda f: f * 0.99,
+}.items():
     for key in ('feed', 'feed_limit'):
         column(f'{key} of the path: {name}', CAUGHT, 'path', key, change)
 
@@ -178,8 +222,9 @@ manipulation('programmed feed of the path: higher than the program says', CAUGHT
 column('stop of the path: none', CAUGHT, 'path', 'stop', lambda stop: stop & False)
 column('stop of the path: everywhere', CAUGHT, 'path', 'stop', lambda stop: stop | True)
 column('block of the path: all of row 1', CAUGHT, 'path', 'block', np.ones_like)
-column('block of the path: one row later', CAUGHT, 'path', 'block',
-       lambda b: np.minimum(b + 2, b[-1]))  # fmt: skip
+column(
+    'block of the path: one row later', CAUGHT, 'path', 'block', lambda b: np.minimum(b + 2, b[-1])
+)
 
 
 def cut_path(rows):
@@ -197,34 +242,67 @@ def cut_path(rows):
 
 manipulation('the path cut to two rows', CAUGHT, cut_path(lambda n: slice(0, 1)))
 manipulation('half of the path', CAUGHT, cut_path(lambda n: slice(0, n // 2)))
-manipulation('one row of the path missing', CAUGHT,
-             cut_path(lambda n: np.arange(n) != n // 2))  # fmt: skip
+manipulation('one row of the path missing', CAUGHT, cut_path(lambda n: np.arange(n) != n // 2))
 
 # ---------------------------------------------------------------------- the program and its words
 for name, value in (('NaN', np.nan), ('negative', -1.0), ('zero', 0.0), ('endless', np.inf)):
-    column(f'feed: {name} in one block', CAUGHT, 'blocks', 'feed',
-           lambda f, value=value: np.where(np.arange(len(f)) == 3, value, f))  # fmt: skip
+    column(
+        f'feed: {name} in one block',
+        CAUGHT,
+        'blocks',
+        'feed',
+        lambda f, value=value: np.where(np.arange(len(f)) == 3, value, f),
+    )
     for kind in ('contour', 'orientation'):
-        column(f'{kind} tolerance: {name} in one block', CAUGHT, 'blocks', f'{kind}_tolerance',
-               lambda f, value=value: np.where(np.arange(len(f)) == 3, value, f))  # fmt: skip
+        column(
+            f'{kind} tolerance: {name} in one block',
+            CAUGHT,
+            'blocks',
+            f'{kind}_tolerance',
+            lambda f, value=value: np.where(np.arange(len(f)) == 3, value, f),
+        )
 column('feed: a tenth lower than executed', CAUGHT, 'blocks', 'feed', lambda f: 0.9 * f)
 column('axis: not a unit vector', CAUGHT, 'blocks', 'axis', lambda o: 1.01 * o)
 column('interpolation: 7', CAUGHT, 'blocks', 'interpolation', lambda k: k + 7)
 column('duration: zero', CAUGHT, 'blocks', 'duration', lambda d: 0 * np.nan_to_num(d))
 for kind in ('contour', 'orientation'):
-    column(f'{kind} tolerance: a tenth of the planned one', CAUGHT, 'blocks',
-           f'{kind}_tolerance', lambda f: f / 10)  # fmt: skip
+    column(
+        f'{kind} tolerance: a tenth of the planned one',
+        CAUGHT,
+        'blocks',
+        f'{kind}_tolerance',
+        lambda f: f / 10,
+    )
     # Tolerances are given; what they are is printed.
-    column(f'{kind} tolerance: ten times as large', ACCEPTED, 'blocks',
-           f'{kind}_tolerance', lambda f: f * 10)  # fmt: skip
+    column(
+        f'{kind} tolerance: ten times as large',
+        ACCEPTED,
+        'blocks',
+        f'{kind}_tolerance',
+        lambda f: f * 10,
+    )
 for k in range(1, 6):
-    column(f'vertex {k}: moved by 0.1 mm', CAUGHT, 'blocks', 'tip',
-           lambda p, k=k: p + 1e-4 * (np.arange(len(p)) == k)[:, None])  # fmt: skip
-    column(f'word {k}: C by a whole turn', CAUGHT, 'blocks', 'rotary',
-           lambda r, k=k: r + 2 * np.pi * np.outer(np.arange(len(r)) == k, [0, 1]))  # fmt: skip
-    column(f'word {k}: the other branch', CAUGHT, 'blocks', 'rotary',
-           lambda r, k=k: np.where((np.arange(len(r)) == k)[:, None],
-                                   r * [-1, 1] + [0, np.pi], r))  # fmt: skip
+    column(
+        f'vertex {k}: moved by 0.1 mm',
+        CAUGHT,
+        'blocks',
+        'tip',
+        lambda p, k=k: p + 1e-4 * (np.arange(len(p)) == k)[:, None],
+    )
+    column(
+        f'word {k}: C by a whole turn',
+        CAUGHT,
+        'blocks',
+        'rotary',
+        lambda r, k=k: r + 2 * np.pi * np.outer(np.arange(len(r)) == k, [0, 1]),
+    )
+    column(
+        f'word {k}: the other branch',
+        CAUGHT,
+        'blocks',
+        'rotary',
+        lambda r, k=k: np.where((np.arange(len(r)) == k)[:, None], r * [-1, 1] + [0, np.pi], r),
+    )
 column(
     'rows: one stop more', CAUGHT, 'blocks', 'exact_stop', lambda e: e | (np.arange(len(e)) == 2)
 )
@@ -259,21 +337,42 @@ for key, values in {
             CAUGHT,
             lambda content, key=key, value=value: content['summary'].update({key: value}),
         )
-manipulation('summary: an override of 150 %', ACCEPTED,
-             lambda content: content['summary'].update(largest_override=1.5))  # fmt: skip
-manipulation('summary: another name of the program', ACCEPTED,
-             lambda content: content['summary'].update(program='other\x1b[31m.ngc'))  # fmt: skip
+manipulation(
+    'summary: an override of 150 %',
+    ACCEPTED,
+    lambda content: content['summary'].update(largest_override=1.5),
+)
+manipulation(
+    'summary: another name of the program',
+    ACCEPTED,
+    lambda content: content['summary'].update(program='other\x1b[31m.ngc'),
+)
 
 # ---------------------------------------------------------------------- types, shapes and columns
-manipulation('a jerk column times 100', CAUGHT, lambda content: content['setpoints'].update(
-    jerk=100 * content['setpoints']['acceleration']))  # fmt: skip
-for file, key in (('setpoints', 'position'), ('setpoints', 's'), ('path', 'cell_left'),
-                  ('path', 'stop'), ('blocks', 'tip'), ('blocks', 'line')):  # fmt: skip
-    manipulation(f'{file}: {key} is missing', CAUGHT,
-                 lambda content, file=file, key=key: content[file].pop(key))  # fmt: skip
-    for name, change in {'as text': lambda a: a.astype('U3'), 'complex': lambda a: a + 1j,
-                         'one row less': lambda a: a[..., :-1, :] if a.ndim > 1 else a[:-1],
-                         'a number': lambda a: np.array(1.0)}.items():  # fmt: skip
+manipulation(
+    'a jerk column times 100',
+    CAUGHT,
+    lambda content: content['setpoints'].update(jerk=100 * content['setpoints']['acceleration']),
+)
+for file, key in (
+    ('setpoints', 'position'),
+    ('setpoints', 's'),
+    ('path', 'cell_left'),
+    ('path', 'stop'),
+    ('blocks', 'tip'),
+    ('blocks', 'line'),
+):
+    manipulation(
+        f'{file}: {key} is missing',
+        CAUGHT,
+        lambda content, file=file, key=key: content[file].pop(key),
+    )
+    for name, change in {
+        'as text': lambda a: a.astype('U3'),
+        'complex': lambda a: a + 1j,
+        'one row less': lambda a: a[..., :-1, :] if a.ndim > 1 else a[:-1],
+        'a number': lambda a: np.array(1.0),
+    }.items():
         column(f'{file}: {key} {name}', CAUGHT, file, key, change)
 
 
@@ -320,8 +419,9 @@ def test_columns_of_any_form_are_read(sound, tmp_path):
     assert verify_plan(tmp_path / 'other', MACHINE).to_json() == proofs[0].to_json()
     assert proofs[0].ok
     # What is written as the planner does stays in the file, however long; the rest is loaded.
-    plain, other = (plan_files._stored(tmp_path / name / 'setpoints.npz') for name in
-                    ('plan', 'other'))  # fmt: skip
+    plain, other = (
+        plan_files._stored(tmp_path / name / 'setpoints.npz') for name in ('plan', 'other')
+    )
     assert plain.keys() == sound['setpoints'].keys() == other.keys() | {'block', 'position'}
     assert len(other) == len(plain) - 2
 
@@ -329,8 +429,12 @@ def test_columns_of_any_form_are_read(sound, tmp_path):
 def test_the_sound_plan_is_proven_and_says_what_is_given(sound, tmp_path, capsys):
     code, text = check(write(tmp_path, sound), capsys)
     assert code == 0 and text.endswith('\nproven\n')
-    for words in ('6 blocks of five_axes.ngc, from blocks.npz (sha256 ', 'xyzac, from the bundled',
-                  '0.02 mm contour', '30 mm, from summary.json'):  # fmt: skip
+    for words in (
+        '6 blocks of five_axes.ngc, from blocks.npz (sha256 ',
+        'xyzac, from the bundled',
+        '0.02 mm contour',
+        '30 mm, from summary.json',
+    ):
         assert words in text
     assert 'not checked    segments.npz' not in text
     (tmp_path / 'segments.npz').write_bytes(b'nothing')
@@ -424,17 +528,22 @@ def label_sets(program, visits):
     """Rows that the strokes may claim: in order as far as they go, first, last, and spread."""
     count, last = len(visits), len(program)
     k = np.arange(count)
-    return {tuple(row) for row in (
-        np.minimum(k + 1, last), np.maximum(last - count + 1 + k, 1),
-        np.round(np.linspace(1, last, count)).astype(int),
-    )}  # fmt: skip
+    return {
+        tuple(row)
+        for row in (
+            np.minimum(k + 1, last),
+            np.maximum(last - count + 1 + k, 1),
+            np.round(np.linspace(1, last, count)).astype(int),
+        )
+    }
 
 
 STROKES = [
     (program, visits, labels, caught)
-    for program, motions in ORDERS.items() for visits, caught in motions.items()
+    for program, motions in ORDERS.items()
+    for visits, caught in motions.items()
     for labels in sorted(label_sets(program, visits))
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(('axis', 'motion'), few_of(15, 'XZC', STROKES), ids=str)

@@ -87,8 +87,9 @@ def jets_of(segments, i, at_end):
         length = np.linalg.norm(way)
         axis = turned_by(segments.axis[i], segments.rotation[i], 1.0 if at_end else 0.0)
         place = segments.bottom[i, 1 if at_end else 0]
-        return line_jets(*(x[None] for x in (place, way / length, axis)),
-                         segments.rotation[i][None] / length)  # fmt: skip
+        return line_jets(
+            *(x[None] for x in (place, way / length, axis)), segments.rotation[i][None] / length
+        )
     u = 1.0 if at_end else 0.0
     p, o = spline_jets(segments.bottom[i], segments.top[i], segments.connection[i], u)
     dp = [(c[1], 2 * c[2], 3 * c[3], 0.0) for c in p]

@@ -20,10 +20,23 @@ def pins(name):
     return [line for line in lines if line and not line.startswith('#')]
 
 
-@pytest.mark.parametrize('name', [
-    'ros-jazzy', 'run', 'build', 'source', 'test', 'docs', 'panel', 'step', 'batch', 'tiles',
-    'warp', 'colcon',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    'name',
+    [
+        'ros-jazzy',
+        'run',
+        'build',
+        'source',
+        'test',
+        'docs',
+        'panel',
+        'step',
+        'batch',
+        'tiles',
+        'warp',
+        'colcon',
+    ],
+)
 def test_every_requirement_is_pinned(name):
     assert pins(name)
     assert all(

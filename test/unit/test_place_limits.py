@@ -61,10 +61,12 @@ def uses(
     q, q_s, q_ss, q_sss = (jet[:, 0] for jet in evaluate(piece.path, s, law.cell[row]))
     motion = q_s * v, q_ss * v**2 + q_s * a, q_sss * v**3 + 3 * q_ss * v * a + q_s * j
     largest = limits.max_velocity[0], limits.max_acceleration[0], limits.max_jerk[0]
-    return np.array([
-        np.abs(x) / (most * np.interp(q, PLACES, part))
-        for x, most, part in zip(motion, largest, parts, strict=True)
-    ]), time  # fmt: skip
+    return np.array(
+        [
+            np.abs(x) / (most * np.interp(q, PLACES, part))
+            for x, most, part in zip(motion, largest, parts, strict=True)
+        ]
+    ), time
 
 
 @pytest.mark.parametrize('law', ['optimal', pytest.param('vpop', marks=pytest.mark.thorough)])
@@ -139,8 +141,9 @@ def test_the_largest_limit_between_two_positions_may_lie_at_a_place_between_them
     table = place_table(np.ones((3, 2)), {1: np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])})
     found = [largest_between(table, 2, 1, *ends) for ends in ((0.5, 1.5), (1.5, 9.0))]
     assert found == [5.0, 3.5] and largest_between(table, 2, 0, 0.0, 1.5) == 1.0
-    machine = SimpleNamespace(limits=np.ones((3, 2)), places={1: np.array(
-        [[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])})  # fmt: skip
+    machine = SimpleNamespace(
+        limits=np.ones((3, 2)), places={1: np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])}
+    )
     q = np.array([[0.0, 0.5], [0.0, 1.5]])
     assert limits_of_differences(machine, 1, q).tolist() == [[1.0, 5.0]]
 

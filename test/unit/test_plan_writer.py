@@ -33,8 +33,9 @@ def zigzag(rows):
     lines = ['G21 G90 G94 M428', 'G0 X0 Y0 Z0 A10 C0', 'F6000']
     for row in range(rows):
         x = 25 * (row % 2)
-        lines += [f'G1 X{x + 5 * (1 - 2 * (row % 2)) * k} Y{row % 9} A{10 + k % 3}'
-                  for k in range(1, 6)]  # fmt: skip
+        lines += [
+            f'G1 X{x + 5 * (1 - 2 * (row % 2)) * k} Y{row % 9} A{10 + k % 3}' for k in range(1, 6)
+        ]
         lines.append('G9 G2 I2 J0' if row % 10 == 9 else 'G93 G1 Z1 F120\nG94 F6000 Z0')
     return '\n'.join(lines)
 
@@ -86,8 +87,12 @@ def test_streamed_files_are_those_of_the_whole_plan(program, tmp_path):
         k: v for k, v in streamed.items() if k not in times
     }
     assert sorted(file.name for file in (tmp_path / 'a').iterdir()) == [
-        'blocks.npz', 'path.npz', 'segments.npz', 'setpoints.npz', 'summary.json'
-    ]  # fmt: skip
+        'blocks.npz',
+        'path.npz',
+        'segments.npz',
+        'setpoints.npz',
+        'summary.json',
+    ]
 
 
 def test_a_program_planned_while_it_is_read_is_proven(program, tmp_path):

@@ -156,9 +156,17 @@ def test_deviation_is_within_its_bound_at_every_place(machine):
             slope = slope[1:] * np.arange(1, len(slope)) / length
             turning[order] = np.abs(slope).sum()  # on [0, 1] no polynomial is larger
         bound = gap_bounds(
-            transform.packed, segments.kind[one], shapes[one], beside[one], spans[one],
-            segments.length[one], guides, rates_of(segments)[one], turning, np.array([1e-5]),
-        )[0]  # fmt: skip
+            transform.packed,
+            segments.kind[one],
+            shapes[one],
+            beside[one],
+            spans[one],
+            segments.length[one],
+            guides,
+            rates_of(segments)[one],
+            turning,
+            np.array([1e-5]),
+        )[0]
         worst = 0.0
         for u in first + (last - first) * U[::4]:
             way = way_to(segments.kind[i], shapes[i], beside[i], segments.length[i], u)

@@ -33,10 +33,18 @@ PROGRAMS = {
 }
 #: Motions and arcs of each.
 MOTIONS = {
-    'lines.ngc': (4, 0), 'inch.ngc': (5, 0), 'arcs.ngc': (6, 5), 'timed.ngc': (4, 0),
-    'turns.ngc': (3, 1), 'stops.ngc': (8, 0), 'tcp.ngc': (4, 0), 'circle.ngc': (4, 0),
-    'axes.ngc': (4, 0), 'path.apt': (3, 0), 'kept.ngc': (4, 1),
-}  # fmt: skip
+    'lines.ngc': (4, 0),
+    'inch.ngc': (5, 0),
+    'arcs.ngc': (6, 5),
+    'timed.ngc': (4, 0),
+    'turns.ngc': (3, 1),
+    'stops.ngc': (8, 0),
+    'tcp.ngc': (4, 0),
+    'circle.ngc': (4, 0),
+    'axes.ngc': (4, 0),
+    'path.apt': (3, 0),
+    'kept.ngc': (4, 1),
+}
 #: One word of a program changed: what the comparison must say.
 CHANGED = [
     ('lines.ngc', 'X10', 'X10.0001', 'line 3 of the program: ends 0.0001 mm'),
@@ -233,12 +241,20 @@ def test_a_program_that_only_linuxcnc_reads(tmp_path, capsys):
 @pytest.mark.parametrize(
     'text',
     [
-        ';py,open("FILE", "w")', '(py,open("FILE", "w"))', '( (py,open("FILE", "w"))',
-        '(LOGOPEN,FILE)\n(LOG,a)', 'O1 while [1]\nG0 X0\nO1 endwhile', 'O<../part> call',
-        'O1 while [1]\n#1=[#1+1]\nO1 endwhile', 'O1 while [1]\nG1 X1 F9\nX2\nO1 endwhile',
-        'O1 sub\nO1 call\nO1 endsub\nO1 call', '#1=' + '[' * 5000, 'X' + '9' * 5000, '\0' * 99,
+        ';py,open("FILE", "w")',
+        '(py,open("FILE", "w"))',
+        '( (py,open("FILE", "w"))',
+        '(LOGOPEN,FILE)\n(LOG,a)',
+        'O1 while [1]\nG0 X0\nO1 endwhile',
+        'O<../part> call',
+        'O1 while [1]\n#1=[#1+1]\nO1 endwhile',
+        'O1 while [1]\nG1 X1 F9\nX2\nO1 endwhile',
+        'O1 sub\nO1 call\nO1 endsub\nO1 call',
+        '#1=' + '[' * 5000,
+        'X' + '9' * 5000,
+        '\0' * 99,
     ],
-)  # fmt: skip
+)
 def test_a_hostile_program_is_one_line(text, tmp_path, capsys, monkeypatch):
     """LinuxCNC executes some comments as Python code; its loops may have no end."""
     program, plan = planned('lines.ngc', PROGRAMS['lines.ngc'], tmp_path)

@@ -114,8 +114,9 @@ def test_arcs_that_fit_in_one_way_only_tell_what_centres_are():
 def test_arcs_in_inch_and_incremental():
     wanted = read('G0 X25.4\nG3 X0 Y25.4 I-25.4 F600').tip
     np.testing.assert_allclose(read('G20 G0 X1\nG3 X0 Y1 I-1 F20').tip, wanted, atol=1e-12)
-    np.testing.assert_allclose(read('G0 X25.4\nG91 G3 X-25.4 Y25.4 I-25.4 F600').tip, wanted,
-                               atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(
+        read('G0 X25.4\nG91 G3 X-25.4 Y25.4 I-25.4 F600').tip, wanted, atol=1e-12
+    )
 
 
 def test_arcs_are_modal_and_inverse_time_is_shared_out():

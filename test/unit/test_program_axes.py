@@ -224,10 +224,8 @@ def test_tolerances_of_siemens(text, contour, orientation):
 
 WORDS = st.fixed_dictionaries(
     {},
-    optional={
-        letter: st.integers(-9000, 9000).map(lambda n: n / 100) for letter in 'XYZAC'
-    },
-)  # fmt: skip
+    optional={letter: st.integers(-9000, 9000).map(lambda n: n / 100) for letter in 'XYZAC'},
+)
 
 
 @settings(max_examples=40)

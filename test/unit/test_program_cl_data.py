@@ -16,11 +16,16 @@ def read(text, **options):
 @pytest.mark.parametrize(
     'line',
     [
-        'GOTO/1,-2.5,3,0,0.6,0.8', 'GOTO / 1.0, -2.5 , 3.,  0.0, .6, 0.8', 'goto/1 -2.5 3 0 .6 .8',
-        'GOTO 1 -2.5 3 0 .6 .8', 'GOTO/1,-2.5,3, $\n 0,0.6,0.8', 'GOTO/1,-2.5,$\n3,0,$\n.6,0.8',
-        'GOTO/1,-25E-1,3,0,0.6,0.8 $$ comment', 'GOTO/1,-2.5,3,0,0.6,0.8\r',
+        'GOTO/1,-2.5,3,0,0.6,0.8',
+        'GOTO / 1.0, -2.5 , 3.,  0.0, .6, 0.8',
+        'goto/1 -2.5 3 0 .6 .8',
+        'GOTO 1 -2.5 3 0 .6 .8',
+        'GOTO/1,-2.5,3, $\n 0,0.6,0.8',
+        'GOTO/1,-2.5,$\n3,0,$\n.6,0.8',
+        'GOTO/1,-25E-1,3,0,0.6,0.8 $$ comment',
+        'GOTO/1,-2.5,3,0,0.6,0.8\r',
     ],
-)  # fmt: skip
+)
 def test_spellings_of_one_point(line):
     program = read(f'PARTNO X\nFEDRAT/60,MMPM\nGOTO/0,0,0\n{line}\nFINI')
     blocks = program.blocks

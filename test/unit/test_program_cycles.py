@@ -119,10 +119,13 @@ def test_the_dialect_is_told_by_words_by_the_suffix_or_by_choice():
     entry = 'G0 X-9 Y0 Z0\nG41 D1\nG1 X0 Y0 F900\nY-9\n'
     tools = JobSetup(tools={1: Tool(0.0, 2.0 * MM)})
     for name, text, own in (
-        ('a.nc', entry, False), ('a.ngc', entry, True), ('a.nc', entry + '#<a>=1\n', True),
-        ('a.ngc', 'R1=3\n' + entry, False), ('a.nc', 'O1234 (X)\n' + entry, False),
+        ('a.nc', entry, False),
+        ('a.ngc', entry, True),
+        ('a.nc', entry + '#<a>=1\n', True),
+        ('a.ngc', 'R1=3\n' + entry, False),
+        ('a.nc', 'O1234 (X)\n' + entry, False),
         ('a.ngc', 'R1=3\n#<a>=1\n' + entry, False),
-    ):  # fmt: skip
+    ):
         tips = read(text, name, setup=tools).blocks.tip / MM
         np.testing.assert_allclose(tips[1, :2], [0, 2] if own else [2, 0], atol=1e-9)
     tips = read(entry, 'a.nc', setup=tools, dialect='linuxcnc').blocks.tip / MM
@@ -193,9 +196,10 @@ def test_corners_and_angles_of_siemens():
 
 def test_letters_that_posts_leave_out_of_arcs():
     for text in (
-        'G3 X0 Y10 I-10 J0 F900\nX-20 Y10', 'G2 X0 Y-10 R10 F900\nG2 X-10 Y0',
+        'G3 X0 Y10 I-10 J0 F900\nX-20 Y10',
+        'G2 X0 Y-10 R10 F900\nG2 X-10 Y0',
         'G3 I-10 J0 F900\nX0 Y10',
-    ):  # fmt: skip
+    ):
         program = read('G0 X10 Y0 Z0\n' + text)
         assert 'arcs without I J K' in str(program.notices)
         with pytest.raises(ProgramError, match='needs its centre'):

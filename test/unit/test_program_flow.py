@@ -21,15 +21,39 @@ def xs(text, **options):
 @pytest.mark.parametrize(
     ('expression', 'value'),
     [
-        ('[1 + 2 * 3]', 7), ('[[1 + 2] * 3]', 9), ('[2 ** 3 - 1]', 7), ('[7 MOD 4]', 3),
-        ('[-3]', -3), ('[SIN[30]]', 0.5), ('[COS[60] * 2]', 1), ('[ATAN[1]/[1]]', 45),
-        ('[SQRT[16]]', 4), ('[ABS[-2]]', 2), ('[FIX[-2.5]]', -3), ('[FUP[2.1]]', 3),
-        ('[ROUND[2.5]]', 3), ('[LN[EXP[2]]]', 2), ('[1 EQ 1]', 1), ('[2 GT 3 OR 1 LT 2]', 1),
-        ('[1 AND 0]', 0), ('[ACOS[0]]', 90), ('#1', 5), ('-#1', -5), ('##2', 5), ('[#1+#2]', 6),
-        ('#[#2 * 1]', 5), ('#<depth>', 8), ('=A_B+1', 10), ('=R5*2', 14), ('=POT(3)', 9),
-        ('=-(1+R5)/2', -4), ('=SIN(90)', 1), ('=ATAN2(1,1)', 45), ('[10/4/5]', 0.5),
+        ('[1 + 2 * 3]', 7),
+        ('[[1 + 2] * 3]', 9),
+        ('[2 ** 3 - 1]', 7),
+        ('[7 MOD 4]', 3),
+        ('[-3]', -3),
+        ('[SIN[30]]', 0.5),
+        ('[COS[60] * 2]', 1),
+        ('[ATAN[1]/[1]]', 45),
+        ('[SQRT[16]]', 4),
+        ('[ABS[-2]]', 2),
+        ('[FIX[-2.5]]', -3),
+        ('[FUP[2.1]]', 3),
+        ('[ROUND[2.5]]', 3),
+        ('[LN[EXP[2]]]', 2),
+        ('[1 EQ 1]', 1),
+        ('[2 GT 3 OR 1 LT 2]', 1),
+        ('[1 AND 0]', 0),
+        ('[ACOS[0]]', 90),
+        ('#1', 5),
+        ('-#1', -5),
+        ('##2', 5),
+        ('[#1+#2]', 6),
+        ('#[#2 * 1]', 5),
+        ('#<depth>', 8),
+        ('=A_B+1', 10),
+        ('=R5*2', 14),
+        ('=POT(3)', 9),
+        ('=-(1+R5)/2', -4),
+        ('=SIN(90)', 1),
+        ('=ATAN2(1,1)', 45),
+        ('[10/4/5]', 0.5),
     ],
-)  # fmt: skip
+)
 def test_expressions(expression, value):
     head = '#1=5 #2=1\n#<depth>=8\nDEF REAL A_B=9, C_D\nR5=7\n'
     assert xs(head + f'G0 X0\nG0 X{expression}')[-1] == pytest.approx(value)
@@ -76,12 +100,11 @@ def test_expressions(expression, value):
         'R2=0\nLOOP\nR2=R2+1\nIF R2>3 GOTOF OUT_1\nX=R2\nENDLOOP\nOUT_1:',
         'R2=0\nWHILE R2<3\nR2=R2+1\nIF R2==9\nX9\nELSE\nX=R2\nENDIF\nENDWHILE',
         'R2=0\nWHILE R2<3\nR2=R2+1\nX=R2\nIF R2>0 GOTOF ON_1\nX9\nON_1: ENDWHILE',
-        'CASE (R1+1) OF 5 GOTOF C_A 2 GOTOF C_B DEFAULT GOTOF C_C\nC_A: X9\nC_B: X1\nX2\n'
-        'C_C: X3',
+        'CASE (R1+1) OF 5 GOTOF C_A 2 GOTOF C_B DEFAULT GOTOF C_C\nC_A: X9\nC_B: X1\nX2\nC_C: X3',
         'DEF REAL A_B[2,2]=SET(0,1,2)\nX=A_B[0,1]\nX=A_B[1,0]\nA_B[1,1]=3\nX=A_B[1,A_B[0,1]]',
         'X1\nGOTOC NOWHERE\nX2\nGOTO 70\nX9\nN70 X3',
     ],
-)  # fmt: skip
+)
 def test_three_steps(loop):
     assert xs('G0 X0\n#1=1\n' + loop + '\nM2') == [0, 1, 2, 3]
 
@@ -125,13 +148,12 @@ def test_locals_and_positions():
         ('G99 G81 X1 Z-2 R3\nX2', [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
         ('G99 G83 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 3), (1, 0.254), (1, -2), (1, 3)]),
         ('G99 G73 X1 Z-2 R3 Q3', [(1, 5), (1, 3), (1, 0), (1, 0.254), (1, -2), (1, 3)]),
-        ('G99 G81 G91 X1 Z-5 R-2 L2',
-         [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
+        ('G99 G81 G91 X1 Z-5 R-2 L2', [(1, 5), (1, 3), (1, -2), (1, 3), (2, 3), (2, -2), (2, 3)]),
         ('G99 G82 X1 Z-2 R3 P0.5', [(1, 5), (1, 3), (1, -2), (1, 3)]),
         ('G99 G85 X1 Z-2 R3', [(1, 5), (1, 3), (1, -2), (1, 3)]),
         ('G81 X1 Z-2 R3\nG80 G1 X4', [(1, 5), (1, 3), (1, -2), (1, 5), (4, 5)]),
     ],
-)  # fmt: skip
+)
 def test_canned_cycles(cycle, wanted):
     blocks = read('G0 X0 Z5\nF100\n' + cycle).blocks
     np.testing.assert_allclose(blocks.tip[1:, [0, 2]] * 1e3, wanted, atol=1e-9)

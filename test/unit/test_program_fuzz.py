@@ -117,8 +117,10 @@ def seeds():
     texts = [GCODE.encode(), CL.encode()]
     files = sorted(EXAMPLES.glob('*.*'))
     if SHARED.is_dir():
-        files += [next(f for f in sorted(d.iterdir()) if f.name != 'SOURCE')
-                  for d in sorted(SHARED.iterdir())]  # fmt: skip
+        files += [
+            next(f for f in sorted(d.iterdir()) if f.name != 'SOURCE')
+            for d in sorted(SHARED.iterdir())
+        ]
     for file in files:
         if file.suffix not in ('.py', '.png', '.md', '.json', '.yaml'):
             lines = file.read_bytes().splitlines(keepends=True)

@@ -64,11 +64,24 @@ def test_start_pose_is_the_first_target_and_needs_no_feed():
 @pytest.mark.parametrize(
     'line',
     [
-        'X-1.5Y2', 'x-1.5 y2', 'X  -1.500  Y +2.', 'G1X-1.5Y2', 'g01 x-1.5 y2', 'N5 G1 X-1.5 Y2',
-        'Y2 X-1.5', 'X-1.5 (to the left) Y2', 'X-1.5Y2 ; end', '\tX-1.5\tY2\t', 'N10X-1.5Y2',
-        '/X-1.5Y2', '/2 X-1.5 Y2', 'N7 /G1 X-1.5 Y2', 'X=-1.5 Y=2', '(tool (1))X-1.5Y2',
+        'X-1.5Y2',
+        'x-1.5 y2',
+        'X  -1.500  Y +2.',
+        'G1X-1.5Y2',
+        'g01 x-1.5 y2',
+        'N5 G1 X-1.5 Y2',
+        'Y2 X-1.5',
+        'X-1.5 (to the left) Y2',
+        'X-1.5Y2 ; end',
+        '\tX-1.5\tY2\t',
+        'N10X-1.5Y2',
+        '/X-1.5Y2',
+        '/2 X-1.5 Y2',
+        'N7 /G1 X-1.5 Y2',
+        'X=-1.5 Y=2',
+        '(tool (1))X-1.5Y2',
     ],
-)  # fmt: skip
+)
 def test_spellings_of_one_move(line):
     for end in ('\n', '\r\n'):
         text = end.join(['%', 'O12 (name)', 'G0 X0 Y0', 'G1 F60', line, 'M2', '%'])
@@ -92,8 +105,11 @@ def test_plain_lines_are_read_many_at_once(monkeypatch):
 
 def test_incremental_and_inch():
     assert tips('G20 G0 X1\nG91 X1 Y-2\nG90 X0\nG21 Y10') == [
-        [25.4, 0, 0], [50.8, -50.8, 0], [0, -50.8, 0], [0, 10, 0],
-    ]  # fmt: skip
+        [25.4, 0, 0],
+        [50.8, -50.8, 0],
+        [0, -50.8, 0],
+        [0, 10, 0],
+    ]
     assert read('G20 G0 X0\nG1 X1 F10').blocks.feedrate[1] == pytest.approx(0.254 / 60)
 
 
@@ -208,8 +224,15 @@ def test_harmless_codes_are_told_once_with_their_first_line():
     text = 'T1 M6\nS5000 M3\nG0 X0\nM8\nT2 M6\nS100 M3\nG17 G40\nG40\nG54\nG54 M5'
     notices = read(text).notices
     assert [notice.split(':')[1].strip() for notice in notices] == [
-        'M6', 'T', 'M3', 'S', 'M8', 'G40', 'G54', 'M5',
-    ]  # fmt: skip
+        'M6',
+        'T',
+        'M3',
+        'S',
+        'M8',
+        'G40',
+        'G54',
+        'M5',
+    ]
     assert notices[0].startswith('line 1:') and notices[-1].startswith('line 10:')
 
 

@@ -39,13 +39,17 @@ def test_lines_rapids_and_feeds():
 @pytest.mark.parametrize(
     ('arc', 'centre', 'turn'),
     [
-        ('CC X+0 Y+0|C X+0 Y+10 DR+', (0, 0), 90), ('CC IX-10 Y+0|C X+0 Y+10 DR-', (0, 0), -270),
-        ('CC X+0 Y+0|CP IPA+90 DR+', (0, 0), 90), ('CC X+0 Y+0|CP PA+90 IZ+3 DR-', (0, 0), -270),
-        ('CR X+0 Y+10 R+10 DR+', (0, 0), 90), ('CR X+0 Y+10 R-10 DR-', (0, 0), -270),
-        ('CT X+0 Y+10', (0, 0), 90), ('CC X+0 Y+0|CP IPA+450 IZ+9 DR+', (0, 0), 450),
+        ('CC X+0 Y+0|C X+0 Y+10 DR+', (0, 0), 90),
+        ('CC IX-10 Y+0|C X+0 Y+10 DR-', (0, 0), -270),
+        ('CC X+0 Y+0|CP IPA+90 DR+', (0, 0), 90),
+        ('CC X+0 Y+0|CP PA+90 IZ+3 DR-', (0, 0), -270),
+        ('CR X+0 Y+10 R+10 DR+', (0, 0), 90),
+        ('CR X+0 Y+10 R-10 DR-', (0, 0), -270),
+        ('CT X+0 Y+10', (0, 0), 90),
+        ('CC X+0 Y+0|CP IPA+450 IZ+9 DR+', (0, 0), 450),
         ('CC X+10 Y+10|C X+0 Y+10 DR+', (10, 10), 270),
     ],
-)  # fmt: skip
+)
 def test_arcs_turn_about_their_centre(arc, centre, turn):
     blocks = read('L X+10 Y-5 Z+0 FMAX|L Y+0 F500|' + arc).blocks
     arm = blocks.tip[1:, :2] / MM - centre
@@ -83,8 +87,10 @@ def test_q_parameters_labels_and_jumps():
 
 
 def test_cycle_200_pecks_from_the_surface_and_retracts_to_the_second_clearance():
-    text = ('L X+0 Y+0 Z+5 FMAX|CYCL DEF 200 DRILLING~\nQ200=2 ;A~\nQ201=-6~\nQ206=100~\nQ202=4~\n'
-            'Q203=-1~\nQ204=9|L X+5 FMAX M99|CYCL CALL')  # fmt: skip
+    text = (
+        'L X+0 Y+0 Z+5 FMAX|CYCL DEF 200 DRILLING~\nQ200=2 ;A~\nQ201=-6~\nQ206=100~\nQ202=4~\n'
+        'Q203=-1~\nQ204=9|L X+5 FMAX M99|CYCL CALL'
+    )
     blocks = read(text).blocks
     heights = [5, 5, 1, -5, 1, -4.4, -7, 8, 1, -5, 1, -4.4, -7, 8]
     np.testing.assert_allclose(blocks.tip[:, 2] / MM, heights, atol=1e-9)
@@ -92,8 +98,10 @@ def test_cycle_200_pecks_from_the_surface_and_retracts_to_the_second_clearance()
 
 
 def test_cycle_204_bores_from_below_and_goes_through_the_hole_beside_its_axis():
-    text = ('L X+10 Y+5 Z+50 FMAX|CYCL DEF 204 BACK~\nQ200=2~\nQ249=5~\nQ250=20~\nQ251=3.5~\n'
-            'Q252=15~\nQ253=750~\nQ254=200~\nQ203=20~\nQ204=50~\nQ214=2|CYCL CALL')  # fmt: skip
+    text = (
+        'L X+10 Y+5 Z+50 FMAX|CYCL DEF 204 BACK~\nQ200=2~\nQ249=5~\nQ250=20~\nQ251=3.5~\n'
+        'Q252=15~\nQ253=750~\nQ254=200~\nQ203=20~\nQ204=50~\nQ214=2|CYCL CALL'
+    )
     blocks = read(text).blocks
     aside, heights = (
         [5, 5, 1.5, 1.5, 5, 5, 5, 1.5, 1.5, 5],
@@ -106,8 +114,10 @@ def test_cycle_204_bores_from_below_and_goes_through_the_hole_beside_its_axis():
 
 @pytest.mark.parametrize(('climb', 'sense'), [(1, 1), (-1, -1)])
 def test_cycle_208_mills_the_hole_as_a_helix_and_a_whole_turn_at_its_depth(climb, sense):
-    text = ('TOOL CALL 1 Z|L X+10 Y+5 Z+50 FMAX M3|CYCL DEF 208 B~\nQ200=2~\nQ201=-3~\nQ206=150~\n'
-            f'Q334=2~\nQ203=0~\nQ204=50~\nQ335=7~\nQ351={climb}|CYCL CALL')  # fmt: skip
+    text = (
+        'TOOL CALL 1 Z|L X+10 Y+5 Z+50 FMAX M3|CYCL DEF 208 B~\nQ200=2~\nQ201=-3~\nQ206=150~\n'
+        f'Q334=2~\nQ203=0~\nQ204=50~\nQ335=7~\nQ351={climb}|CYCL CALL'
+    )
     tip = read(text).blocks.tip / MM
     arm = tip[2:-3, :2] - [10, 5]
     np.testing.assert_allclose(np.hypot(*arm.T), 1.5, atol=1e-6)
@@ -120,9 +130,11 @@ def test_cycle_208_mills_the_hole_as_a_helix_and_a_whole_turn_at_its_depth(climb
 
 
 def test_words_of_posts_that_set_something_leave_the_motion_as_it_is():
-    text = ('CYCL DEF 392 ATC~\nQ240=0~\nQ241=1|TOOL CALL "D4" Z S9 DL+0 DR+0|L X+0 Y+0 Z+5 FMAX|'
-            'CYCL DEF 201 REAMING~\nQ200=2~\nQ201=-6~\nQ206=100~\nQ208= MAX~\nQ203=0~\nQ204=9|'
-            'L FMAX M99')  # fmt: skip
+    text = (
+        'CYCL DEF 392 ATC~\nQ240=0~\nQ241=1|TOOL CALL "D4" Z S9 DL+0 DR+0|L X+0 Y+0 Z+5 FMAX|'
+        'CYCL DEF 201 REAMING~\nQ200=2~\nQ201=-6~\nQ206=100~\nQ208= MAX~\nQ203=0~\nQ204=9|'
+        'L FMAX M99'
+    )
     setup = JobSetup(tools={4: Tool(3.0 * MM, remark='d4')})
     blocks = read(text, setup=setup).blocks
     np.testing.assert_allclose(blocks.tip[:, 2] / MM, [8, 5, -3, 12], atol=1e-9)
@@ -148,8 +160,9 @@ def test_words_turn_the_axes_to_a_plane_and_m140_draws_the_tool_back_along_itsel
     plane = f'PLANE SPATIAL SPA+{angle} SPB+0 SPC+0 STAY {choice} TABLE ROT|'.replace('+-', '-')
     blocks = read(
         f'M140 MB MAX|L X+0 Y+0 A+0 C+40 FMAX|L Z+5 FMAX|{plane}L A+Q120 C+Q122 R0 FMAX M126|'
-        'L X+3 Y+4 Z+6 FMAX|M140 MB 2.5 F60|L M140 MB MAX|M5', geometry=AC
-    ).blocks  # fmt: skip
+        'L X+3 Y+4 Z+6 FMAX|M140 MB 2.5 F60|L M140 MB MAX|M5',
+        geometry=AC,
+    ).blocks
     turn = rotation(0, angle * DEG)
     for tip, wanted in zip(blocks.tip[-3:-1], ([3, 4, 6], [3, 4, 8.5]), strict=True):
         np.testing.assert_allclose(tip / MM, turn @ wanted, atol=1e-9)
@@ -181,27 +194,40 @@ def test_ln_turns_the_tool_with_tool_tip_programming():
 @pytest.mark.parametrize(
     ('text', 'part'),
     [
-        ('C X+1 Y+1', 'DR'), ('CR X+1 DR+', 'radius'), ('CT X+1 Y+1', 'CT needs'),
+        ('C X+1 Y+1', 'DR'),
+        ('CR X+1 DR+', 'radius'),
+        ('CT X+1 Y+1', 'CT needs'),
         ('CC X+0 Y+5|CP IPA-90 DR+', 'different directions'),
-        ('RND R1|L X+1', 'between two lines'), ('L X+5 F9|RND R9|L Y+3', 'does not fit'),
+        ('RND R1|L X+1', 'between two lines'),
+        ('L X+5 F9|RND R9|L Y+3', 'does not fit'),
         ('L X+5 Z-1 F9|RND R1|L Y+3', 'lines in the plane'),
         ('CALL LBL 9', 'not in this file'),
-        ('CALL LBL 9 REP 2', 'no such label'), ('FN 18: SYSREAD Q1 = ID270', 'SYSREAD'),
-        ('L X+Q9 F9', 'before it is set'), ('Q1 = 1 / 0', 'no value'),
+        ('CALL LBL 9 REP 2', 'no such label'),
+        ('FN 18: SYSREAD Q1 = ID270', 'SYSREAD'),
+        ('L X+Q9 F9', 'before it is set'),
+        ('Q1 = 1 / 0', 'no value'),
         ('Q1 = (2', 'cannot be read'),
         ('CYCL DEF 11.0 SCALING|CYCL DEF 11.1 SCL 2', 'scaling'),
         ('L X+0 Z+50 FMAX|CYCL DEF 204 X|CYCL CALL', 'Q214 from 1 to 4'),
-        ('TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ334=2~\nQ335=17|CYCL CALL',
-         'twice as wide'),
+        (
+            'TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ334=2~\nQ335=17|CYCL CALL',
+            'twice as wide',
+        ),
         ('TOOL CALL 1 Z|L X+0 Z+9 FMAX|CYCL DEF 208 X~\nQ201=-3~\nQ335=7|CYCL CALL', 'Q334'),
-        ('CYCL CALL', 'no cycle'), ('CYCL DEF 251 POCKET', 'not supported'),
-        ('L X+1 M140 MB2', 'block of its own'), ('L M140', 'MB MAX'), ('M140 MB MAX', 'no travel'),
-        ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'), ('APPR LT X+1', 'APPR'),
-        ('TOOL CALL 1 Z DR+0.1', 'DR'), ('PLANE POINTS P1X+0', 'not supported'),
+        ('CYCL CALL', 'no cycle'),
+        ('CYCL DEF 251 POCKET', 'not supported'),
+        ('L X+1 M140 MB2', 'block of its own'),
+        ('L M140', 'MB MAX'),
+        ('M140 MB MAX', 'no travel'),
+        ('PLANE SPATIAL SPA+0 SPB+30 SPC+0 TURN FMAX', 'no rotary axes'),
+        ('APPR LT X+1', 'APPR'),
+        ('TOOL CALL 1 Z DR+0.1', 'DR'),
+        ('PLANE POINTS P1X+0', 'not supported'),
         ('X+5 FMIX', 'not supported'),
-        ('TOOL CALL 9 Z', 'no length'), ('LBL 1|CALL LBL 1', 'deep'),
+        ('TOOL CALL 9 Z', 'no length'),
+        ('LBL 1|CALL LBL 1', 'deep'),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_done_is_refused_with_its_line(text, part):
     with pytest.raises(ProgramError, match=part):
         read('L X+0 Y+0 Z+0 FMAX|' + text)

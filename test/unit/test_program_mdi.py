@@ -61,8 +61,18 @@ def test_modes_are_kept_from_line_to_line():
     assert desk('X1') == pytest.approx([0.0254, 0, 0, 0, 0], abs=1e-15)
     assert desk.modes.feedrate == pytest.approx(50 * 0.0254 / 60)
     assert desk.codes == (
-        'G1', 'G17', 'G20', 'G91', 'G91.1', 'G94', 'G98', 'G64', 'G54', 'G49', 'ORIAXES',
-    )  # fmt: skip
+        'G1',
+        'G17',
+        'G20',
+        'G91',
+        'G91.1',
+        'G94',
+        'G98',
+        'G64',
+        'G54',
+        'G49',
+        'ORIAXES',
+    )
     desk.q = desk.q + 0.01  # moved by hand
     assert desk('Y1 C1') == pytest.approx([0, 0.0254, 0, 0, np.radians(1)], abs=1e-15)
     desk('G18 G93 G61')

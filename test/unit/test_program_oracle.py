@@ -76,7 +76,7 @@ SNIPPETS = {
     'kept tolerance': 'G20 G64 P0.01 F9\nG1 X1\nG21\nG98 G81 X2 Z-2 R2\nG80\nG1 X9 F9',
     'steep helix': 'G20 F33\nG91 G1 X0.12345\nG2 I0.35905 J0.00005 Z25.05',
     'rotary': 'G0 A10 C20\nG1 X5 A20\nG91 C30\nG90 G1 A0 C0 X0',
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,15 @@ from cnc_interp.program.source import Source
 from cnc_interp.settings.options import Settings
 
 FIVE_AXES = [
-    'xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyzac_trt', 'xyzbc_trt', 'xyzacw',
-]  # fmt: skip
+    'xyzac',
+    'xyzbc',
+    'bc_trunnion',
+    'head_head',
+    'head_table',
+    'xyzac_trt',
+    'xyzbc_trt',
+    'xyzacw',
+]
 START = 'G21 G90\nG0 X0 Y0 Z50\n'
 
 
@@ -86,8 +93,10 @@ def test_each_form_gives_its_frame_and_turns_the_tool_upright(form, geometry):
 def test_a_second_shift_of_cycle800_is_along_the_turned_axes():
     tip, *_ = last('CYCLE800(0,"",0,57,10,20,30,0,90,0,1,2,3,1)\nG0 X1 Y2 Z3')
     np.testing.assert_allclose(tip, ORIGIN + turned('Y', 90) @ (2 * POINT), atol=1e-9)
-    tip, *_ = last('CYCLE800(0,"",0,57,10,20,30,30,0,0,0,0,0,1)\n'
-                   'CYCLE800(0,"",1,57,1,2,3,0,20,0,0,0,0,1)\nG0 X1 Y2 Z3')  # fmt: skip
+    tip, *_ = last(
+        'CYCLE800(0,"",0,57,10,20,30,30,0,0,0,0,0,1)\n'
+        'CYCLE800(0,"",1,57,1,2,3,0,20,0,0,0,0,1)\nG0 X1 Y2 Z3'
+    )
     first = turned('X', 30)
     np.testing.assert_allclose(
         tip, ORIGIN + first @ POINT + first @ turned('Y', 20) @ POINT, atol=1e-9

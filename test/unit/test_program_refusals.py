@@ -50,10 +50,25 @@ SYNTAX = [
     ('\x00\x01', "'\\x00\\x01'", 'no text'),
 ]
 UNSUPPORTED = [
-    'G5 X1', 'G7', 'CUT3DC', 'CUT3DFS', 'G51 X0', 'G254', 'G66 P1',
-    'G10 L3 P1', 'M97', 'M430', 'G123', 'POCKET3(1,2)', 'CSPLINE', 'SCALE X5', 'X=FROB(1)',
-    'MIRROR X0', 'CIP X1 I1=2', 'G54.2 P1',
-]  # fmt: skip
+    'G5 X1',
+    'G7',
+    'CUT3DC',
+    'CUT3DFS',
+    'G51 X0',
+    'G254',
+    'G66 P1',
+    'G10 L3 P1',
+    'M97',
+    'M430',
+    'G123',
+    'POCKET3(1,2)',
+    'CSPLINE',
+    'SCALE X5',
+    'X=FROB(1)',
+    'MIRROR X0',
+    'CIP X1 I1=2',
+    'G54.2 P1',
+]
 FLOW = [
     ('G0 X#5', 'before it is set'),
     ('G0 X=R1', 'before it is set'),
@@ -206,7 +221,7 @@ def test_a_line_of_a_million_characters_fails_at_once():
         *(('part.apt', 'GOTO', body) for body in (' ', '1', ' 1', ', ', '/')),
         *(('part.apt', 'FEDRAT/', body) for body in (' ', '/', '1,')),
     ],
-)  # fmt: skip
+)
 def test_the_longest_lines_take_time_in_proportion_to_their_length(name, head, body):
     """Processor time is bounded: a quadratic pattern takes more than 10 s, a linear one 0.1 s."""
     start = 'GOTO/0,0,0\n' if name == 'part.apt' else 'G0 X0\n'
@@ -220,7 +235,10 @@ def test_the_documentation_names_every_word_that_is_refused_by_name():
     page = Path(__file__).parents[2] / 'docs' / 'operate' / 'programs.md'
     named = set(re.findall(r'[A-Z]+[\d.]*\d|[A-Z]+', page.read_text(encoding='utf-8')))
     words = {
-        *codes.REFUSED_G, *codes.REFUSED_M, *codes.REFUSED_KEYS, *cl_words.REFUSED,
+        *codes.REFUSED_G,
+        *codes.REFUSED_M,
+        *codes.REFUSED_KEYS,
+        *cl_words.REFUSED,
         *cl_words.OFF_ONLY,
-    }  # fmt: skip
+    }
     assert not words - named

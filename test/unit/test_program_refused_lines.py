@@ -70,8 +70,9 @@ def test_reading_ends_after_many_refusals():
 def test_cl_data_are_refused_at_once_too():
     error = refused(
         'FEDRAT/500\nGOTO/0,0,0\nFOO/1\nGOTO/0,0,0,0,0,2\nCIRCLE/1,0,0,0,0,1,7\nGOTO/3,0,0\n'
-        'MACRO/1\nGOTO/1,$\n', 'part.cl',
-    )  # fmt: skip
+        'MACRO/1\nGOTO/1,$\n',
+        'part.cl',
+    )
     assert [one.line_number for one in error.errors] == [3, 4, 5, 7, 8]
 
 
@@ -88,8 +89,9 @@ def test_words_of_cam_systems():
     program = read(
         'UNIT/INCHES\nCSI_OPERATION/3\nCSI_STOCK/1\nTRNTYP/2\nCSYS/1,0,0,0,0,1,0,0,0,0,1,0\n'
         'CSYS/1,0,0,0,1,0,0,0,1,0,0,0\nCSYS/MILL_1\nCSYS/MILL_1\nFEDRAT/10\nGOTO/1,0,0\n'
-        'GOTO/2,0,0\n', 'part.cl',
-    )  # fmt: skip
+        'GOTO/2,0,0\n',
+        'part.cl',
+    )
     assert program.blocks.tip[-1, 0] == pytest.approx(0.0508)
     assert [notice.split(':')[1].strip() for notice in program.notices] == ['CSI_', 'TRNTYP']
     for second in ('CSYS/MILL_2', 'CSYS/1,0,0,5,0,1,0,0,0,0,1,0', 'CSYS/1,2,3'):
@@ -99,10 +101,18 @@ def test_words_of_cam_systems():
 
 @pytest.mark.parametrize(
     'head',
-    ['%\n<SHAFT_1>\n', '%\nO<SHAFT-1>\n', 'O1234 SHAFT 1\n', 'OSHAFT1\n', 'O1234-A\n',
-     'O1234(SHAFT)\n', '%_N_SHAFT_MPF\n;$PATH=/_N_MPF_DIR\n', '% SHAFT\n',
-     'LISTING OF SHAFT.NC: 12 LINES\n*****\n\n%\nO1\n'],
-)  # fmt: skip
+    [
+        '%\n<SHAFT_1>\n',
+        '%\nO<SHAFT-1>\n',
+        'O1234 SHAFT 1\n',
+        'OSHAFT1\n',
+        'O1234-A\n',
+        'O1234(SHAFT)\n',
+        '%_N_SHAFT_MPF\n;$PATH=/_N_MPF_DIR\n',
+        '% SHAFT\n',
+        'LISTING OF SHAFT.NC: 12 LINES\n*****\n\n%\nO1\n',
+    ],
+)
 def test_heads_and_names(head):
     program = read(head + 'G21 G1 F100 X1\nX2\nM30\n', 'part.nc')
     assert program.blocks.tip[-1, 0] == pytest.approx(0.002)

@@ -35,8 +35,15 @@ def test_what_is_put_in_in_parts_comes_out_in_any_slices():
             spool.append(blocks[first : first + 64])
             assert len(spool) == min(1000, first + 64)
             assert_same(spool[first : first + 5], blocks[first : first + 5])
-        for rows in (slice(0, 1000), slice(0, 1), slice(999, 1000), slice(990, 2000),
-                     slice(5, 5), slice(7, 3), slice(-3, None)):  # fmt: skip
+        for rows in (
+            slice(0, 1000),
+            slice(0, 1),
+            slice(999, 1000),
+            slice(990, 2000),
+            slice(5, 5),
+            slice(7, 3),
+            slice(-3, None),
+        ):
             assert_same(spool[rows], blocks[rows])
 
 

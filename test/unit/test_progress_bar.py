@@ -111,10 +111,16 @@ def test_the_next_work_has_a_line_of_its_own(clock):
     assert [line.split()[0] for line in lines if line] == ['checking', 'running']
 
 
-@pytest.mark.parametrize(('share', 'left', 'shown'), [
-    (0.01, 5002.0, 'work 1%'), (0.5, 16.0, 'work 50%, about 16 s left'), (0.999, 0.9, 'work 99%'),
-    (0.999, 0.2, 'work 99%'), (1.0, 0.0, 'work 100%'),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ('share', 'left', 'shown'),
+    [
+        (0.01, 5002.0, 'work 1%'),
+        (0.5, 16.0, 'work 50%, about 16 s left'),
+        (0.999, 0.9, 'work 99%'),
+        (0.999, 0.2, 'work 99%'),
+        (1.0, 0.0, 'work 100%'),
+    ],
+)
 def test_the_time_left_is_told_where_it_is_known(monkeypatch, share, left, shown):
     monkeypatch.setattr(progress_bar, 'PATIENCE', 0.0)
     stream = io.StringIO()

@@ -21,9 +21,12 @@ def segments(first, count):
 
 def setpoints(first, count, plan=0):
     return SetpointChunk(
-        program_id='a', plan=plan, first_sample=first, line_numbers=[1] * count,
+        program_id='a',
+        plan=plan,
+        first_sample=first,
+        line_numbers=[1] * count,
         tail_line_numbers=[1] * 7,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(

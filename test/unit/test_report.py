@@ -121,8 +121,9 @@ def test_lost_time_is_that_beyond_the_programmed_feed(tmp_path):
     )
     assert jerk[0] > 0.0 and jerk[1] + acceleration[1] > 0.9 * found.total > none[1]
     assert {part[3] for line, part in found.by_line.items() if part[1] > 1e-3} <= {
-        'X jerk', 'X acceleration',
-    }  # fmt: skip
+        'X jerk',
+        'X acceleration',
+    }
     rapid = replace(series, programmed_feed=np.full_like(series.feed, np.inf))
     assert time_lost(rapid).total == 0.0
     # Where the error of the drives is at its limit, nothing else needs to be.
@@ -181,8 +182,13 @@ def test_thinning_keeps_extremes_and_ends(count, columns, buckets, seed):
 
 def test_a_feed_axis_ends_above_the_motion_and_a_fast_program_at_some_times_of_it():
     motion = np.array([40.0, 100.0])
-    for programmed, most, end in ((250.0, 3.0, 250.0), (1000.0, 3.0, 300.0), (1000.0, 2.0, 200.0),
-                                  (np.inf, 3.0, 100.0), (50.0, 3.0, 100.0)):  # fmt: skip
+    for programmed, most, end in (
+        (250.0, 3.0, 250.0),
+        (1000.0, 3.0, 300.0),
+        (1000.0, 2.0, 200.0),
+        (np.inf, 3.0, 100.0),
+        (50.0, 3.0, 100.0),
+    ):
         found = feed_ceiling(motion, np.array([10.0, programmed]), most)
         assert 1.3 * end < found < 1.6 * end
     assert feed_ceiling(np.zeros(2), np.full(2, np.inf)) == 1.0
@@ -195,7 +201,9 @@ def test_functions_stand_where_they_switch(tmp_path):
     series = series_of(read_plan(tmp_path / 'plan'), Machine.load('vmc'))
     marks = feed_figure(series).data[-1]
     assert [text.partition('<')[0] for text in marks.text] == [
-        'coolant_flood on', 'coolant_mist off', 'spindle_forward off',
-    ]  # fmt: skip
+        'coolant_flood on',
+        'coolant_mist off',
+        'spindle_forward off',
+    ]
     at = np.flatnonzero(np.isin(series.time, marks.x))
     assert np.allclose(series.tip[at, ::2], [[0, 5], [20, 0], [30, 0]], atol=0.05)

@@ -95,8 +95,19 @@ def test_the_feed_shown_is_the_planned_one(tmp_path):
 
 def test_the_page_draws_corners_and_both_runs(plans, tmp_path):
     other = copytree(plans / 'paper', tmp_path / '<b>&')
-    assert main(['report', str(plans / 'exact'), '--compare', str(other),
-                 '--html', str(tmp_path / 'r.html')]) == 0  # fmt: skip
+    assert (
+        main(
+            [
+                'report',
+                str(plans / 'exact'),
+                '--compare',
+                str(other),
+                '--html',
+                str(tmp_path / 'r.html'),
+            ]
+        )
+        == 0
+    )
     page = (tmp_path / 'r.html').read_text(encoding='utf-8')
     body = PACKED.sub('', page)
     place = re.findall(r'<script type="application/json" id="(.*?)">', body).index('corner-data')

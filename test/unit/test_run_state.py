@@ -83,15 +83,22 @@ def test_the_table_by_its_meaning():
         reached |= {after for (before, _), after in TRANSITIONS.items() if before in reached}
     assert reached == set(State)
     assert {e for s, e in TRANSITIONS if s is State.FAULT} == {
-        Event.RESET, Event.DEACTIVATE, Event.FAIL, Event.STOP, Event.REFUSE,
-    }  # fmt: skip
+        Event.RESET,
+        Event.DEACTIVATE,
+        Event.FAIL,
+        Event.STOP,
+        Event.REFUSE,
+    }
     assert {e for s, e in TRANSITIONS if s is State.INACTIVE} == {Event.ACTIVATE, Event.REFUSE}
     for state in MOVING:  # whatever moves can fail; it is not switched off, reset or replanned
         assert TRANSITIONS[state, Event.STOP] is State.STOPPING
         assert TRANSITIONS[state, Event.FAIL] is State.FAULT
         assert not {e for s, e in TRANSITIONS if s is state} & {
-            Event.DEACTIVATE, Event.RESET, Event.BEGIN, Event.REPLAN,
-        }  # fmt: skip
+            Event.DEACTIVATE,
+            Event.RESET,
+            Event.BEGIN,
+            Event.REPLAN,
+        }
     # Motion begins by START and by JOG only, and never without the table: from rest on the path
     # or idle, by hand from a hold or idle.
     begins = {(s, e) for (s, e), to in TRANSITIONS.items() if s in AT_REST and to in MOVING}

@@ -269,9 +269,11 @@ def test_a_choice_that_is_given_twice_is_refused():
 def test_block_0_carries_the_settings_of_the_run_and_leaves_others_to_the_look_ahead():
     own = Settings(corner_ratio=3.0, compress=False)
     block = G1Block(
-        axis=[0.0, 0.0, 1.0], contour_tolerance=1e-5, orientation_tolerance=1e-5,
+        axis=[0.0, 0.0, 1.0],
+        contour_tolerance=1e-5,
+        orientation_tolerance=1e-5,
         flank_height=OTHERS.flank_height,
-    )  # fmt: skip
+    )
     assert settings_of_block(block, own) == replace(own, flank_height=OTHERS.flank_height)
     block.settings = pairs_of(OTHERS)
     check_block(block)

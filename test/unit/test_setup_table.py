@@ -71,8 +71,9 @@ def test_a_table_outlives_its_process_and_logs_who_changed_what(tmp_path):
     table = SetupTable(file)
     told = table.apply([SetupChange('work_offsets', {'X': 0.1234}, 'G54')], 'page 127.0.0.1')
     assert told == 'G54: not set -> X 123.4' and (table.changed_by, table.change) == (
-        'page 127.0.0.1', told,
-    )  # fmt: skip
+        'page 127.0.0.1',
+        told,
+    )
     table.apply([SetupChange('tools', Tool(0.0751, 0.005, 'ball'), 3)], 'anna')
     table.apply([SetupChange('tools', None, 3), SetupChange('active', 'G55')], 'anna\n forged')
     assert table.apply([SetupChange('active', 'G55')], 'nobody') == ''
@@ -134,10 +135,16 @@ def test_what_a_program_changes_is_told_with_its_place(tmp_path):
     kinds = [(c.change.name, c.line_number, c.block) for c in changes]
     # Row 0 is the start pose, rows 1 to 4 are the four lines that cut.
     assert kinds == [
-        ('active offset', 2, 0), ('G55', 4, 2), ('active offset', 5, 2), ('G92', 6, 3),
-        ('G92', 6, 3), ('spindle', 8, 4), ('tool 4', 9, 4), ('G28', 10, 4),
+        ('active offset', 2, 0),
+        ('G55', 4, 2),
+        ('active offset', 5, 2),
+        ('G92', 6, 3),
+        ('G92', 6, 3),
+        ('spindle', 8, 4),
+        ('tool 4', 9, 4),
+        ('G28', 10, 4),
         ('active offset', 12, 5),
-    ]  # fmt: skip
+    ]
     assert len(blocks) == 5 and used == {'G54', 'G55', 'G92'}
     kept = after(JobSetup(), changes)
     assert kept.active == '' and kept.tool == 4 and kept.g92_on

@@ -239,10 +239,11 @@ def test_any_corner_stays_in_tolerance_and_smooth(turn, lengths, swings, ways, t
     across = np.cross(corner_axis, [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
     axes = [
-        Rotation.from_rotvec(Rotation.from_rotvec(way * corner_axis).apply(across) * swing * DEG)
-        .apply(corner_axis)
+        Rotation.from_rotvec(
+            Rotation.from_rotvec(way * corner_axis).apply(across) * swing * DEG
+        ).apply(corner_axis)
         for way, swing in zip(ways, swings, strict=True)
-    ]  # fmt: skip
+    ]
     far = b * np.array([np.cos(turn * DEG), np.sin(turn * DEG), 0.0])
     blocks = blocks_of(
         [[-a, 0, 0], [0, 0, 0], far], [axes[0], corner_axis, axes[1]], tolerance=10.0**tolerance

@@ -77,8 +77,9 @@ def test_a_tapped_hole_is_in_step_in_and_out_with_a_spindle_that_droops(reverse)
     back, forth = ('forward', 'reverse') if reverse else ('reverse', 'forward')
     switched = [(n.removeprefix('spindle_'), v) for n, v in turning if 'speed' not in n]
     assert switched[1:5] == [
-        *sorted([(forth, 0.0), (back, 1.0)]), *sorted([(forth, 1.0), (back, 0.0)])
-    ]  # fmt: skip
+        *sorted([(forth, 0.0), (back, 1.0)]),
+        *sorted([(forth, 1.0), (back, 0.0)]),
+    ]
 
 
 def test_passes_of_a_thread_meet_at_every_speed_and_a_hold_waits_for_their_end():
@@ -137,11 +138,16 @@ def test_the_passes_of_a_threading_cycle_meet():
 @pytest.mark.parametrize(
     ('old', 'new', 'told'),
     [
-        ('G18', 'G17', 'G18 before'), ('P1.5', 'P0', 'P above 0'), ('K1 ', '', 'needs K'),
-        ('J0.4', 'J1.4', 'below K'), ('H1', 'H1 L2 E1', 'no tapers'), ('H1', 'H1.5', 'whole'),
-        ('J0.4', 'J0.000001', 'passes'), ('H1', 'X4', 'axis words'),
+        ('G18', 'G17', 'G18 before'),
+        ('P1.5', 'P0', 'P above 0'),
+        ('K1 ', '', 'needs K'),
+        ('J0.4', 'J1.4', 'below K'),
+        ('H1', 'H1 L2 E1', 'no tapers'),
+        ('H1', 'H1.5', 'whole'),
+        ('J0.4', 'J0.000001', 'passes'),
+        ('H1', 'X4', 'axis words'),
     ],
-)  # fmt: skip
+)
 def test_what_the_threading_cycle_cannot_cut_is_refused(old, new, told):
     with pytest.raises(ProgramError, match=told):
         read_text(PASSES.replace(old, new), 'p.ngc', Transform.of(MACHINE), Settings())
@@ -161,9 +167,13 @@ def test_what_the_axis_cannot_follow_stops_within_its_limits_and_says_so():
     assert not bench.play._commanded[[FORWARD, REVERSE]].any()
 
 
-@pytest.mark.parametrize(('change', 'why'), [
-    (('S900 M3', 'S5000 M3'), 'too short'), (('S900 M3', 'S900'), 'does not turn'),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ('change', 'why'),
+    [
+        (('S900 M3', 'S5000 M3'), 'too short'),
+        (('S900 M3', 'S900'), 'does not turn'),
+    ],
+)
 def test_a_thread_that_cannot_begin_does_not_move(change, why):
     bench = Bench(THREAD.replace(*change))
     assert finished(bench) is State.FAULT and why in bench.play.state.text
@@ -230,14 +240,22 @@ def test_surface_speed_follows_x_and_the_override_up_to_the_largest_speed():
     assert speed[(block == 2) & (x > 4 * MM)] == pytest.approx(770.0)
 
 
-@pytest.mark.parametrize(('words', 'spindle', 'feed'), [
-    ('', 0.5, 0.5), ('M50 P0', 1.0, 0.5),
-    pytest.param('M51 P0', 1.2, 1.0, marks=pytest.mark.thorough),
-    pytest.param('S60000 F0.02', 1.2, 1.0, marks=pytest.mark.thorough),
-    *(pytest.param(*each, marks=pytest.mark.thorough) for each in (
-        ('', 1.2, 1.0), ('M49', 0.5, 0.5),
-    )),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ('words', 'spindle', 'feed'),
+    [
+        ('', 0.5, 0.5),
+        ('M50 P0', 1.0, 0.5),
+        pytest.param('M51 P0', 1.2, 1.0, marks=pytest.mark.thorough),
+        pytest.param('S60000 F0.02', 1.2, 1.0, marks=pytest.mark.thorough),
+        *(
+            pytest.param(*each, marks=pytest.mark.thorough)
+            for each in (
+                ('', 1.2, 1.0),
+                ('M49', 0.5, 0.5),
+            )
+        ),
+    ],
+)
 def test_feed_in_a_turn_holds_at_every_override_unless_the_program_keeps_it(words, spindle, feed):
     bench = Bench(f'G0 X0 Y0 Z0\nS1000 M3\nG95 F2\n{words}\nG1 X8\nM48 G94 F900 X12\nM30')
     bench.settings = OperatorSettings(feed, spindle=spindle)

@@ -152,7 +152,11 @@ def test_a_chord_at_the_end_of_a_curve_does_not_lead_back_to_its_start():
 def test_the_fastest_way_must_save_what_a_change_is_worth(monkeypatch):
     monkeypatch.setattr(path_chain, 'way_time', lambda transform, settings, way: way)
     for ways, others, faster in (
-        ([3.0, 2.0], [2.5], True), ([2.5], [3.0, 2.0], False), ([2.0], [2.0], False),
-        ([2.0 - 1e-9], [2.0], False), ([9.0], [], True), ([], [9.0], False),
-    ):  # fmt: skip
+        ([3.0, 2.0], [2.5], True),
+        ([2.5], [3.0, 2.0], False),
+        ([2.0], [2.0], False),
+        ([2.0 - 1e-9], [2.0], False),
+        ([9.0], [], True),
+        ([], [9.0], False),
+    ):
         assert is_faster(TRANSFORM, Settings(), ways, others) == faster

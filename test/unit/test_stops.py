@@ -36,11 +36,15 @@ def circle(radius: float, turns: float, feed: float) -> AxisPath:
     stop = np.zeros(cells + 1, dtype=bool)
     stop[[0, -1]] = True
     return AxisPath(
-        s=s, cell_left=jet[:, :-1].copy(), cell_right=jet[:, 1:].copy(),
+        s=s,
+        cell_left=jet[:, :-1].copy(),
+        cell_right=jet[:, 1:].copy(),
         tip=np.column_stack([jet[0], np.zeros(cells + 1)]),
         axis=np.tile([0.0, 0.0, 1.0], (cells + 1, 1)),
-        cell_feed=np.full(cells, feed), cell_block=np.zeros(cells, dtype=np.int64), stop=stop,
-    )  # fmt: skip
+        cell_feed=np.full(cells, feed),
+        cell_block=np.zeros(cells, dtype=np.int64),
+        stop=stop,
+    )
 
 
 def straight_stop(path: AxisPath, state: tuple[float, float, float], limits: Limits) -> float:

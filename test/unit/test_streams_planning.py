@@ -116,9 +116,11 @@ def test_moved_away_by_hand_it_goes_back_and_on_and_again_from_the_way(place):
     whole = segments()
     path = AxisPathBuilder(TRANSFORM, 0.03, 1e-3).push(whole)
     planner = RunPlanner(
-        TRANSFORM, replace(CHOICES, retract=0.01, plunge_feed=0.05), 0.01,
+        TRANSFORM,
+        replace(CHOICES, retract=0.01, plunge_feed=0.05),
+        0.01,
         np.array([0.1, 0.0, 0.0, 0.0, 0.0]),
-    )  # fmt: skip
+    )
     planner.push(whole, {})
     planner.finish()
     sampled(planner)

@@ -49,8 +49,11 @@ def test_a_grid_runs_every_combination_and_names_the_fastest(tmp_path, capsys):
     refused = [row for row in rows if row['fault']]
     assert {row['contour-tolerance'] for row in refused} == {'-3'}
     assert all('contour-tolerance' in row['fault'] for row in refused)
-    moving = {(r['ratio'], r['contour-tolerance']): float(r['cycle_time_s'])
-              for r in rows if not r['fault']}  # fmt: skip
+    moving = {
+        (r['ratio'], r['contour-tolerance']): float(r['cycle_time_s'])
+        for r in rows
+        if not r['fault']
+    }
     assert moving['2', '0.2'] < moving['2', '0.02']  # a wider tolerance is faster
     best = min(moving, key=moving.get)
     line = next(row for row in said.splitlines() if row.startswith('command'))
@@ -92,14 +95,22 @@ def test_a_search_finds_what_a_grid_would_and_does_not_depend_on_workers(tmp_pat
     words = ('plan', zigzag(tmp_path), WIDE)
     found = []
     for workers in (1, 2):
-        one = Sweep(main, words, tmp_path / f'{workers}', Processes(workers, 4 * GIGA, 300.0),
-                    lambda _: None)  # fmt: skip
+        one = Sweep(
+            main,
+            words,
+            tmp_path / f'{workers}',
+            Processes(workers, 4 * GIGA, 300.0),
+            lambda _: None,
+        )
         one.search([Range('contour-tolerance', ('0.01', '0.05'))], 10)
         found.append(one.found)
     assert list(found[0]) == list(found[1])
     assert found[0] == found[1]
-    tried = {float(dict(p.values)['contour-tolerance']): f.cycle_time
-             for p, f in found[0].items() if p.values}  # fmt: skip
+    tried = {
+        float(dict(p.values)['contour-tolerance']): f.cycle_time
+        for p, f in found[0].items()
+        if p.values
+    }
     assert 6 <= len(tried) <= 11 and all(0.01 <= value <= 0.05 for value in tried)
     assert min(tried, key=tried.get) == max(tried)
 
@@ -175,8 +186,16 @@ def test_a_surface_is_swept_with_its_ridges(tmp_path):
 
     surface = tmp_path / 'plane.json'
     surface.write_text('{"kind": "plane", "size_mm": [12, 8]}')
-    words = ('cam', 'iso-scallop', str(surface), '--run', '--stepover=2', '--turn-y=15',
-             '--spacing=0.4', '--margin=1')  # fmt: skip
+    words = (
+        'cam',
+        'iso-scallop',
+        str(surface),
+        '--run',
+        '--stepover=2',
+        '--turn-y=15',
+        '--spacing=0.4',
+        '--margin=1',
+    )
     found = run_point((main, words, tmp_path, tmp_path / 'out'))
     assert found.fault == '' and found.cycle_time > 1.0
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())

@@ -84,8 +84,10 @@ def recorded(tmp_path):
 def test_known_limits_are_found_within_their_intervals(recorded, capsys):
     out = recorded / 'fitted.yaml'
     words = [str(recorded / name) for name in ('r_blocks.csv', 'p.ngc')]
-    assert main(['fit-limits', *words, '--machine', str(recorded / 'guess.yaml'),
-                 '--out', str(out)]) == 0  # fmt: skip
+    assert (
+        main(['fit-limits', *words, '--machine', str(recorded / 'guess.yaml'), '--out', str(out)])
+        == 0
+    )
     told = capsys.readouterr().out
     assert 'feed override 105' in told
     found, truth = yaml.safe_load(out.read_text()), yaml.safe_load(TRUTH)

@@ -114,10 +114,15 @@ def circle(radius: float, turns: float, feed: float, cells: int = 120) -> AxisPa
     stop = np.zeros(cells + 1, dtype=bool)
     stop[[0, -1]] = True
     return AxisPath(
-        s, ends[:, :-1].copy(), ends[:, 1:].copy(), ends[0, :, :3].copy(),
-        np.tile([0.0, 0.0, 1.0], (cells + 1, 1)), np.full(cells, feed),
-        np.zeros(cells, dtype=np.int64), stop,
-    )  # fmt: skip
+        s,
+        ends[:, :-1].copy(),
+        ends[:, 1:].copy(),
+        ends[0, :, :3].copy(),
+        np.tile([0.0, 0.0, 1.0], (cells + 1, 1)),
+        np.full(cells, feed),
+        np.zeros(cells, dtype=np.int64),
+        stop,
+    )
 
 
 def waving(length: float, cells: int) -> AxisPath:
@@ -134,9 +139,15 @@ def waving(length: float, cells: int) -> AxisPath:
     stop[[0, -1]] = True
     tip, axis = Transform.of(IDEAL).forward(ends[0])
     return AxisPath(
-        s, ends[:, :-1].copy(), ends[:, 1:].copy(), tip, axis, np.full(cells, 0.05),
-        np.zeros(cells, dtype=np.int64), stop,
-    )  # fmt: skip
+        s,
+        ends[:, :-1].copy(),
+        ends[:, 1:].copy(),
+        tip,
+        axis,
+        np.full(cells, 0.05),
+        np.zeros(cells, dtype=np.int64),
+        stop,
+    )
 
 
 def test_the_rows_are_the_errors_of_slow_motion_at_the_tool():

@@ -52,10 +52,12 @@ START = turned(-30, [-10, -7, 0])
         ('TRANS X1\nAROT Z15\nG1 X20 Y0', [1, 0, 0] + turned(15, [20, 0, 0])),
         ('G1 X1 Y1\nG91 X4', [5, 1, 0]),
         ('G18 G1 X0 Y0\nG2 X10 Z0 I5 K0', [10, 0, 0]),
-        ('G68.2 X1 Y2 Z3 I20 J10\nG1 X4 Y5 Z6',
-         [1, 2, 3] + Rotation.from_euler('ZX', [20, 10], True).apply([4, 5, 6])),
+        (
+            'G68.2 X1 Y2 Z3 I20 J10\nG1 X4 Y5 Z6',
+            [1, 2, 3] + Rotation.from_euler('ZX', [20, 10], True).apply([4, 5, 6]),
+        ),
     ],
-)  # fmt: skip
+)
 def test_points_in_a_turned_offset(text, inside):
     found = last(f'{g54(10, 7, 30)}\n{text}')
     np.testing.assert_allclose(found, [10, 7, 0] + turned(30, inside), atol=2e-5)
@@ -104,9 +106,12 @@ def test_the_setup_file_keeps_the_rotation_and_linuxcnc_is_told_it():
 @pytest.mark.parametrize('angle', [0.0, 33.0, -150.0])
 def test_touch_off_and_readout_agree_with_programs(angle):
     setup = JobSetup(
-        {'G54': {**AT_ZERO, 'X': 0.05, 'R': angle * DEG}}, {1: Tool(0.02)},
-        g92={'Y': 0.003}, g92_on=True, tool=1,
-    )  # fmt: skip
+        {'G54': {**AT_ZERO, 'X': 0.05, 'R': angle * DEG}},
+        {1: Tool(0.02)},
+        g92={'Y': 0.003},
+        g92_on=True,
+        tool=1,
+    )
     machine = dict(zip('XYZAC', [0.3, -0.1, 0.2, 0.1, -0.2], strict=True))
     zero = {**AT_ZERO, 'A': 0.0, 'C': 0.0}
     before = work_coordinates(setup, '', machine, zero)

@@ -76,10 +76,16 @@ def test_c_rests_where_the_tool_axis_wanders_about_the_pole_and_the_error_is_tol
     segments = PathSegments.concatenate([smoother.push(blocks), smoother.finish()])
     tip, axis = sampled(segments, 9)
     path = ProgrammedPath.of(blocks.tip, blocks.axis, blocks.rotary, HEIGHT)
-    found = path.deviation(
-        tip.reshape(-1, 3), axis.reshape(-1, 3), np.repeat(segments.block[:, 0], 9),
-        np.full(tip[..., 0].size, 10 * MM),
-    ).orientation.reshape(-1, 9).max(axis=1)  # fmt: skip
+    found = (
+        path.deviation(
+            tip.reshape(-1, 3),
+            axis.reshape(-1, 3),
+            np.repeat(segments.block[:, 0], 9),
+            np.full(tip[..., 0].size, 10 * MM),
+        )
+        .orientation.reshape(-1, 9)
+        .max(axis=1)
+    )
     assert (found <= segments.deviation[:, 1] + 1e-12).all()
     assert 0.5 * found.max() < segments.deviation[:, 1].max() <= 20.0 * UM
     words = ['GOTO/' + ','.join(map(str, row)) for row in np.c_[blocks.tip / MM, blocks.axis]]

@@ -41,9 +41,13 @@ def rotation(a, c, vertices, **columns):
     rates.append(np.gradient(rates[0], PERIOD, axis=0))
     corners = np.array(vertices)
     content = files(
-        MACHINE, np.stack([position, *rates]), np.ones(len(a), int),
-        np.zeros((len(corners), 3)), np.inf, tool_axis(corners[:, 0], corners[:, 1]),
-    )  # fmt: skip
+        MACHINE,
+        np.stack([position, *rates]),
+        np.ones(len(a), int),
+        np.zeros((len(corners), 3)),
+        np.inf,
+        tool_axis(corners[:, 0], corners[:, 1]),
+    )
     content['blocks'] |= columns
     content['blocks']['feed'] = np.full(len(corners), 0.1)
     return content

@@ -19,9 +19,12 @@ ROOT = Path(__file__).parents[2]
 
 def told(*command, cwd, **variables):
     done = subprocess.run(
-        [str(word) for word in command], cwd=cwd, env={'HOME': str(cwd), **variables},
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [str(word) for word in command],
+        cwd=cwd,
+        env={'HOME': str(cwd), **variables},
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -100,9 +100,13 @@ class AxisCorners:
 
     @staticmethod
     def at(
-        rows: IntArray, blocks: Blocks, axes: AxisLegs, still: BoolArray, machine: Transform,
+        rows: IntArray,
+        blocks: Blocks,
+        axes: AxisLegs,
+        still: BoolArray,
+        machine: Transform,
         height: float,
-    ) -> AxisCorners:  # fmt: skip
+    ) -> AxisCorners:
         """Collect corners beside linear blocks; ``still``: blocks where the tip moves alone."""
         before, after = rows - 1, rows
         first, second = axes.linear[before], axes.linear[after]

@@ -39,9 +39,11 @@ class Curves:
     @staticmethod
     def empty(count: int, points: int, spans: int) -> Curves:
         return Curves(
-            np.zeros((count, 5, 3)), np.zeros((count, 5, 3)), np.zeros((count, points, 3)),
+            np.zeros((count, 5, 3)),
+            np.zeros((count, 5, 3)),
+            np.zeros((count, points, 3)),
             np.zeros((count, spans, 8)),
-        )  # fmt: skip
+        )
 
     def put(self, rows: IntArray, other: Curves) -> None:
         self.bottom[rows], self.top[rows] = other.bottom, other.top
@@ -114,9 +116,13 @@ class End:
     """
 
     def __init__(
-        self, bottom: FloatArray, top: FloatArray, height: float, axis: FloatArray,
+        self,
+        bottom: FloatArray,
+        top: FloatArray,
+        height: float,
+        axis: FloatArray,
         rate: FloatArray,
-    ):  # fmt: skip
+    ):
         self.height, self.axis = height, axis
         self.b, self.c = corner_end_derivatives(bottom), corner_end_derivatives(top)
         s1 = norm(self.b[0])[:, None]
@@ -147,9 +153,12 @@ class End:
 
 
 def lacking(
-    d: tuple[FloatArray, FloatArray, FloatArray], axis: FloatArray, turning: FloatArray,
-    rho: FloatArray | float, free: BoolArray | bool = True,
-) -> FloatArray:  # fmt: skip
+    d: tuple[FloatArray, FloatArray, FloatArray],
+    axis: FloatArray,
+    turning: FloatArray,
+    rho: FloatArray | float,
+    free: BoolArray | bool = True,
+) -> FloatArray:
     """Return what three derivatives of D lack to those of rho o [m]; rho follows D where free."""
     d1, d2, d3 = d
     o1, o2, o3 = turning

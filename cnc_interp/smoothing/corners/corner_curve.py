@@ -147,9 +147,12 @@ def _top_shares(top: FloatArray, reach: FloatArray) -> FloatArray:
 
 
 def fit(
-    corners: Corners, inner: FloatArray, outer: FloatArray, style: Style,
+    corners: Corners,
+    inner: FloatArray,
+    outer: FloatArray,
+    style: Style,
     ratios: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, Curves, FloatArray]:
     """Build corners and shrink them until both tolerances hold."""
     inner, outer = inner.copy(), outer.copy()
     reach = corners.tolerances[:, 1].copy()

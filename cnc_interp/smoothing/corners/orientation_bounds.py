@@ -75,9 +75,16 @@ def _write_axis_error(
 
 @njit(cache=True, nogil=True)
 def bound_interval(
-    half: float, tip: FloatArray, tool: FloatArray, lines: FloatArray, side: int, top_side: int,
-    height: float, largest_seen: float, both: bool,
-) -> tuple[float, float]:  # fmt: skip
+    half: float,
+    tip: FloatArray,
+    tool: FloatArray,
+    lines: FloatArray,
+    side: int,
+    top_side: int,
+    height: float,
+    largest_seen: float,
+    both: bool,
+) -> tuple[float, float]:
     """Return a proven bound of the errors on an interval, and the largest error seen so far."""
     swing, tips, axes = (
         np.empty((DEGREE + 1, 3)),
@@ -117,9 +124,13 @@ def bound_interval(
 
 @njit(cache=True, nogil=True)
 def _bound_top_error(
-    tips: FloatArray, axes: FloatArray, line: FloatArray, height: float, remainder: FloatArray,
+    tips: FloatArray,
+    axes: FloatArray,
+    line: FloatArray,
+    height: float,
+    remainder: FloatArray,
     nearest: FloatArray,
-) -> float:  # fmt: skip
+) -> float:
     """Return a proven bound of the top error from one side; lower ``nearest`` to values there."""
     corner, away = np.empty((DEGREE + 1, 3)), np.empty((DEGREE + 1, 3))
     feet, gap, scratch = np.empty(DEGREE + 1), np.zeros(3), np.zeros(3)
@@ -150,9 +161,13 @@ def _bound_top_error(
 
 @njit(cache=True, nogil=True)
 def _remainders(
-    half: float, tip: FloatArray, tool: FloatArray, line: FloatArray, top_line: FloatArray,
+    half: float,
+    tip: FloatArray,
+    tool: FloatArray,
+    line: FloatArray,
+    top_line: FloatArray,
     height: float,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Bound the remainders of axis error, distance from the corner, top error and foot [m]."""
     found = np.full(4, np.inf)
     straight = sqrt(scalar_product(tool[0], tool[0]))
@@ -205,23 +220,43 @@ def _value_range(values: FloatArray) -> tuple[float, float]:
 
 
 def orientation_bounds(
-    curves: Curves, legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float,
-    least: FloatArray, both: BoolArray,
-) -> FloatArray:  # fmt: skip
+    curves: Curves,
+    legs: FloatArray,
+    rates: FloatArray,
+    outer: FloatArray,
+    height: float,
+    least: FloatArray,
+    both: BoolArray,
+) -> FloatArray:
     return np.asarray(
         _bounds_of(
-            curves.bottom, curves.top, curves.connection, curves.parametrization,
-            legs, rates, outer, height, least, both,
+            curves.bottom,
+            curves.top,
+            curves.connection,
+            curves.parametrization,
+            legs,
+            rates,
+            outer,
+            height,
+            least,
+            both,
         )
-    )  # fmt: skip
+    )
 
 
 @njit(cache=True, nogil=True)
 def _bounds_of(
-    bottom: FloatArray, top: FloatArray, connection: FloatArray, parametrization: FloatArray,
-    legs: FloatArray, rates: FloatArray, outer: FloatArray, height: float, least: FloatArray,
+    bottom: FloatArray,
+    top: FloatArray,
+    connection: FloatArray,
+    parametrization: FloatArray,
+    legs: FloatArray,
+    rates: FloatArray,
+    outer: FloatArray,
+    height: float,
+    least: FloatArray,
     both: BoolArray,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     bounds = least.copy()
     for i in range(len(bottom)):
         lift, largest_seen = _powers(connection[i]), least[i]
@@ -229,17 +264,30 @@ def _bounds_of(
         breaks = corner_breaks(parametrization[i])
         for k in range(len(breaks) - 1):
             largest_seen, bounds[i] = _bound_piece(
-                breaks[k], breaks[k + 1], bottom[i], top[i], lift, parametrization[i], lines,
-                height, largest_seen, bounds[i], both[i],
-            )  # fmt: skip
+                breaks[k],
+                breaks[k + 1],
+                bottom[i],
+                top[i],
+                lift,
+                parametrization[i],
+                lines,
+                height,
+                largest_seen,
+                bounds[i],
+                both[i],
+            )
     return bounds
 
 
 @njit(cache=True, nogil=True)
 def _programmed_lines(
-    bottom: FloatArray, top: FloatArray, legs: FloatArray, rates: FloatArray, outer: FloatArray,
+    bottom: FloatArray,
+    top: FloatArray,
+    legs: FloatArray,
+    rates: FloatArray,
+    outer: FloatArray,
     height: float,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Return the programmed data on both sides of a corner, shape (2, 5, 3).
 
     At x metres from the corner the programmed axis is cos(turn x) axis + sin(turn x) slope. The
@@ -296,10 +344,18 @@ def _shifted(coefficients: FloatArray, place: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _bound_piece(
-    low: float, high: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
-    parametrization: FloatArray, lines: FloatArray, height: float, largest_seen: float,
-    proven: float, both: bool,
-) -> tuple[float, float]:  # fmt: skip
+    low: float,
+    high: float,
+    bottom: FloatArray,
+    top: FloatArray,
+    lift: FloatArray,
+    parametrization: FloatArray,
+    lines: FloatArray,
+    height: float,
+    largest_seen: float,
+    proven: float,
+    both: bool,
+) -> tuple[float, float]:
     """Return the largest error seen and the bound, raised to those of one smooth piece [m]."""
     stack = np.empty((HALVINGS + 2, 3))
     stack[0, 0], stack[0, 1], stack[0, 2] = low, high, 0.0
@@ -325,9 +381,13 @@ def _bound_piece(
 
 @njit(cache=True, nogil=True)
 def _taylor(
-    u: float, half: float, bottom: FloatArray, top: FloatArray, lift: FloatArray,
+    u: float,
+    half: float,
+    bottom: FloatArray,
+    top: FloatArray,
+    lift: FloatArray,
     parametrization: FloatArray,
-) -> tuple[FloatArray, FloatArray, bool, float]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, bool, float]:
     """Return the Taylor coefficients at u of tip, shape (4, 3), and tool vector, shape (m, 3).
 
     The tip is relative to the corner. The tool vector is the difference of both curves (Eq. 5).

@@ -57,9 +57,16 @@ class Legs:
         extra_step = np.diff(blocks.extra, axis=0)
         extra_rate = extra_step / np.where(resting, 1.0, length)[:, None]
         return Legs(
-            length, direction, rotation, norm(rotation), rate, resting, extra_step, extra_rate,
+            length,
+            direction,
+            rotation,
+            norm(rotation),
+            rate,
+            resting,
+            extra_step,
+            extra_rate,
             axes,
-        )  # fmt: skip
+        )
 
     @property
     def swivels(self) -> BoolArray:
@@ -145,10 +152,11 @@ def corners_at(
         )
         tolerances[1], near = tolerances[1] * share, share < 1.0
     return Corners(
-        tip=blocks.tip[rows], axis=blocks.axis[rows],
+        tip=blocks.tip[rows],
+        axis=blocks.axis[rows],
         legs=np.stack([-legs.direction[rows - 1], legs.direction[rows]], axis=1),
         rates=np.stack([legs.rate[rows - 1], legs.rate[rows]], axis=1),
         tolerances=np.stack(tolerances, axis=1),
         extra_rates=np.stack([legs.extra_rate[rows - 1], legs.extra_rate[rows]], axis=1),
         near_pole=near,
-    )  # fmt: skip
+    )

@@ -23,9 +23,17 @@ ADVANCE = 0.01
 
 @njit(cache=True, nogil=True)
 def _hull(
-    points: FloatArray, a: float, b: float, first: FloatArray, last: FloatArray,
-    tool: FloatArray, turn: float, height: float, turning: bool, work: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
+    points: FloatArray,
+    a: float,
+    b: float,
+    first: FloatArray,
+    last: FloatArray,
+    tool: FloatArray,
+    turn: float,
+    height: float,
+    turning: bool,
+    work: FloatArray,
+) -> tuple[float, float]:
     """Bound contour and orientation deviation of a part a ... b of a quintic span [m].
 
     The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
@@ -69,9 +77,13 @@ def _hull(
 
 @njit(cache=True, nogil=True)
 def certify(
-    points: FloatArray, knots: FloatArray, line: Polyline, height: float, turning: bool,
+    points: FloatArray,
+    knots: FloatArray,
+    line: Polyline,
+    height: float,
+    turning: bool,
     tolerance_share: float,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return deviations of spans [m] and as shares of tolerances, and where the tip advances."""
     n, u, tip, axis = len(points), line.u, line.pose[:, :3], line.pose[:, 3:]
     deviation, excess = np.zeros((n, 2)), np.zeros((n, 2))
@@ -118,9 +130,17 @@ def certify(
                     for i in range(3):
                         tool[i] /= sqrt(size)
                     contour, top = _hull(
-                        points[s], (a - start) / d, (b - start) / d, first, last, tool,
-                        turn * (y - x), height, turning, work,
-                    )  # fmt: skip
+                        points[s],
+                        (a - start) / d,
+                        (b - start) / d,
+                        first,
+                        last,
+                        tool,
+                        turn * (y - x),
+                        height,
+                        turning,
+                        work,
+                    )
                     worst, worst_top = max(worst, contour), max(worst_top, top)
                 worst, worst_top = worst + line.used[j, 0], worst_top + line.used[j, 1]
                 if worst <= allowed[0] and worst_top <= allowed[1]:

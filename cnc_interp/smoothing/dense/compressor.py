@@ -34,9 +34,13 @@ SHORTEST_REST = 40.0
 
 class Compressor:
     def __init__(
-        self, settings: Settings, machine: MachineTraits, choice: Choice | None, row: int = 0,
+        self,
+        settings: Settings,
+        machine: MachineTraits,
+        choice: Choice | None,
+        row: int = 0,
         joined: bool = False,
-    ):  # fmt: skip
+    ):
         self._enabled, self._height = settings.compress, settings.flank_height
         self._share = settings.tolerance_share
         self._machine, self._choice = machine, choice
@@ -132,9 +136,12 @@ class Compressor:
         return not self._choice(*ways_of_run(skeleton, start, last, self._height, self._machine))
 
     def _line(
-        self, k: int, leg: EndLine | None = None, leads: bool = False,
+        self,
+        k: int,
+        leg: EndLine | None = None,
+        leads: bool = False,
         off: FloatArray | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Send the line to vertex k, or the part of it before or after a curve."""
         skeleton, tolerance = self._skeleton, self._skeleton.tolerance[k]
         off = skeleton.used[k] if off is None else off
@@ -320,11 +327,16 @@ def rows_of(skeleton: Skeleton, made: Sequence[Made]) -> Rows:
             row[i], line[i] = one.curve.origin[-1, 1]
     tolerance = np.array([one.tolerance for one in made])
     blocks = replace(
-        blocks, tip=tip, axis=axis, rotary=rotary, line_number=line,
+        blocks,
+        tip=tip,
+        axis=axis,
+        rotary=rotary,
+        line_number=line,
         exact_stop=np.array([one.stop for one in made]),
         feedrate=np.array([one.feed for one in made]),
-        contour_tolerance=tolerance[:, 0], orientation_tolerance=tolerance[:, 1],
-    )  # fmt: skip
+        contour_tolerance=tolerance[:, 0],
+        orientation_tolerance=tolerance[:, 1],
+    )
     curves = [one.curve for one in made if one.curve is not None]
     spans = Spans.none()
     if curves:
@@ -332,11 +344,20 @@ def rows_of(skeleton: Skeleton, made: Sequence[Made]) -> Rows:
             np.concatenate, zip(*(curve[5:] for curve in curves), strict=True)
         )
         spans = Spans(
-            bottom, top, np.repeat(feed[:, None], 2, axis=1), origin[:, :, 0], origin[:, 1, 1],
-            deviation[:, :2], deviation[:, 2],
-        )  # fmt: skip
+            bottom,
+            top,
+            np.repeat(feed[:, None], 2, axis=1),
+            origin[:, :, 0],
+            origin[:, 1, 1],
+            deviation[:, :2],
+            deviation[:, 2],
+        )
     return Rows(
-        blocks, row, np.array([one.used for one in made]),
-        np.array([one.smooth for one in made]), np.array([one.leads for one in made]),
-        np.array([0 if one.curve is None else len(one.curve.feed) for one in made]), spans,
-    )  # fmt: skip
+        blocks,
+        row,
+        np.array([one.used for one in made]),
+        np.array([one.smooth for one in made]),
+        np.array([one.leads for one in made]),
+        np.array([0 if one.curve is None else len(one.curve.feed) for one in made]),
+        spans,
+    )

@@ -101,9 +101,16 @@ class Run:
                 return None
         window: Window
         enough, window = fit_window(
-            line, self.curve, self.t, limit, self._longest, self.begun, self.ended, self._jet,
+            line,
+            self.curve,
+            self.t,
+            limit,
+            self._longest,
+            self.begun,
+            self.ended,
+            self._jet,
             self._end_jet,
-        )  # fmt: skip
+        )
         if not enough:
             return None
         if window.found:
@@ -127,9 +134,16 @@ class Run:
 
 @njit(cache=True, nogil=True)
 def fit_window(
-    line: Polyline, curve: Curve, t: float, limit: float, longest: float, begun: bool,
-    ended: bool, jet: FloatArray, end_jet: FloatArray,
-) -> tuple[bool, Window]:  # fmt: skip
+    line: Polyline,
+    curve: Curve,
+    t: float,
+    limit: float,
+    longest: float,
+    begun: bool,
+    ended: bool,
+    jet: FloatArray,
+    end_jet: FloatArray,
+) -> tuple[bool, Window]:
     """Fit a window from t on, with knots up to a limit; False if more blocks are necessary."""
     left = _left_over(line, curve)
     wanted = spacing.knot_spacings(line, left, curve.height, longest)
@@ -143,9 +157,18 @@ def fit_window(
             continue
         knots = _to_the_end(knots, line.u[-1]) if last else knots[: WINDOW + 1]
         window = _fitted(
-            line, curve, left, knots, begun, last, jet, end_jet if last else jet[:0], fewest, most,
+            line,
+            curve,
+            left,
+            knots,
+            begun,
+            last,
+            jet,
+            end_jet if last else jet[:0],
+            fewest,
+            most,
             aim,
-        )  # fmt: skip
+        )
         if window.found:
             break
     return True, window
@@ -171,9 +194,17 @@ def _nothing(t: float) -> Window:
     """Return a window without spans; the deviation is too large at t."""
     none = np.empty((0, 6, 3))
     return Window(
-        False, False, t, np.empty(3), np.empty((5, 6)), none, none, np.empty(0),
-        np.empty((0, 2, 2), np.int64), np.empty((0, 3)),
-    )  # fmt: skip
+        False,
+        False,
+        t,
+        np.empty(3),
+        np.empty((5, 6)),
+        none,
+        none,
+        np.empty(0),
+        np.empty((0, 2, 2), np.int64),
+        np.empty((0, 3)),
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -195,9 +226,18 @@ def _to_the_end(knots: FloatArray, end: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _fitted(
-    line: Polyline, curve: Curve, left: FloatArray, knots: FloatArray, begun: bool, last: bool,
-    jet: FloatArray, end_jet: FloatArray, fewest: int, most: int, aim: float,
-) -> Window:  # fmt: skip
+    line: Polyline,
+    curve: Curve,
+    left: FloatArray,
+    knots: FloatArray,
+    begun: bool,
+    last: bool,
+    jet: FloatArray,
+    end_jet: FloatArray,
+    fewest: int,
+    most: int,
+    aim: float,
+) -> Window:
     """Return the spans to commit, or the place where the deviation is too large."""
     height, turning, spans = curve.height, curve.turning, len(knots) - 1
     full = bspline.clamped_knots(knots)
@@ -205,9 +245,17 @@ def _fitted(
     samples = spacing.sample_points(line, left, knots, height)
     narrow, apart = _tolerances(line, knots)
     coefficients, _ = fit(
-        full, matrices, knots, jet, end_jet, samples, turning, (fewest, most), aim,
+        full,
+        matrices,
+        knots,
+        jet,
+        end_jet,
+        samples,
+        turning,
+        (fewest, most),
+        aim,
         STIFFNESS * narrow.min() / TYPICAL,
-    )  # fmt: skip
+    )
     count = spans if last else COMMIT
     points = bspline.quintic_bezier_points(coefficients, matrices, count)
     if last:  # exact to the last bit

@@ -121,7 +121,7 @@ def _distance(a: FloatArray, b: FloatArray) -> float:
 @njit(cache=True, nogil=True)
 def with_end_line(
     line: Polyline, v: Vertices, vertex: int, step: int, other: int, ended: bool, height: float
-) -> tuple[EndLine, Polyline, FloatArray]:  # fmt: skip
+) -> tuple[EndLine, Polyline, FloatArray]:
     """Choose the line on which a run begins at a vertex (``step`` 1) or ends there (-1).
 
     Returns it, the polyline with it, and the motion at its outer end. ``other`` is the last vertex
@@ -146,13 +146,26 @@ def with_end_line(
         if inner:
             pose_between(before, pose, leg.cuts[i], to)
         n = put(
-            line, n, to if inner else pose, -1 if inner else vertex, leg.used, leg.tolerance,
-            leg.feed, v.row[k], v.line_number[k], height,
-        )  # fmt: skip
+            line,
+            n,
+            to if inner else pose,
+            -1 if inner else vertex,
+            leg.used,
+            leg.tolerance,
+            leg.feed,
+            v.row[k],
+            v.line_number[k],
+            height,
+        )
     line = Polyline(
-        line.pose[:n], line.u[:n], line.vertex[:n], line.used[: n - 1], line.tolerance[: n - 1],
-        line.feed[: n - 1], line.origin[: n - 1],
-    )  # fmt: skip
+        line.pose[:n],
+        line.u[:n],
+        line.vertex[:n],
+        line.used[: n - 1],
+        line.tolerance[: n - 1],
+        line.feed[: n - 1],
+        line.origin[: n - 1],
+    )
     return leg, line, jet
 
 
@@ -166,7 +179,15 @@ def extended(line: Polyline, v: Vertices, first: int, last: int, height: float) 
     line = with_room(line, n, more)
     for k in range(first, last + 1):
         n = put(
-            line, n, v.pose[k], k, v.used[k], v.narrow[k], v.feed[k], v.row[k], v.line_number[k],
+            line,
+            n,
+            v.pose[k],
+            k,
+            v.used[k],
+            v.narrow[k],
+            v.feed[k],
+            v.row[k],
+            v.line_number[k],
             height,
-        )  # fmt: skip
+        )
     return line

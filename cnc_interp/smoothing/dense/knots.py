@@ -78,8 +78,13 @@ def knot_spacings(line: Polyline, left: FloatArray, height: float, longest: floa
 
 @njit(cache=True, nogil=True)
 def place_knots(
-    u: FloatArray, wanted: FloatArray, start: float, end: float, factor: float, most: int,
-) -> FloatArray:  # fmt: skip
+    u: FloatArray,
+    wanted: FloatArray,
+    start: float,
+    end: float,
+    factor: float,
+    most: int,
+) -> FloatArray:
     """Place knots; inside a long segment the spacing grows from both ends."""
     knots = np.empty(most + 1)
     knots[0] = start
@@ -89,8 +94,10 @@ def place_knots(
         x = knots[count]
         while k < n - 2 and u[k + 1] <= x:
             k += 1
-        d = min(wanted[k] + GROWTH * max(0.0, x - u[k]),
-                wanted[k + 1] + GROWTH * max(0.0, u[k + 1] - x))  # fmt: skip
+        d = min(
+            wanted[k] + GROWTH * max(0.0, x - u[k]),
+            wanted[k + 1] + GROWTH * max(0.0, u[k + 1] - x),
+        )
         # The spacing must also fit the end of the span.
         j = k + 1
         while j < n and u[j] < x + d:
@@ -104,7 +111,7 @@ def place_knots(
 @njit(cache=True, nogil=True)
 def sample_points(
     line: Polyline, left: FloatArray, knots: FloatArray, height: float
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return parameters, spans, poses, tool axes, tolerances and weights of m samples."""
     u, spans = line.u, len(knots) - 1
     first = 0
@@ -160,6 +167,10 @@ def sample_points(
             s += 1
         span[at] = s
     return (
-        x[:count].copy(), span[:count].copy(), point[:count].copy(), tool[:count].copy(),
-        allowed[:count].copy(), weight[:count].copy(),
-    )  # fmt: skip
+        x[:count].copy(),
+        span[:count].copy(),
+        point[:count].copy(),
+        tool[:count].copy(),
+        allowed[:count].copy(),
+        weight[:count].copy(),
+    )

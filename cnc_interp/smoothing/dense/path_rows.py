@@ -22,9 +22,11 @@ def way_between(before: Blocks, after: Blocks, height: float) -> FloatArray:
     turn = np.abs(after.rotary - begin)
     turn = np.where(np.isnan(after.rotary), 0.0, np.where(np.isnan(turn), np.inf, turn))
     ways = (
-        norm(after.tip - before.tip), height * norm(after.axis - before.axis),
-        height * turn.max(axis=1), np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
-    )  # fmt: skip
+        norm(after.tip - before.tip),
+        height * norm(after.axis - before.axis),
+        height * turn.max(axis=1),
+        np.abs(after.extra - before.extra).max(axis=1, initial=0.0),
+    )
     return np.asarray(np.max(ways, axis=0))
 
 
@@ -90,9 +92,14 @@ class Rows(Table):
         first, last, _ = rows.indices(len(self))
         ends = np.concatenate([[0], np.cumsum(self.count)])
         return Rows(
-            self.blocks[rows], self.row[rows], self.used[rows], self.smooth[rows],
-            self.leads[rows], self.count[rows], self.spans[ends[first] : ends[max(first, last)]],
-        )  # fmt: skip
+            self.blocks[rows],
+            self.row[rows],
+            self.used[rows],
+            self.smooth[rows],
+            self.leads[rows],
+            self.count[rows],
+            self.spans[ends[first] : ends[max(first, last)]],
+        )
 
     def moving(self, height: float) -> Rows:
         """Leave out lines that do not move; the row before them takes their exact stops."""
@@ -103,9 +110,14 @@ class Rows(Table):
             return self
         stop = np.logical_or.reduceat(self.blocks.exact_stop, at)
         return Rows(
-            replace(self.blocks[at], exact_stop=stop), self.row[at], self.used[at],
-            self.smooth[at], self.leads[at], self.count[at], self.spans,
-        )  # fmt: skip
+            replace(self.blocks[at], exact_stop=stop),
+            self.row[at],
+            self.used[at],
+            self.smooth[at],
+            self.leads[at],
+            self.count[at],
+            self.spans,
+        )
 
     @staticmethod
     def plain(blocks: Blocks, first: int) -> Rows:
@@ -113,6 +125,11 @@ class Rows(Table):
         n = len(blocks)
         no = np.zeros(n, dtype=bool)
         return Rows(
-            blocks, first + np.arange(n), np.zeros((n, 2)), no, no,
-            np.zeros(n, dtype=np.int64), Spans.none(),
-        )  # fmt: skip
+            blocks,
+            first + np.arange(n),
+            np.zeros((n, 2)),
+            no,
+            no,
+            np.zeros(n, dtype=np.int64),
+            Spans.none(),
+        )

@@ -34,9 +34,14 @@ class Polyline(NamedTuple):
     def part(self, first: int, last: int) -> Polyline:
         at, between = slice(first, last + 1), slice(first, last)
         return Polyline(
-            self.pose[at], self.u[at], self.vertex[at], self.used[between],
-            self.tolerance[between], self.feed[between], self.origin[between],
-        )  # fmt: skip
+            self.pose[at],
+            self.u[at],
+            self.vertex[at],
+            self.used[between],
+            self.tolerance[between],
+            self.feed[between],
+            self.origin[between],
+        )
 
     def upto(self, vertex: int) -> Polyline:
         """Return the polyline up to a skeleton vertex, or its first vertex if it starts later."""
@@ -64,9 +69,14 @@ def with_room(line: Polyline, n: int, more: int) -> Polyline:
     """Copy the first n vertices of a polyline, with room for more at the end."""
     m = n + more
     longer = Polyline(
-        np.empty((m, 6)), np.empty(m), np.empty(m, np.int64), np.empty((m - 1, 2)),
-        np.empty((m - 1, 2)), np.empty(m - 1), np.empty((m - 1, 2), np.int64),
-    )  # fmt: skip
+        np.empty((m, 6)),
+        np.empty(m),
+        np.empty(m, np.int64),
+        np.empty((m - 1, 2)),
+        np.empty((m - 1, 2)),
+        np.empty(m - 1),
+        np.empty((m - 1, 2), np.int64),
+    )
     for k in range(n):
         longer.u[k], longer.vertex[k] = line.u[k], line.vertex[k]
         for i in range(6):
@@ -83,9 +93,14 @@ def with_room(line: Polyline, n: int, more: int) -> Polyline:
 def lone_vertex(pose: FloatArray, vertex: int) -> Polyline:
     """Return a polyline with one vertex, whose curve parameter is 0."""
     line = Polyline(
-        np.empty((1, 6)), np.zeros(1), np.empty(1, np.int64), np.empty((0, 2)), np.empty((0, 2)),
-        np.empty(0), np.empty((0, 2), np.int64),
-    )  # fmt: skip
+        np.empty((1, 6)),
+        np.zeros(1),
+        np.empty(1, np.int64),
+        np.empty((0, 2)),
+        np.empty((0, 2)),
+        np.empty(0),
+        np.empty((0, 2), np.int64),
+    )
     line.vertex[0] = vertex
     for i in range(6):
         line.pose[0, i] = pose[i]
@@ -94,9 +109,17 @@ def lone_vertex(pose: FloatArray, vertex: int) -> Polyline:
 
 @njit(cache=True, nogil=True)
 def put(
-    line: Polyline, n: int, pose: FloatArray, vertex: int, used: FloatArray,
-    tolerance: FloatArray, feed: float, row: int, number: int, height: float,
-) -> int:  # fmt: skip
+    line: Polyline,
+    n: int,
+    pose: FloatArray,
+    vertex: int,
+    used: FloatArray,
+    tolerance: FloatArray,
+    feed: float,
+    row: int,
+    number: int,
+    height: float,
+) -> int:
     """Write a vertex after the first n ones, and those that divide its segment; return n after."""
     begin = line.pose[n - 1].copy()
     parts = parts_between(begin, pose)
@@ -147,7 +170,7 @@ def line_jet(line: Polyline, k: int, at: int, height: float) -> FloatArray:
 @njit(cache=True, nogil=True)
 def pieces(
     points: FloatArray, knots: FloatArray, line: Polyline, apart: BoolArray
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:  # fmt: skip
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
     """Divide spans where the programmed feed changes; if ``apart``, the tolerances.
 
     Returns for m pieces: their spans, Bezier points, curve parameters at their ends (m + 1,),
@@ -196,6 +219,9 @@ def pieces(
             while k < len(feed) - 1 and u[k + 1] <= b:
                 k += 1
     return (
-        source[:count].copy(), cut[:count].copy(), ends[: count + 1].copy(), speed[:count].copy(),
+        source[:count].copy(),
+        cut[:count].copy(),
+        ends[: count + 1].copy(),
+        speed[:count].copy(),
         segment[:count].copy(),
-    )  # fmt: skip
+    )

@@ -77,9 +77,20 @@ class Skeleton:
         """Return what kernels read; marks that change later change there, too."""
         pose = np.hstack([self.blocks.tip, self.blocks.axis])
         return Vertices(
-            pose, self.top, self.u, self.used, self.tolerance, self.narrow, self.feed, self.row,
-            self.blocks.line_number, self.kind, self.turning, self.closed, self.corner,
-        )  # fmt: skip
+            pose,
+            self.top,
+            self.u,
+            self.used,
+            self.tolerance,
+            self.narrow,
+            self.feed,
+            self.row,
+            self.blocks.line_number,
+            self.kind,
+            self.turning,
+            self.closed,
+            self.corner,
+        )
 
 
 class SkeletonBuilder:
@@ -117,9 +128,19 @@ class SkeletonBuilder:
     def _start(self, raw: Blocks, top: FloatArray) -> Skeleton:
         yes, no = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
         return Skeleton(
-            raw[:1], top[:1], np.array([self._row]), np.zeros((1, 2)), np.full(1, np.inf),
-            no, np.full(1, FIXED), yes, yes.copy(), no.copy(), np.zeros(1), np.zeros(1),
-        )  # fmt: skip
+            raw[:1],
+            top[:1],
+            np.array([self._row]),
+            np.zeros((1, 2)),
+            np.full(1, np.inf),
+            no,
+            np.full(1, FIXED),
+            yes,
+            yes.copy(),
+            no.copy(),
+            np.zeros(1),
+            np.zeros(1),
+        )
 
     def _marks(
         self, raw: Blocks, top: FloatArray, final: bool, joined: bool
@@ -160,9 +181,15 @@ class SkeletonBuilder:
         return kind, stop, closed | stop
 
     def _append(
-        self, raw: Blocks, top: FloatArray, kept: IntArray, used: FloatArray, kind: IntArray,
-        stop: BoolArray, closed: BoolArray,
-    ) -> None:  # fmt: skip
+        self,
+        raw: Blocks,
+        top: FloatArray,
+        kept: IntArray,
+        used: FloatArray,
+        kind: IntArray,
+        stop: BoolArray,
+        closed: BoolArray,
+    ) -> None:
         assert self.skeleton is not None
         skeleton = self.skeleton
         # The block after row 0 may have changed its marks.
@@ -205,16 +232,27 @@ class SkeletonBuilder:
         turning = norm(rotations_between(raw.axis[before], raw.axis[kept])) > 0.0
         rows = raw[kept]
         blocks = replace(
-            rows, feedrate=np.where(moving & timed, feed, rows.feedrate),
+            rows,
+            feedrate=np.where(moving & timed, feed, rows.feedrate),
             duration=np.where(moving, np.nan, rows.duration),
-        )  # fmt: skip
+        )
         du = np.sqrt(0.5 * (length**2 + top_length**2))
         u = np.cumsum(np.concatenate([skeleton.u[-1:], du]))[1:]
         nothing = np.zeros(len(kept))
         more = Skeleton(
-            blocks, top[kept], self._row + kept, used, feed, turning, kind, stop, closed | stop,
-            np.zeros(len(kept), dtype=bool), u, nothing,
-        )  # fmt: skip
+            blocks,
+            top[kept],
+            self._row + kept,
+            used,
+            feed,
+            turning,
+            kind,
+            stop,
+            closed | stop,
+            np.zeros(len(kept), dtype=bool),
+            u,
+            nothing,
+        )
         self.skeleton = skeleton.join(more)
 
     def _feeds(self, raw: Blocks, before: IntArray, kept: IntArray) -> FloatArray:
@@ -255,9 +293,14 @@ class CornerSearch:
             turned = max(known, min(int(seen), n - 1), self.turned)
         if turned > self.turned:
             skeleton.turn[self.turned : turned] = thinning.vertex_turns(
-                skeleton.blocks.tip, skeleton.top, skeleton.u, skeleton.closed, tolerance,
-                self.turned, turned,
-            )  # fmt: skip
+                skeleton.blocks.tip,
+                skeleton.top,
+                skeleton.u,
+                skeleton.closed,
+                tolerance,
+                self.turned,
+                turned,
+            )
         self.turned = turned
         decided = n
         if not final:
@@ -266,9 +309,14 @@ class CornerSearch:
             decided = max(known, int(seen), self.decided)
         if decided > self.decided:
             skeleton.corner[self.decided : decided] |= thinning.find_corners(
-                skeleton.turn[:turned], skeleton.u[:turned], skeleton.closed[:turned],
-                tolerance[:turned], self._angle, self.decided, decided,
-            )  # fmt: skip
+                skeleton.turn[:turned],
+                skeleton.u[:turned],
+                skeleton.closed[:turned],
+                tolerance[:turned],
+                self._angle,
+                self.decided,
+                decided,
+            )
         self.decided = decided
 
     def shift(self, first: int) -> None:

@@ -126,9 +126,15 @@ def _turn_at(points: FloatArray, j: int, back: int, forth: int) -> float:
 
 @njit(cache=True, nogil=True)
 def _chord_from(
-    points: FloatArray, u: FloatArray, j: int, step: int, first: int, last: int, least: float,
+    points: FloatArray,
+    u: FloatArray,
+    j: int,
+    step: int,
+    first: int,
+    last: int,
+    least: float,
     reach: float,
-) -> int:  # fmt: skip
+) -> int:
     """Return the nearest vertex in one direction at the distance ``least``; -1 if none is near."""
     k = j + step
     while first <= k <= last:
@@ -142,9 +148,14 @@ def _chord_from(
 
 @njit(cache=True, nogil=True)
 def vertex_turns(
-    tip: FloatArray, top: FloatArray, u: FloatArray, closed: BoolArray, tolerance: FloatArray,
-    first: int, last: int,
-) -> FloatArray:  # fmt: skip
+    tip: FloatArray,
+    top: FloatArray,
+    u: FloatArray,
+    closed: BoolArray,
+    tolerance: FloatArray,
+    first: int,
+    last: int,
+) -> FloatArray:
     """Return the larger turn of tip and top at vertices [rad]; 0 where no chord is long enough."""
     n = len(u)
     found = np.zeros(last - first)
@@ -170,9 +181,14 @@ def vertex_turns(
 
 @njit(cache=True, nogil=True)
 def find_corners(
-    turn: FloatArray, u: FloatArray, closed: BoolArray, tolerance: FloatArray, least: float,
-    first: int, last: int,
-) -> BoolArray:  # fmt: skip
+    turn: FloatArray,
+    u: FloatArray,
+    closed: BoolArray,
+    tolerance: FloatArray,
+    least: float,
+    first: int,
+    last: int,
+) -> BoolArray:
     """Tell which vertices turn more than ``least`` [rad], and more than all near them."""
     found = np.zeros(last - first, dtype=np.bool_)
     n = len(u)
@@ -195,9 +211,15 @@ def find_corners(
 
 @njit(cache=True, nogil=True)
 def longest_chord(
-    tip: FloatArray, top: FloatArray, tolerance: FloatArray, a: int, step: int, last: int,
-    most: float, share: float,
-) -> tuple[int, float, float]:  # fmt: skip
+    tip: FloatArray,
+    top: FloatArray,
+    tolerance: FloatArray,
+    a: int,
+    step: int,
+    last: int,
+    most: float,
+    share: float,
+) -> tuple[int, float, float]:
     """Find the farthest vertex whose chord to a keeps near all between; how near [m]."""
     best, best_off, best_top = a + step, 0.0, 0.0
     k = a + step

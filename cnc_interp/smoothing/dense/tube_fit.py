@@ -81,9 +81,15 @@ def _solve_bands(bands: FloatArray, right: FloatArray, first: int, last: int) ->
 
 @njit(cache=True, nogil=True)
 def _deviations(
-    coefficients: FloatArray, basis: FloatArray, span: IntArray, point: FloatArray,
-    tool: FloatArray, allowed: FloatArray, turning: bool, out: FloatArray,
-) -> float:  # fmt: skip
+    coefficients: FloatArray,
+    basis: FloatArray,
+    span: IntArray,
+    point: FloatArray,
+    tool: FloatArray,
+    allowed: FloatArray,
+    turning: bool,
+    out: FloatArray,
+) -> float:
     """Write the deviation of each sample as part of its tolerance, and return the largest one.
 
     Only the direction of D = top - tip matters: along the tool axis, the error is that of the tip.
@@ -114,10 +120,17 @@ def _deviations(
 
 @njit(cache=True, nogil=True)
 def fit(
-    full: FloatArray, matrices: FloatArray, knots: FloatArray, start: FloatArray,
-    end: FloatArray, samples: Samples, turning: bool, sweeps: tuple[int, int], aim: float,
+    full: FloatArray,
+    matrices: FloatArray,
+    knots: FloatArray,
+    start: FloatArray,
+    end: FloatArray,
+    samples: Samples,
+    turning: bool,
+    sweeps: tuple[int, int],
+    aim: float,
     stiffness: float,
-) -> tuple[FloatArray, float]:  # fmt: skip
+) -> tuple[FloatArray, float]:
     """Fit the smoothest quintic spline within the tolerance tube.
 
     ``full`` is the knot vector with multiple ends, ``start`` and ``end`` (m, 6) have value and

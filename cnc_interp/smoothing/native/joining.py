@@ -107,9 +107,13 @@ class Connected:
 
 
 def connected(
-    bottom: FloatArray, top: FloatArray, first: Jets | None, last: Jets | None, height: float,
+    bottom: FloatArray,
+    top: FloatArray,
+    first: Jets | None,
+    last: Jets | None,
+    height: float,
     points: int = 6,
-) -> Connected:  # fmt: skip
+) -> Connected:
     n = len(bottom)
     moved = bottom.copy()
     free = np.zeros((3, n, 3))
@@ -194,9 +198,13 @@ class Piece:
 
 
 def absorbed(
-    piece: Piece, first: Jets | None, last: Jets | None, tolerance: FloatArray, height: float,
+    piece: Piece,
+    first: Jets | None,
+    last: Jets | None,
+    tolerance: FloatArray,
+    height: float,
     halvings: int = MOST_HALVINGS,
-) -> list[Piece] | None:  # fmt: skip
+) -> list[Piece] | None:
     """Return pieces with the derivatives of the neighbours; None beyond the tolerances [m]."""
     if first is None and last is None:
         return [piece]

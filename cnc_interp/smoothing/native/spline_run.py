@@ -118,10 +118,15 @@ class SplineRun:
         zero = np.zeros(len(numbers))
         knots = np.stack(
             [
-                -(step[1] + step[0]), -step[1], zero, step[2], step[2] + step[3],
+                -(step[1] + step[0]),
+                -step[1],
+                zero,
+                step[2],
+                step[2] + step[3],
                 step[2] + step[3] + step[4],
-            ], axis=1,
-        )  # fmt: skip
+            ],
+            axis=1,
+        )
         acting = own[:, None] + np.arange(-1, 3)
         bottom = elevated(cubic_bezier_points(rows.tip[acting], knots), 5)
         top = elevated(cubic_bezier_points(rows.top[acting], knots), 5)
@@ -235,12 +240,17 @@ class SplineRun:
         if end:
             block[-1, 1] = self._first_row + self._offset + len(rows) - 1
         return PathSegments(
-            kind=np.full(n, SPLINE), bottom=bottom, top=top,
+            kind=np.full(n, SPLINE),
+            bottom=bottom,
+            top=top,
             connection=np.concatenate([piece.connection for piece, _ in pieces]),
             parametrization=np.repeat(self._room.parametrization, n, axis=0),
-            axis=tool / norm(tool)[:, None], block=block, line_number=rows.line_number[own],
+            axis=tool / norm(tool)[:, None],
+            block=block,
+            line_number=rows.line_number[own],
             feed=np.repeat(rows.feedrate[own][:, None], 2, axis=1),
-            stop=np.array([stop for _, stop in pieces]), deviation=deviation,
+            stop=np.array([stop for _, stop in pieces]),
+            deviation=deviation,
             extra=np.repeat(rows.extra[own, None], POINTS, axis=1),
             room=rows.orientation_tolerance[own] - deviation[:, 1],
-        )  # fmt: skip
+        )

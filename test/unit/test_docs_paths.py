@@ -44,6 +44,9 @@ def missing(page: Path) -> list[str]:
     return sorted(found)
 
 
+NAMED_TEST = re.compile(r'\[(test_\w+)\]\(([^)]+\.py)\)')
+
+
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_names_is_there(page):
     assert not missing(page)
@@ -56,3 +59,9 @@ def test_rooms_of_the_readme_are_the_folders_of_the_package():
     rooms = {room.strip('/') for names in named for room in names.split()}
     folders = {p.name for p in (ROOT / 'cnc_interp').iterdir() if (p / '__init__.py').exists()}
     assert rooms == folders
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_tests_that_a_page_names_are_in_the_files_that_it_links(page):
+    for name, file in NAMED_TEST.findall(page.read_text()):
+        assert f'def {name}(' in (page.parent / file).read_text(), f'{file} has no test {name}'

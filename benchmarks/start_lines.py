@@ -35,9 +35,9 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.program import Blocks, JobSetup, ProgramStream, open_program
-from cnc_interp.program.gcode import GcodeReader
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.source import Source
+from cnc_interp.program.readers.gcode import GcodeReader
+from cnc_interp.program.text.source import Source
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.start_place import StartFinder, StartPlace
 from cnc_interp.settings.options import Settings

@@ -26,7 +26,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ANGLE, FOLLOWS, FREE, Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Tool
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.reading import open_program
 from cnc_interp.run.plan_writer import block_columns

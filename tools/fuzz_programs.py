@@ -17,7 +17,7 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test' / 'unit'))
 # Compiled code is not instrumented, and cannot be.
-with atheris.instrument_imports(['cnc_interp.program'], ['cnc_interp.program.scan']):
+with atheris.instrument_imports(['cnc_interp.program'], ['cnc_interp.program.text.scan']):
     import_module('cnc_interp.program.reading')
 
 import test_program_fuzz as programs

@@ -15,7 +15,7 @@ from typing import Any
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import open_named
 from cnc_interp.machine_model.machine import Machine, find_machine_file
-from cnc_interp.program.source import PROGRAM_SUFFIXES, called_files
+from cnc_interp.program.text.source import PROGRAM_SUFFIXES, called_files
 from cnc_interp.settings.options import Settings, texts_of
 
 

@@ -11,7 +11,7 @@ from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.needle_cuts import DEPTH, ROUNDING, SHORT, TOP
 from cnc_interp.cam.surface import Surface
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, dot, norm
-from cnc_interp.program.subdivide import great_circle, ragged
+from cnc_interp.program.geometry.subdivide import great_circle, ragged
 
 PATCH = 64  #: Needles in each direction of a patch.
 GROUP = 64  #: Approximate number of needles in a group, which is tested as a whole.

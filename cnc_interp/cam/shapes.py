@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core import MM, BoolArray, FloatArray, norm
-from cnc_interp.program.subdivide import ragged
+from cnc_interp.program.geometry.subdivide import ragged
 
 
 class Graph(Surface):

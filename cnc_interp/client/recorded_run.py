@@ -18,8 +18,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ARMED
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.functions import Functions
-from cnc_interp.program.start_line import StartBlock, StartLine
+from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
 from cnc_interp.proof.plan_files import BY_PROBE
 from cnc_interp.run.plan_writer import PlanWriter

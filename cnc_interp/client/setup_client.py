@@ -17,7 +17,7 @@ from cnc_interp.client.operator_client import Answer, MachineState, OperatorClie
 from cnc_interp.core import FloatArray
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
-from cnc_interp.program.frames import rotation
+from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.job import ROTATION
 from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 

@@ -181,7 +181,7 @@ def mdi_command(options: argparse.Namespace) -> int:
 
 def probe_command(options: argparse.Namespace) -> int:
     """Have a running machine find a place with its probe, and set the work offset there."""
-    from cnc_interp.program.probing import cycles
+    from cnc_interp.program.motion.probing import cycles
 
     cycle = cycles().get(options.cycle)
     if not options.cycle:

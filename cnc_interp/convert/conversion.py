@@ -11,7 +11,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, on_pole, start_positions
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
-from cnc_interp.program.subdivide import piece_counts, ragged
+from cnc_interp.program.geometry.subdivide import piece_counts, ragged
 from cnc_interp.program.writer import WrittenMove, cl_data, gcode, siemens
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_writer import effective_feed

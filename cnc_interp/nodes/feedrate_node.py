@@ -25,7 +25,7 @@ from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.planning_session import Activity, PlanningSession, PlanningTask, Received
 from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.notices import WARNING
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.run_planner import RunPlanner

@@ -12,14 +12,14 @@ from cnc_interp.core import BlockError, FloatArray, IntArray, InterpError, Progr
 from cnc_interp.core.small_files import open_named, require_allowed
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
-from cnc_interp.program.active_modes import ModesOfBlocks
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.block_modes import ModesOfBlocks
+from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.blocks.targets import ProgramChange
+from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import WARNING
-from cnc_interp.program.probing import Probe
 from cnc_interp.program.reading import MdiLine, MdiReader
-from cnc_interp.program.source import Source
-from cnc_interp.program.targets import ProgramChange
+from cnc_interp.program.text.source import Source
 from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
 from cnc_interp.run.plan_figures import ToleranceUse

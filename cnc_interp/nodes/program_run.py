@@ -17,9 +17,9 @@ from cnc_interp.nodes.node_main import end_goal
 from cnc_interp.nodes.peers import RECEIVERS, Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.program import JobSetup
+from cnc_interp.program.blocks.targets import ProgramChange
+from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import warnings_of
-from cnc_interp.program.probing import Probe
-from cnc_interp.program.targets import ProgramChange
 from cnc_interp.run import run_phase
 from cnc_interp.run.run_phase import SENDING, Code, MachineReport, Outcome, Phase, PhaseChange
 from cnc_interp.run.run_state import NO_RUN, RunId, State

@@ -14,7 +14,7 @@ from cnc_interp.core import InterpError, SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.readings import ShownUnit
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS
-from cnc_interp.program.probing import Cycle, cycles
+from cnc_interp.program.motion.probing import Cycle, cycles
 from cnc_interp.settings.option_kinds import Choice
 from cnc_interp.settings.options import Settings, filled_in, offered, settings_filled_in
 

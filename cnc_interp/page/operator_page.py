@@ -17,7 +17,7 @@ from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import NOTHING, Charts, Messages, ShownUnit, progress, readings
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
-from cnc_interp.program.target_row import EXTRA_LETTERS
+from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it, at rest [s].

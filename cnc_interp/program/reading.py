@@ -6,19 +6,19 @@ from pathlib import Path
 
 from cnc_interp.core import FloatArray, ProgramError, RefusedLinesError
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import control_profiles as profiles
-from cnc_interp.program.active_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cl_data import ClReader
-from cnc_interp.program.functions import Functions
-from cnc_interp.program.gcode import GcodeReader
-from cnc_interp.program.heidenhain import HeidenhainReader
+from cnc_interp.program.blocks.block_modes import ActiveModes, ModesOfBlocks
+from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.blocks.start_line import StartLine
+from cnc_interp.program.blocks.targets import ProgramChange
 from cnc_interp.program.job import JobSetup
+from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import NAMED_ALONE, Notices
-from cnc_interp.program.probing import Probe
-from cnc_interp.program.source import Source
-from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.targets import ProgramChange
+from cnc_interp.program.readers.cl_data import ClReader
+from cnc_interp.program.readers.gcode import GcodeReader
+from cnc_interp.program.readers.heidenhain import HeidenhainReader
+from cnc_interp.program.text import dialects as profiles
+from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
 _NO_PROGRAM = (

@@ -13,7 +13,7 @@ import numpy as np
 
 from cnc_interp.core import MM, FloatArray, InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, write_whole
-from cnc_interp.program.frames import Frames
+from cnc_interp.program.geometry.frames import Frames
 from cnc_interp.program.job import MOST_TOOL, WORK_OFFSETS, JobSetup, Position, SetupChange, Tool
 
 LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].

@@ -17,7 +17,7 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import cut_between
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
-from cnc_interp.program.subdivide import ragged
+from cnc_interp.program.geometry.subdivide import ragged
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from cnc_interp.feedrate.feed_planner import CONVERGED, SOLVED_BY, PlannedPiece
 from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.options import Settings, values_of

@@ -21,7 +21,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings

@@ -14,7 +14,7 @@ from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Wait

@@ -15,7 +15,7 @@ from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import axis_motion
 from cnc_interp.kinematics.axis_path import AxisPath
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 
 NO_FUNCTIONS = Functions.none()
 

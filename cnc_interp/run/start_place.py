@@ -16,8 +16,8 @@ from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import ToolLine, Transform, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
-from cnc_interp.program.functions import Functions
-from cnc_interp.program.start_line import StartBlock, StartLine
+from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.run.course import from_place
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.smoothing.segments import PathSegments

@@ -15,7 +15,7 @@ from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.signals import FEED_FIXED, PER_TURN, SPEED, SPINDLE_FIXED, Signals
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.course import STILL, Course, Leg
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Interpolator, Setpoints, Wait
 

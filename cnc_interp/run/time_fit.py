@@ -24,7 +24,7 @@ from cnc_interp.machine_model.machine_entries import STANDSTILL, BlockPace, Stan
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.parallel_planner import Planning
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.settings.options import Settings

@@ -21,7 +21,7 @@ from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments

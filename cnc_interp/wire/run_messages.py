@@ -12,7 +12,7 @@ from cnc_interp_msgs.action import RunProgram
 from diagnostic_msgs.msg import KeyValue
 
 from cnc_interp.core import SettingsError
-from cnc_interp.program.active_modes import ActiveModes
+from cnc_interp.program.blocks.block_modes import ActiveModes
 from cnc_interp.program.job import JobSetup, Position
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId, State

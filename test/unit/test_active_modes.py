@@ -5,9 +5,10 @@ import pytest
 
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import Blocks, JobSetup, active_modes
+from cnc_interp.program import Blocks, JobSetup
+from cnc_interp.program.blocks import block_modes as active_modes
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
 PLAIN = '\n'.join(f'{"G0" if i % 3 == 0 else "G1"} X{i} F{1000 + i // 4}' for i in range(40))

@@ -14,7 +14,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.program import JobSetup, read_text
-from cnc_interp.program.active_modes import ModesOfBlocks
+from cnc_interp.program.blocks.block_modes import ModesOfBlocks
 from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.path_messages import blocks_from

@@ -13,9 +13,9 @@ from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.program.functions import Functions
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.proof.functions import compare_words
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify

@@ -17,7 +17,7 @@ from cnc_interp.machine_model.signals import Step, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner

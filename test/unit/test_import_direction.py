@@ -44,6 +44,19 @@ FLOW = (
     '__main__',
 )
 
+#: The folders of the largest room in their order, with its own modules before and after them.
+PROGRAM = (
+    ('job', 'notices'),
+    ('text',),
+    ('geometry',),
+    ('blocks',),
+    ('modal',),
+    ('motion',),
+    ('execution',),
+    ('readers',),
+    ('reading', 'setup_table', 'writer'),
+)
+
 # The proof shares no code with the planner: what it may import, all of it.
 PROOF_ROOM = 'proof'
 PROOF_MAY_IMPORT = (
@@ -136,6 +149,11 @@ def imported_names(source, module, is_package=False):
             yield from modules_inside or [base]
 
 
+def program_place(module):
+    folder = module.split('.')[2:3]
+    return next((at for at, names in enumerate(PROGRAM) if folder and folder[0] in names), None)
+
+
 def core_names(source):
     """The names that a source takes from the package ``core`` itself."""
     return {
@@ -168,8 +186,13 @@ def faults(module, source, is_package=False):
                     yield f'{module} imports {name}, a room that FLOW does not know: add it'
             elif FLOW.index(other) > FLOW.index(room):
                 yield f'{module} imports {name}, which lies downstream of it'
+            elif room == room_of(name) == 'program':
+                here, there = program_place(module), program_place(name)
+                if here is not None and (there is None or there > here):
+                    yield f'{module} imports {name}, which lies downstream of it in the room'
             words = name == 'cnc_interp.core' and not core_names(source) & VECTORS
-            if room == PROOF_ROOM and not (words or name.startswith(PROOF_MAY_IMPORT)):
+            allowed = name in PROOF_MAY_IMPORT or name.startswith(f'cnc_interp.{PROOF_ROOM}.')
+            if room == PROOF_ROOM and not (words or allowed):
                 yield f'{module} imports {name}: the proof shares no code with the planner'
 
 
@@ -177,6 +200,13 @@ def test_every_room_is_listed():
     rooms = {room_of(dotted_name(path)) for path in modules()} - {''}
     unknown = sorted(rooms - set(FLOW))
     assert not unknown, f'add {unknown} to FLOW of this test, where the data passes it'
+
+
+def test_every_folder_of_the_reader_is_listed():
+    places = PACKAGE / 'program'
+    there = {p.parent.name for p in places.glob('*/__init__.py')}
+    there |= {p.stem for p in places.glob('*.py')} - {'__init__'}
+    assert there == {name for names in PROGRAM for name in names}
 
 
 def test_imports_follow_the_flow():
@@ -220,16 +250,22 @@ def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_loads_the_papers(
 @pytest.mark.parametrize(
     ('module', 'source'),
     [
-        ('cnc_interp.program.gcode', 'from cnc_interp.kinematics.axis_path import AxisPath'),
-        ('cnc_interp.program.gcode', 'import cnc_interp.commands.cli'),
-        ('cnc_interp.program.gcode', 'from cnc_interp import nodes'),
-        ('cnc_interp.program.gcode', 'from ..kinematics import axis_path'),
-        ('cnc_interp.program.gcode', 'def read():\n    import rclpy.node'),
+        (
+            'cnc_interp.program.readers.gcode',
+            'from cnc_interp.kinematics.axis_path import AxisPath',
+        ),
+        ('cnc_interp.program.readers.gcode', 'import cnc_interp.commands.cli'),
+        ('cnc_interp.program.readers.gcode', 'from cnc_interp import nodes'),
+        ('cnc_interp.program.readers.gcode', 'from ...kinematics import axis_path'),
+        ('cnc_interp.program.readers.gcode', 'def read():\n    import rclpy.node'),
         ('cnc_interp.report.html', 'from cnc_interp_msgs.msg import G1Block'),
         ('cnc_interp.commands.cli', 'from rosbags.rosbag2 import Reader'),
         ('cnc_interp.wire.path_messages', 'from rclpy.serialization import serialize_message'),
         ('cnc_interp.run.chain', 'import rclpy'),
         ('cnc_interp.proof.verify', 'from cnc_interp.smoothing import corner'),
+        ('cnc_interp.proof.verify', 'from cnc_interp.program.blocks.moves import Moves'),
+        ('cnc_interp.program.text.flow', 'from cnc_interp.program.modal.state import ModalState'),
+        ('cnc_interp.program.modal.state', 'from cnc_interp.program.readers import gcode'),
         ('cnc_interp.proof.verify', 'from cnc_interp.kinematics.path_builder import build'),
     ],
 )
@@ -246,7 +282,7 @@ def test_wrong_imports_are_seen(module, source):
         ('cnc_interp.client.session', 'import rclpy'),
         ('cnc_interp.commands.cli', 'from cnc_interp import __version__, verify'),
         ('cnc_interp.proof.verify', 'from cnc_interp.machine_model.machine import Machine'),
-        ('cnc_interp.program.gcode', 'from .words import split_words'),
+        ('cnc_interp.program.readers.gcode', 'from ..text.words import split_words'),
     ],
 )
 def test_right_imports_pass(module, source):

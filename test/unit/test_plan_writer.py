@@ -15,8 +15,8 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
-from cnc_interp.program.functions import Functions
-from cnc_interp.program.start_line import StartLine
+from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.blocks.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
 from cnc_interp.run.chain import plan_to_files

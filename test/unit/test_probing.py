@@ -18,7 +18,7 @@ from cnc_interp.machine_model.signals import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.settings.options import Settings
 

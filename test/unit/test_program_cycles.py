@@ -9,7 +9,7 @@ from cnc_interp.machine_model.machine import Machine, find_machine_file, from_ma
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
 from cnc_interp.program.reading import MdiReader
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
 XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))

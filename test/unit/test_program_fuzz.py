@@ -17,7 +17,7 @@ from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.reading import ProgramStream
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
 
 SHARED = Path(__file__).parents[3] / 'shared' / 'programs'

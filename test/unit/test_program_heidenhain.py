@@ -7,7 +7,7 @@ from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
-from cnc_interp.program.frames import rotation
+from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.settings.options import Settings
 
 XYZ, AC = (Transform.of(Machine.load(name)) for name in ('xyz', 'xyzac'))

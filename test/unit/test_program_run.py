@@ -13,7 +13,7 @@ from cnc_interp_msgs.msg import MachineState, ProbeContact, StreamStatus
 
 from cnc_interp.core import Refusal
 from cnc_interp.nodes.program_run import FORGOTTEN, PATIENCE, STARTING, ProgramRun
-from cnc_interp.program.probing import Probe
+from cnc_interp.program.motion.probing import Probe
 from cnc_interp.run.run_phase import FILLED, SETTLED, TABLE, Code, Phase, PhaseChange
 from cnc_interp.run.run_state import AT_REST, RunId, State
 from cnc_interp.wire.run_messages import machine_report

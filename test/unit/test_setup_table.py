@@ -10,9 +10,9 @@ from cnc_interp.core.small_files import LONGEST_YAML
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, open_program
+from cnc_interp.program.blocks.targets import MOST_CHANGES
 from cnc_interp.program.job import WORK_OFFSETS, SetupChange
 from cnc_interp.program.setup_table import SetupTable
-from cnc_interp.program.targets import MOST_CHANGES
 from cnc_interp.settings.options import Settings
 
 AC = Transform.of(Machine.load('xyzac'))

@@ -12,7 +12,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream, read_text
-from cnc_interp.program.source import Source
+from cnc_interp.program.text.source import Source
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify

@@ -10,14 +10,14 @@ import numpy as np
 
 from cnc_interp.core import DEG, FloatArray, IntArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import target_row as col
-from cnc_interp.program.active_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP, Blocks
-from cnc_interp.program.cutter_radius import CutterRadius, Told
+from cnc_interp.program.blocks.block_modes import NONE, ModesOfBlocks
+from cnc_interp.program.blocks.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
+from cnc_interp.program.blocks.start_line import StartLine
+from cnc_interp.program.geometry import target_row as col
+from cnc_interp.program.geometry.cutter_radius import CutterRadius, Told
+from cnc_interp.program.geometry.subdivide import MOST_PIECES, angle_between, ragged
 from cnc_interp.program.job import SetupChange
-from cnc_interp.program.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
-from cnc_interp.program.start_line import StartLine
-from cnc_interp.program.subdivide import MOST_PIECES, angle_between, ragged
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096

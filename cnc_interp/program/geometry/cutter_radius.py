@@ -19,7 +19,7 @@ from math import isfinite, nan, pi
 import numpy as np
 
 from cnc_interp.core import MM, FloatArray, ProgramError
-from cnc_interp.program import target_row as col
+from cnc_interp.program.geometry import target_row as col
 
 SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ by less [rad].
 #: An element that is shorter is none [m]. Rounding of intersections [m].

@@ -9,10 +9,10 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import arcs
-from cnc_interp.program import target_row as col
 from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
-from cnc_interp.program.subdivide import Poses, angle_between, great_circle, piece_counts
+from cnc_interp.program.geometry import arcs
+from cnc_interp.program.geometry import target_row as col
+from cnc_interp.program.geometry.subdivide import Poses, angle_between, great_circle, piece_counts
 from cnc_interp.settings.options import Settings
 
 SAME = 1e-12  # [m], [-], [rad]

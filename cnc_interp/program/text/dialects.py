@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.source import CL_SUFFIXES, Source
+from cnc_interp.program.text.source import CL_SUFFIXES, Source
 from cnc_interp.settings.options import Settings
 
 

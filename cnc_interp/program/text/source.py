@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cnc_interp.core import FloatArray, IntArray, ProgramError
 from cnc_interp.core.small_files import open_named
-from cnc_interp.program import scan
+from cnc_interp.program.text import scan
 
 _FIRST_WINDOW, _WINDOW = 1 << 15, 1 << 18
 _LONGEST_LINE = 1 << 16

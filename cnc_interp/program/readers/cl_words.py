@@ -11,10 +11,10 @@ import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import DWELL
-from cnc_interp.program import codes
-from cnc_interp.program.cycles import Hole, pecks_of
-from cnc_interp.program.frames import rotation
-from cnc_interp.program.target_row import AT_M0, AT_M1
+from cnc_interp.program.geometry.frames import rotation
+from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
+from cnc_interp.program.motion.cycles import Hole, pecks_of
+from cnc_interp.program.text import codes
 
 #: Words that are followed by text to the end of the line.
 TEXT = ('PARTNO', 'PPRINT', 'REMARK', 'INSERT', 'LETTER', 'TPRINT')

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
-from cnc_interp.program.arcs import PLANES, Corner
-from cnc_interp.program.cursor import Loop
-from cnc_interp.program.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
-from cnc_interp.program.expressions import OPERATORS, ExpressionError, formula
-from cnc_interp.program.gcode import GcodeReader
-from cnc_interp.program.heidenhain_frames import HeidenhainFrames
-from cnc_interp.program.motion import NO_CORNER
-from cnc_interp.program.source import LineStart
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.geometry.arcs import PLANES, Corner
+from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
+from cnc_interp.program.motion.mover import NO_CORNER
+from cnc_interp.program.readers.gcode import GcodeReader
+from cnc_interp.program.readers.heidenhain_frames import HeidenhainFrames
+from cnc_interp.program.text.cursor import Loop
+from cnc_interp.program.text.expressions import OPERATORS, ExpressionError, formula
+from cnc_interp.program.text.source import LineStart
+from cnc_interp.program.text.words import BlockWords
 
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
 _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'

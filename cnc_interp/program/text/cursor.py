@@ -8,8 +8,8 @@ from typing import Any
 
 from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.core.small_files import config_directory
-from cnc_interp.program.expressions import ProgramVariables
-from cnc_interp.program.source import LineStart, Source, subprogram_file
+from cnc_interp.program.text.expressions import ProgramVariables
+from cnc_interp.program.text.source import LineStart, Source, subprogram_file
 
 _DEEPEST_CALL = 20
 _PERCENT = re.compile(rb'(?m)^[ \t]*%')

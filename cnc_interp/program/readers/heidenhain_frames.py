@@ -6,12 +6,12 @@ from functools import reduce
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray
-from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.frames import rotation
-from cnc_interp.program.modal_state import ORIENTED
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.geometry.arcs import PLANES
+from cnc_interp.program.geometry.frames import rotation
+from cnc_interp.program.modal.state import ORIENTED
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.tilted_plane import TiltedPlane
+from cnc_interp.program.text.words import BlockWords
 
 #: The angles of a plane, each about the axis with this number, from the last one to the first.
 _TURNS = {

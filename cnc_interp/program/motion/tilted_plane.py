@@ -10,10 +10,10 @@ from math import pi
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray
-from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.frames import rotation
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.geometry.arcs import PLANES
+from cnc_interp.program.geometry.frames import rotation
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.text.words import BlockWords
 
 #: Codes that define a plane, and these with those that turn the tool to it.
 DEFINING = {'G68', 'G68.2', 'G68.3', 'G68.4'}

@@ -7,18 +7,18 @@ from difflib import get_close_matches
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray
-from cnc_interp.program import codes
-from cnc_interp.program.arcs import PLANES, Corner
-from cnc_interp.program.contact_normal import NORMAL_WORDS, ToolShape
-from cnc_interp.program.control_profiles import FANUC, LINUXCNC
-from cnc_interp.program.expressions import ExpressionError, ProgramVariables
+from cnc_interp.program.geometry.arcs import PLANES, Corner
+from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS, ToolShape
+from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, MOST_TOOL, SetupChange, Tool
-from cnc_interp.program.modal_state import FARTHEST
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.splines import CURVE_WORDS
-from cnc_interp.program.target_row import EXTRA_LETTERS
-from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.modal.state import FARTHEST
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.splines import CURVE_WORDS
+from cnc_interp.program.motion.tilted_plane import TiltedPlane
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import FANUC, LINUXCNC
+from cnc_interp.program.text.expressions import ExpressionError, ProgramVariables
+from cnc_interp.program.text.words import BlockWords
 from cnc_interp.settings.options import Settings
 
 MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].

@@ -7,10 +7,10 @@ import re
 from dataclasses import replace
 from math import floor, inf
 
-from cnc_interp.program.cursor import Cursor, Loop, Structure
-from cnc_interp.program.expressions import ExpressionError, evaluate, parse
-from cnc_interp.program.source import LineStart, subprogram_file
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.text.cursor import Cursor, Loop, Structure
+from cnc_interp.program.text.expressions import ExpressionError, evaluate, parse
+from cnc_interp.program.text.source import LineStart, subprogram_file
+from cnc_interp.program.text.words import BlockWords
 
 # One line may have 65,536 characters. So no two neighbours of a pattern match the same spaces.
 _O_WORD = re.compile(

@@ -11,13 +11,13 @@ import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model import signals
-from cnc_interp.program import codes
-from cnc_interp.program.arcs import PLANES
-from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
-from cnc_interp.program.modal_state import FARTHEST
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.target_row import AT_M0
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.geometry.arcs import PLANES
+from cnc_interp.program.geometry.target_row import AT_M0
+from cnc_interp.program.modal.state import FARTHEST
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.words import BlockWords
 
 #: Kinds of strokes: a rapid, and those at the feed into the hole and out of it.
 RAPID, INTO, OUT_OF = range(3)

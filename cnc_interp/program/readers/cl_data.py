@@ -9,16 +9,18 @@ import numpy as np
 
 from cnc_interp.core import MINUTE, MM, MM_PER_MIN, FloatArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import arcs, cl_words, codes
-from cnc_interp.program.active_modes import NONE, ActiveModes
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.cl_words import IDENTITY, ClFrames, moves, system_of
-from cnc_interp.program.cycles import RAPID, Hole
-from cnc_interp.program.functions import acting
+from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
+from cnc_interp.program.blocks.functions import acting
+from cnc_interp.program.blocks.targets import TargetColumns
+from cnc_interp.program.geometry import arcs
+from cnc_interp.program.geometry.target_row import AT_M0, NO_ARC
+from cnc_interp.program.motion.cycles import RAPID, Hole
 from cnc_interp.program.notices import Notices, Refusals
-from cnc_interp.program.source import LineStart, Source
-from cnc_interp.program.target_row import AT_M0, NO_ARC
-from cnc_interp.program.targets import TargetColumns
+from cnc_interp.program.readers import cl_words
+from cnc_interp.program.readers.cl_words import IDENTITY, ClFrames, moves, system_of
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.source import LineStart, Source
 from cnc_interp.settings.options import Settings
 
 _FARTHEST = 1e5 * MM

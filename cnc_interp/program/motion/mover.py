@@ -7,14 +7,14 @@ import numpy as np
 
 from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, THREAD
-from cnc_interp.program import codes
-from cnc_interp.program.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of
-from cnc_interp.program.contact_normal import ContactPath, ToolShape
-from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN
-from cnc_interp.program.functions import acting
-from cnc_interp.program.modal_state import FARTHEST, ModalState
-from cnc_interp.program.target_row import EXTRA_LETTERS, NO_ARC
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.blocks.functions import acting
+from cnc_interp.program.geometry.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of
+from cnc_interp.program.geometry.contact_normal import ContactPath, ToolShape
+from cnc_interp.program.geometry.target_row import EXTRA_LETTERS, NO_ARC
+from cnc_interp.program.modal.state import FARTHEST, ModalState
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import FANUC, LINUXCNC, PLAIN
+from cnc_interp.program.text.words import BlockWords
 
 NO_CORNER = Corner('', 0.0)
 SAME_AXIS = 1e-9  #: Two directions agree if their cosine is 1 within this [-].

@@ -1,4 +1,4 @@
-"""G-code to motion targets: the codes of a program, line by line (plain ones: ``runs.py``)."""
+"""G-code to motion targets, line by line; ``plain_lines.py`` reads many plain lines at once."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ import numpy as np
 from cnc_interp.core import INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model import signals
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import codes, cycles, probing, scan
-from cnc_interp.program.active_modes import NONE, ActiveModes
-from cnc_interp.program.arcs import OF_PLACE, PLANES
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.control_profiles import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
-from cnc_interp.program.cycles import TAPPING, CannedCycle, SiemensCycle
-from cnc_interp.program.expressions import UNSET, ExpressionError, ProgramVariables
-from cnc_interp.program.flow import Flow
-from cnc_interp.program.functions import Acting, acting
+from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
+from cnc_interp.program.blocks.functions import Acting, acting
+from cnc_interp.program.execution.setting_words import Modes
+from cnc_interp.program.geometry.arcs import OF_PLACE, PLANES
+from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
 from cnc_interp.program.job import JobSetup, SetupChange
-from cnc_interp.program.modal_state import NO_F, NO_NEW_F, modal_words
-from cnc_interp.program.modes import Modes
-from cnc_interp.program.motion import Mover
+from cnc_interp.program.modal.state import NO_F, NO_NEW_F, modal_words
+from cnc_interp.program.motion import cycles, probing
+from cnc_interp.program.motion.cycles import TAPPING, CannedCycle, SiemensCycle
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.motion.probing import Probe
+from cnc_interp.program.motion.splines import Splines
+from cnc_interp.program.motion.thread_cycle import cut_thread
+from cnc_interp.program.motion.tilted_plane import TiltedPlane
 from cnc_interp.program.notices import Notices, Refusals
-from cnc_interp.program.probing import Probe
-from cnc_interp.program.runs import SHORTEST, move_along
-from cnc_interp.program.source import Source, is_name, leader_lines
-from cnc_interp.program.splines import Splines
-from cnc_interp.program.target_row import AT_M0, AT_M1
-from cnc_interp.program.thread_cycle import cut_thread
-from cnc_interp.program.tilted_plane import TiltedPlane
-from cnc_interp.program.words import BlockWords, split_words, without_comments
+from cnc_interp.program.readers.plain_lines import SHORTEST, move_along
+from cnc_interp.program.text import codes, scan
+from cnc_interp.program.text.dialects import FANUC, LINUXCNC, PLAIN, SIEMENS, Dialect
+from cnc_interp.program.text.expressions import UNSET, ExpressionError, ProgramVariables
+from cnc_interp.program.text.flow import Flow
+from cnc_interp.program.text.source import Source, is_name, leader_lines
+from cnc_interp.program.text.words import BlockWords, split_words, without_comments
 from cnc_interp.settings.options import Settings
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')

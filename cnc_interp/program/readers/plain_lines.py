@@ -1,4 +1,4 @@
-"""Many plain lines to motion targets at once, with the same result as ``motion.py``."""
+"""Many plain lines to motion targets at once, with the same result as ``motion/mover.py``."""
 
 from math import inf, nan, pi
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core import DEG, MINUTE, FloatArray, IntArray
-from cnc_interp.program import scan
-from cnc_interp.program import target_row as col
-from cnc_interp.program.arcs import PLANES, TOLD, arcs_of
-from cnc_interp.program.modal_state import FARTHEST, LONG_WAY, SLOWEST
-from cnc_interp.program.motion import MOST_TURN, Mover
+from cnc_interp.program.geometry import target_row as col
+from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
+from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
+from cnc_interp.program.motion.mover import MOST_TURN, Mover
+from cnc_interp.program.text import scan
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 SHORTEST = 6  #: Shorter runs are as fast line by line.

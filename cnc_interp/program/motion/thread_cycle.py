@@ -4,8 +4,8 @@ from math import copysign, isclose, radians, tan
 
 import numpy as np
 
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.text.words import BlockWords
 
 CODE = 'G76'
 MOST_PASSES = 1000

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import FloatArray, ProgramError
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.text.words import BlockWords
 
 #: With a smaller sine of the angle to the tool axis a normal counts as parallel. Up to the second
 #: value the side on which the tool touches is not sure.

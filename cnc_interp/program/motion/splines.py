@@ -10,11 +10,11 @@ from math import isfinite, nan, sqrt
 import numpy as np
 
 from cnc_interp.core import FloatArray, ProgramError
-from cnc_interp.program import codes
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.program.motion import Mover
-from cnc_interp.program.target_row import NO_ARC
-from cnc_interp.program.words import BlockWords
+from cnc_interp.program.geometry.target_row import NO_ARC
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.words import BlockWords
 
 #: Names of words for curves and second points; they are written with an equals sign.
 _SECOND = ('XH', 'YH', 'ZH')

@@ -11,16 +11,16 @@ import numpy as np
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import codes
-from cnc_interp.program.active_modes import NONE, ActiveModes
-from cnc_interp.program.contact_normal import ContactPath
-from cnc_interp.program.control_profiles import LINUXCNC, PLAIN
-from cnc_interp.program.flow import Flow
-from cnc_interp.program.frames import Frames
+from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
+from cnc_interp.program.blocks.targets import TargetColumns
+from cnc_interp.program.geometry.contact_normal import ContactPath
+from cnc_interp.program.geometry.frames import Frames
+from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.target_row import EXTRA_LETTERS
-from cnc_interp.program.targets import TargetColumns
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import LINUXCNC, PLAIN
+from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 
 FARTHEST = 1e5 * MM

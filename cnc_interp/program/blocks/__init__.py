@@ -1,0 +1,29 @@
+"""From rows of targets to blocks, with what the program switches and the modal state of each."""
+
+from cnc_interp.program.blocks.block_table import (
+    AXES_LINEAR,
+    GO_ON,
+    OPEN_CORNER,
+    OPTIONAL_STOP,
+    POSES,
+    ROTARY_LINEAR,
+    ROUND_CORNER,
+    STOP,
+    STOP_CORNER,
+    Blocks,
+    BlockSpool,
+)
+
+__all__ = [
+    'AXES_LINEAR',
+    'GO_ON',
+    'OPEN_CORNER',
+    'OPTIONAL_STOP',
+    'POSES',
+    'ROTARY_LINEAR',
+    'ROUND_CORNER',
+    'STOP',
+    'STOP_CORNER',
+    'BlockSpool',
+    'Blocks',
+]

@@ -1,0 +1,1 @@
+"""The geometry of targets: arcs, frames, cutter compensation, subdivision; without modal state."""

@@ -2,6 +2,7 @@
 Random programs whose meaning is known: what is emitted, against what was meant.
 
     python benchmarks/random_programs.py [--count 5000] [--first 0] [--proof 2] [--show SEED]
+        [--periods 0.25 1 4] [--json FILE]
 
 A seed chooses machine, period, tolerances, place, units and the blocks: lines, rapids, arcs and
 helices in three planes, B-splines, tool-tip control on and off,
@@ -9,15 +10,19 @@ tilted planes (G68.2, G53.1), cutter compensation (G41.1), G61, G9, G64, G91, G9
 moves and repeats of positions. Whoever writes a block here knows where it leads; no reader of
 cnc_interp is asked. Checked by differences of the setpoints alone: limits of each axis, end and
 stops, every pose beside the programmed curves, every curve run through, in order. Every
-``--proof``-th program is also proven, and its text compared with its rows by both readers of
-``check --program``. Planner and checks share the machine's forward kinematics and nothing else.
-It prints what is doubtful with its seed, and a table at the end.
+``--proof``-th program is also written as plan files and proven by ``check``, and its text compared
+with its rows by both readers of ``check --program``. Planner and checks share the machine's
+forward kinematics and nothing else. With ``--periods`` each program is planned at each of them.
+It prints what is doubtful with its seed, and a table at the end: how many plans were proven, how
+many ``check`` rejected though nothing else is doubtful, and how many exceed a limit. Shards of
+seeds run side by side: ``--first 0 --count 500`` and ``--first 500 --count 500``.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import re
 import signal
@@ -31,16 +36,16 @@ from types import FrameType
 
 import numpy as np
 from numpy.typing import NDArray
-from rotary_words import files_of
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
-from whole_plans import Plan, plan_program
+from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
+from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
 from cnc_interp.settings.options import Settings
@@ -677,49 +682,55 @@ def contours(found: Emitted, motions: list[Motion]) -> list[str]:
     return faults
 
 
-def readers(plan: Plan, text: str, folder: Path) -> tuple[list[str], str]:
-    """Compare the text with the rows by both readers of ``check --program``."""
+def proven(plan: Plan, text: str, folder: Path) -> tuple[list[str], str]:
+    """Prove the plan files and compare the text with them; return faults, and who compared."""
     program = folder / 'part.ngc'
     program.write_text(text)
-    choices = plan.settings
-    settings = {
-        'contour_tolerance': choices.contour_tolerance,
-        'orientation_tolerance': choices.orientation_tolerance,
-    }
-    files = files_of(plan)
-    files = replace(files, summary={**files.summary, 'settings': settings})
+    write_plan(plan, folder / 'plan')
+    files = read_plan(folder / 'plan')
+    faults = list(verify(files, plan.machine).failures)
     try:
         agreed = compare_with_text(files, plan.machine, program)
     except InterpError as reason:
-        return [], 'by none: ' + re.sub(r'[-\d.]+|/\S+', '#', str(reason))[:60]
+        return faults, 'by none: ' + re.sub(r'[-\d.]+|/\S+', '#', str(reason))[:60]
     both = "LinuxCNC's rs274 to" in agreed.readers, 'second reader of plain' in agreed.readers
     told = {(True, True): 'by both', (True, False): 'by rs274'}.get(both, 'by the plain one')
     if not both[0]:
         told += ' since ' + re.sub(r'[-\d.]+|/\S+', '#', agreed.readers)[:70]
-    return list(agreed.faults), told
+    return [*faults, *(f'--program: {each}' for each in agreed.faults)], told
 
 
-def tried(text: str, writer: Writer, proof: bool, folder: Path) -> tuple[str, list[str], str]:
-    """Plan a program and check it; return what came of it, what is doubtful, and who compared."""
+@dataclass
+class Result:
+    """What came of a program at a period: ``what`` in a word, doubts, and who compared it."""
+
+    what: str
+    exceeded: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    unproven: list[str] = field(default_factory=list)
+    compared: str = ''
+
+    @property
+    def texts(self) -> list[str]:
+        """Return all that is wrong, one line each."""
+        return [*self.exceeded, *self.doubts, *(f'not proven: {each}' for each in self.unproven)]
+
+
+def tried(text: str, writer: Writer, proof: bool, folder: Path) -> Result:
+    """Plan a program and check it."""
     try:
         program = read_text(text, 'p.ngc', writer.transform, writer.settings)
         plan = plan_program(program, writer.machine, writer.settings)
     except InterpError as problem:
-        return 'refused', [str(problem)], ''
+        return Result('refused', doubts=[str(problem)])
     found = Emitted(plan, writer.zero)
-    doubts = [
-        *limits(found),
-        *ends(found, writer.motions),
-        *order(found, writer.motions),
-        *path(found, writer.motions),
-        *contours(found, writer.motions),
-    ]
-    compared = ''
+    result = Result('sound', exceeded=limits(found))
+    for check in (ends, order, path, contours):
+        result.doubts += check(found, writer.motions)
     if proof:
-        doubts += [f'not proven: {each}' for each in verify(files_of(plan), plan.machine).failures]
-        faults, compared = readers(plan, text, folder)
-        doubts += [f'readers: {each}' for each in faults]
-    return 'doubtful' if doubts else 'sound', doubts, compared
+        result.unproven, result.compared = proven(plan, text, folder)
+    result.what = 'doubtful' if result.texts else 'sound'
+    return result
 
 
 def too_long(number: int, frame: FrameType | None) -> None:
@@ -734,6 +745,8 @@ def main() -> None:
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--proof', type=int, default=2, help='prove and compare each so many')
     parser.add_argument('--show', type=int, help='print the program of a seed, and what it does')
+    parser.add_argument('--periods', type=float, nargs='+', default=[], metavar='MS')
+    parser.add_argument('--json', type=Path, help='write the table, to add up shards')
     options = parser.parse_args()
     machines = sorted(path.stem for path in machines_directory().glob('*.yaml'))
     if options.show is not None:
@@ -744,32 +757,44 @@ def main() -> None:
     reasons: Counter[str] = Counter()
     signal.signal(signal.SIGPROF, too_long)
     begun = time.process_time()
+    seeds = range(options.first, options.first + options.count)
     with contextlib.suppress(KeyboardInterrupt), tempfile.TemporaryDirectory() as folder:
-        for seed in range(options.first, options.first + options.count):
+        for seed, period in itertools.product(seeds, options.periods or [None]):
             text, writer = made(seed, machines)
+            if period is not None:
+                writer.settings = replace(writer.settings, interpolation_period=period * 1e-3)
             proof = seed % options.proof == 0
             signal.setitimer(signal.ITIMER_PROF, PATIENCE)
             try:
-                what, doubts, compared = tried(text, writer, proof, Path(folder))
+                result = tried(text, writer, proof, Path(folder))
             except Exception:
-                what, doubts, compared = 'traceback', traceback.format_exc().splitlines()[-7:], ''
+                result = Result('traceback', doubts=traceback.format_exc().splitlines()[-7:])
             signal.setitimer(signal.ITIMER_PROF, 0.0)
-            counts[what] += 1
-            counts['proven and compared'] += proof and what in ('sound', 'doubtful')
-            if compared:
-                reasons[f'compared {compared}'] += 1
-            if what == 'refused':
-                reasons['refused: ' + re.sub(r'[-+]?\d[\d.e+-]*', '#', doubts[0])[:90]] += 1
-            if what != 'sound':
-                print(seed, writer.machine.name, what, *doubts[-7:], sep='\n  ', flush=True)
-    ended = sum(counts[what] for what in ('sound', 'doubtful', 'refused', 'traceback'))
-    print(
-        json.dumps(
-            {'programs': ended, **counts, 'all [CPU s]': round(time.process_time() - begun)}
-        )
-    )
+            counts['programs'] += 1
+            counts[result.what] += 1
+            counts['beyond a limit'] += bool(result.exceeded)
+            if result.compared:
+                counts['proven'] += not result.unproven
+                counts['wrongly rejected'] += result.texts == [
+                    f'not proven: {each}' for each in result.unproven
+                ] and bool(result.unproven)
+                counts['proven, but doubtful'] += not result.unproven and bool(result.texts)
+                reasons[f'compared {result.compared}'] += 1
+            if result.what == 'refused':
+                said = re.sub(r'[-+]?\d[\d.e+-]*', '#', result.texts[0])
+                reasons[f'refused: {said[:90]}'] += 1
+            for text in result.unproven:
+                reasons['not proven: ' + re.sub(r'[-+]?\d[\d.e+-]*', '#', text)[:60]] += 1
+            if result.what != 'sound':
+                at = f'{writer.settings.interpolation_period * 1e3:g} ms'
+                name = f'{writer.machine.name} {at}'
+                print(seed, name, result.what, *result.texts[-7:], sep='\n  ', flush=True)
+    table = counts | {'all [CPU s]': round(time.process_time() - begun)}
+    print(json.dumps(table))
     for reason, times in reasons.most_common():
         print(f'{times:6} {reason}')
+    if options.json:
+        options.json.write_text(json.dumps({'counts': table, 'reasons': reasons}))
 
 
 if __name__ == '__main__':

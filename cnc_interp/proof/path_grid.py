@@ -189,7 +189,8 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
         return
     # Before the first sample and after the last one the axes rest.
     speed = np.diff(held(s, a, b, 2, 2)) / plan.period
-    # Bounds of the speed in each inner period, from mean speeds in it and around.
+    # Bounds of the speed in each inner period, from mean speeds in it and around. Between samples
+    # the speed may differ by what the jerk limits allow: it may even rest there and go on.
     around = np.stack([speed[:-2], speed[1:-1], speed[2:]])
     spread = np.abs(np.diff(around, axis=0)).sum(axis=0)
     least, most = around.min(axis=0) - spread, around.max(axis=0) + spread
@@ -201,9 +202,24 @@ def _prove_speeds(ledger: Ledger, grid: FloatArray, rows: IntArray, part: tuple[
     feed, stops = path['feed'][low:high], np.flatnonzero(path['stop'][low:high])
     off = np.maximum(feed - most[at], least[at] - feed).clip(0.0)
     allowed = SAME_SPEED * np.maximum(most[at], 0.0) + SMALL_SPEED
+    allowed += plan.period**2 * _path_jerk(ledger, low, high)
     own = rows[low:high]
     ledger.check('feed of path against the setpoints', off, allowed, rows=own)
     ledger.check('stop of path', least[at[stops]].clip(0.0), allowed[stops], rows=own[stops])
+
+
+def _path_jerk(ledger: Ledger, first: int, last: int) -> FloatArray:
+    """Return the jerk along the path that the axes allow at grid points, both sides [m/s3]."""
+    path, cells = ledger.plan.path, len(ledger.plan.path['s']) - 1
+    found = np.zeros(last - first)
+    for name, shift in (('cell_left', 0), ('cell_right', -1)):
+        cell = path[name][:, max(first + shift, 0) : min(last + shift, cells)]
+        with np.errstate(divide='ignore'):
+            jerk = (limits_at(ledger.machine, 3, cell[0]) / np.abs(cell[1])).min(axis=1)
+        begin = max(-first - shift, 0)
+        side = found[begin : begin + len(jerk)]
+        np.maximum(side, jerk, out=side)
+    return found
 
 
 def _septic(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -19,6 +20,8 @@ SMALL_USE = 0.02  #: A use of the tolerances below this is not improved by a sea
 STEPS, SHARE = 40, 0.5 * (np.sqrt(5.0) - 1.0)
 # Up to this way from a row whose rotary axes run linearly, its coordinates count [m].
 JOINED = 5e-3
+#: Places of rotary and extra axes among the coordinates.
+TURN, EXTRA = slice(3, 5), slice(5, None)
 BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
 
@@ -34,8 +37,8 @@ class ProgrammedAxes:
     start: FloatArray
     step: FloatArray
     tolerance: FloatArray  #: (M, 2): Contour and orientation tolerance of each row [m].
-    #: (M, 4): These tolerances over the smallest of the row and those beside it, which count at
-    #: vertices; as the four columns of ``_Search.gaps``.
+    #: (2, M, 2): These tolerances over the smaller one of this row and the row before it, which
+    #: counts at its start, and likewise of the row after it.
     weight: FloatArray
     height: float  #: Flank height [m].
 
@@ -78,7 +81,7 @@ class ProgrammedAxes:
         )
         tolerance = np.maximum(tolerance, 1e-12)
         beside = np.pad(tolerance, ((1, 1), (0, 0)), mode='edge')
-        least = np.minimum(tolerance, np.minimum(beside[:-2], beside[2:]))
+        least = np.stack([np.minimum(tolerance, beside[:-2]), np.minimum(tolerance, beside[2:])])
         return ProgrammedAxes(
             transform,
             known,
@@ -87,7 +90,7 @@ class ProgrammedAxes:
             ends[0],
             ends[1] - ends[0],
             tolerance,
-            np.tile(tolerance / least, 2),
+            tolerance / least,
             plan.flank_height,
         )
 
@@ -98,11 +101,21 @@ class ProgrammedAxes:
         scale[3:5] = self.height
         return scale
 
-    def improve(self, result: Deviation, position: FloatArray, block: IntArray) -> FloatArray:
-        least = np.full(len(block), np.inf)
-        beside = np.full(len(block), np.inf)
+    def improve(
+        self,
+        result: Deviation,
+        position: FloatArray,
+        block: IntArray,
+        shifts: Sequence[int] = (0, -1, 1),
+    ) -> FloatArray:
+        """Measure poses from lines of the rows ``block`` and those beside them, where nearer.
+
+        Return the largest use (K,) of both tolerances at one place of a line in machine axes, by
+        tip, point at flank height, rotary and extra axes; 0 for rows of another kind [-].
+        """
+        least, beside = np.full(len(block), np.inf), np.zeros(len(block))
         tip, axis = self.machine.forward(position)
-        for shift in (0, -1, 1):
+        for shift in shifts:
             row = np.clip(block + shift, 0, len(self.known) - 1)
             at = np.flatnonzero(self.known[row] & ((row == block) == (shift == 0)))
             if not len(at):
@@ -111,12 +124,10 @@ class ProgrammedAxes:
             here = position[at].copy()
             here[~self.in_axes[k], :3] = tip[at][~self.in_axes[k]]
             search = _Search(self, k, here, tip[at], tip[at] + self.height * axis[at])
-            x, gaps = search.best()
-            use = (gaps * self.weight[k]).max(axis=1)
+            x, gaps, use = search.best()
             own = use < least[at]
-            at, x, k, gaps, use = at[own], x[own], k[own], gaps[own], use[own]
-            least[at] = use
-            beside[at] = np.where(self.in_axes[k], gaps[:, :2].max(axis=1), 0.0)
+            at, x, k, gaps = at[own], x[own], k[own], gaps[own]
+            least[at], beside[at] = use[own], np.where(self.in_axes[k], use[own], 0.0)
             contour, orientation = (gaps[:, 2:] * self.tolerance[k]).T
             nearer = contour <= result.contour[at]
             result.contour[at[nearer]] = contour[nearer]
@@ -142,49 +153,49 @@ class _Search:
     tip: FloatArray
     top: FloatArray
 
-    def best(self) -> tuple[FloatArray, FloatArray]:
+    def best(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the nearest parts of the rows (m,), the gaps there (m, 4) and their use (m,)."""
         program, scale = self.program, self.program.scale
         step = program.step[self.k] * scale
         square = np.maximum((step**2).sum(axis=1), 1e-300)
         way = (self.here - program.start[self.k]) * scale
         x = np.clip((way * step).sum(axis=1) / square, 0.0, 1.0)
-        gaps = self.gaps(np.arange(len(x)), x)
-        use = self.use(np.arange(len(x)), gaps)
+        gaps, use = self.gaps(np.arange(len(x)), x)
         far = np.flatnonzero((use > SMALL_USE) & (use < BRACKET**2))
         if len(far):
             room = BRACKET * program.tolerance[self.k[far]].sum(axis=1) / np.sqrt(square[far])
             low, high = np.maximum(x[far] - room, 0.0), np.minimum(x[far] + room, 1.0)
             for _ in range(STEPS):
                 left, right = high - SHARE * (high - low), low + SHARE * (high - low)
-                uses = [self.use(far, self.gaps(far, at)) for at in (left, right)]
-                down = uses[0] < uses[1]
+                down = self.gaps(far, left)[1] < self.gaps(far, right)[1]
                 low, high = np.where(down, low, left), np.where(down, right, high)
             found = 0.5 * (low + high)
-            other = self.gaps(far, found)
-            better = self.use(far, other) < use[far]
-            x[far[better]], gaps[far[better]] = found[better], other[better]
-        return x, gaps
+            other, least = self.gaps(far, found)
+            better = least < use[far]
+            some = far[better]
+            x[some], gaps[some], use[some] = found[better], other[better], least[better]
+        return x, gaps, use
 
-    def use(self, rows: IntArray, gaps: FloatArray) -> FloatArray:
-        return np.asarray((gaps * self.program.weight[self.k[rows]]).max(axis=1))
+    def gaps(self, rows: IntArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Compare poses with the parts x of rows, both shape (m,).
 
-    def gaps(self, rows: IntArray, x: FloatArray) -> FloatArray:
-        """Return linear and rotary coordinates, tip and top point over tolerances, (m, 4)."""
+        Return the gaps of extra and rotary axes, of the tip and of the point at flank height,
+        each over its tolerance, shape (m, 4). The use (m,) is the largest of them, over the
+        smaller tolerance of both rows at the nearer vertex.
+        """
         program, k = self.program, self.k[rows]
         point = program.start[k] + x[:, None] * program.step[k]
         apart = (self.here[rows] - point) * program.scale
-        linear = np.sqrt((apart[:, :3] ** 2).sum(axis=1) + (apart[:, 5:] ** 2).sum(axis=1))
-        rotary = np.sqrt((apart[:, 3:5] ** 2).sum(axis=1))
+        extra, rotary = (np.linalg.norm(apart[:, part], axis=1) for part in (EXTRA, TURN))
         tip, axis = program.machine.forward(point)
         beside = ~program.in_axes[k]
         tip[beside] = point[beside, :3]
         top = tip + program.height * axis
         off = np.linalg.norm(tip - self.tip[rows], axis=1)
         off_top = np.linalg.norm(top - self.top[rows], axis=1)
-        contour, orientation = program.tolerance[k].T
-        return np.stack(
-            [linear / contour, rotary / orientation, off / contour, off_top / orientation], axis=1
-        )
+        gaps = np.stack([extra, rotary, off, off_top], axis=1) / np.tile(program.tolerance[k], 2)
+        weight = program.weight[(x >= 0.5).astype(np.int64), k]
+        return gaps, np.asarray((gaps * np.tile(weight, 2)).max(axis=1))
 
 
 def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
@@ -285,6 +296,17 @@ def measure_widely(
         program.lines.improve(result, position, block)
     contour, top = program.tolerances(result)
     far = (result.contour > contour + SLACK) | (result.orientation > top + SLACK)
+    if far.any():
+        # Another row at the same place may have a smaller tolerance: the executed row counts.
+        own = program.path.deviation(tip[far], axis[far], block[far], rows=0)
+        if program.lines is not None:
+            program.lines.improve(own, position[far], block[far], shifts=(0,))
+        contour, top = program.tolerances(own)
+        kept = (own.contour <= contour + SLACK) & (own.orientation <= top + SLACK)
+        for field in fields(own):
+            getattr(result, field.name)[np.flatnonzero(far)[kept]] = getattr(own, field.name)[kept]
+        far[far] = ~kept
+        contour, top = program.tolerances(result)
     if far.any():
         reach = REACH * np.maximum(contour, top)[far]
         wide = program.path.deviation(tip[far], axis[far], block[far], reach)

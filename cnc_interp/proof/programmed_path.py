@@ -92,11 +92,16 @@ class ProgrammedPath:
         return np.asarray(np.cumsum(lengths))
 
     def deviation(
-        self, tip: FloatArray, axis: FloatArray, block: IntArray, reach: FloatArray | None = None
+        self,
+        tip: FloatArray,
+        axis: FloatArray,
+        block: IntArray,
+        reach: FloatArray | None = None,
+        rows: int = WINDOW,
     ) -> Deviation:
-        """Return the deviation from rows near ``block``, and from all within ``reach`` [m]."""
-        low = np.maximum(block - WINDOW, 0)
-        high = np.minimum(block + WINDOW, len(self.start) - 1)
+        """Return the deviation from ``rows`` beside ``block``, and from all in ``reach`` [m]."""
+        low = np.maximum(block - rows, 0)
+        high = np.minimum(block + rows, len(self.start) - 1)
         if reach is not None:
             way = self.way
             begin = way[np.maximum(block - 1, 0)]
@@ -104,14 +109,14 @@ class ProgrammedPath:
             high = np.maximum(high, np.searchsorted(way[:-1], way[block] + reach))
             low = np.maximum(low, block - WIDE_WINDOW)
             high = np.minimum(high, block + WIDE_WINDOW)
-        rows = (self.start, self.chord, self.axis, self.sideways, self.turn, self.by_axes)
+        path = (self.start, self.chord, self.axis, self.sideways, self.turn, self.by_axes)
         return Deviation(
             *_deviation(
                 np.ascontiguousarray(tip),
                 np.ascontiguousarray(axis),
                 low.astype(np.int64),
                 high.astype(np.int64),
-                *rows,
+                *path,
                 self.flank_height,
             )
         )

@@ -11,6 +11,7 @@ from cnc_interp.program.geometry.arcs import PLANES, Corner
 from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS, ToolShape
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, MOST_TOOL, SetupChange, Tool
+from cnc_interp.program.modal.groups import MODES
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.mover import Mover
 from cnc_interp.program.motion.splines import CURVE_WORDS
@@ -34,7 +35,7 @@ _KNOWN = sorted(
     | codes.TCP_ON
     | codes.TCP_OFF
     | codes.HARMLESS_KEYS
-    | codes.INTERPOLATION_KEYS.keys()
+    | MODES['great_circle'].codes.keys()
     | codes.RADIUS_KEYS.keys()
     | {'BSPLINE'}
 )
@@ -346,9 +347,9 @@ class Modes:
 
     def key_word(self, key: str, given: tuple[float | None, ...], words: BlockWords) -> None:
         mover = self._mover
-        if key in codes.INTERPOLATION_KEYS:
+        if key in MODES['great_circle'].codes:
             if mover.settings.interpolation == 'auto' and mover.rotary_letters:
-                mover.great_circle = codes.INTERPOLATION_KEYS[key]
+                mover.great_circle = MODES['great_circle'].codes[key]
             else:
                 self.notice(key, 'ignored, the interpolation is fixed')
         elif key in codes.TCP_ON:

@@ -17,8 +17,8 @@ from cnc_interp.program.geometry.contact_normal import ContactPath
 from cnc_interp.program.geometry.frames import Frames
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
+from cnc_interp.program.modal.groups import MODES, ModalValues
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.text import codes
 from cnc_interp.program.text.dialects import LINUXCNC, PLAIN
 from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
@@ -40,60 +40,20 @@ NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
 NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
 
 
-#: The modal attributes of codes.SETTINGS, the motion first, and those that other words set.
-_SETTINGS = (
-    'motion',
-    'plane',
-    'unit',
-    'incremental',
-    'centre_absolute',
-    'feed_mode',
-    'retract_to_start',
-    'stop_always',
-)
-_VALUES = (
-    'great_circle',
-    'tcp',
-    'oriented',
-    'feedrate',
-    'turn_rate',
-    'blocks_per_minute',
-    'feed_changed',
-    'spindle_speed',
-    'contour',
-    'orientation',
-    'polar',
-    'by_surface_speed',
-    'surface_speed',
-    'surface_limit',
-)
-_COMPARED = (
-    *_SETTINGS[1:],
-    'great_circle',
-    'tcp',
-    'spindle_speed',
-    'contour',
-    'orientation',
-    'polar',
-)
+_RECORDED = tuple(name for name, mode in MODES.items() if mode.recorded)
+_SHOWN = {name: mode.codes for name, mode in MODES.items() if mode.codes and mode.shown}
 
 
 def modal_words(state: ModalState) -> list[str]:
-    words = state.codes_of_settings()
-    words.pop('stop_once', None)
-    frames, feed = state.frames, state.feedrate
-    tolerance = state.contour / state.unit
-    if words.get('stop_always') == 'G64' and state.contour != state.settings.contour_tolerance:
-        words['stop_always'] = f'G64 P{tolerance:.9g}'
-    found = [*words.values(), state.setup.active, *frame_words(frames, state.unit)]
-    if frames.length:
-        found.append(f'G43.1 Z{frames.length / state.unit:g}')
-    found += [state.tcp, state.radius_code, 'G16' * state.polar]
-    if state.rotary_letters:
-        found.append('ORIVECT' if state.great_circle else 'ORIAXES')
-    if state.feed_mode == 'G93':
-        feed = None
-    if feed is not None:
+    """Return the words that set the modal state where a run starts."""
+    words, frames, feed = state.active_codes(), state.frames, state.feedrate
+    turning, polar = words.pop('great_circle', ''), words.pop('polar', '')
+    if words['stop_always'] == 'G64' and state.contour != state.settings.contour_tolerance:
+        words['stop_always'] = f'G64 P{state.contour / state.unit:.9g}'
+    length = f'G43.1 Z{frames.length / state.unit:g}' if frames.length else ''
+    found = [*words.values(), state.setup.active, *frame_words(frames, state.unit), length]
+    found += [state.tcp, state.radius_code, polar, turning]
+    if feed is not None and state.feed_mode != 'G93':
         found.append(f'F{feed * MINUTE / state.unit:g}')
     return [word for word in found if word]
 
@@ -119,7 +79,7 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
     return [f'G68.2 {places} {angles}']
 
 
-class ModalState:
+class ModalState(ModalValues):
     def __init__(
         self,
         geometry: Transform,
@@ -128,6 +88,7 @@ class ModalState:
         flow: Flow,
         notices: Notices,
     ):
+        super().__init__()
         self.geometry, self.settings, self.setup = geometry, settings, setup
         self.flow, self.notices = flow, notices
         self.targets = TargetColumns(geometry, settings, flow.main.name)
@@ -135,10 +96,7 @@ class ModalState:
         self.extra_letters = tuple(geometry.machine.extra_names)
         own = len(geometry.machine.axis_names) - len(self.extra_letters)
         self.rotary_letters = tuple(geometry.machine.axis_names[3:own])
-        # Modal settings, with the names of codes.SETTINGS.
         self.dialect = PLAIN
-        self.motion: int | None = None
-        self.plane, self.incremental = 'G17', False
         self.unit = INCH if settings.units == 'inch' else MM
         self.centre_absolute = settings.arc_centres == 'absolute'
         #: -1 where I J K lead from the centre of an arc to its start.
@@ -150,23 +108,14 @@ class ModalState:
         self.agreeing = 0
         #: I J K and R of the last arc [m], which some posts do not repeat.
         self.last_centre, self.last_radius = np.full((1, 3), nan), nan
-        self.feed_mode, self.retract_to_start = 'G94', True
-        self.stop_always = self.stop_once = self.polar = False
         self.great_circle = settings.interpolation == 'vector' or not self.rotary_letters
-        self.tcp = ''
         #: G41 or G42, and the plane in which that counts; empty without.
         self.radius_code = self.radius_plane = ''
         #: Whether G41 and G42 compensate along normals (CUT3DF), and the path that does so.
         self.along_normals = False
         self.contact: ContactPath | None = None
-        self.oriented = False  # whether the tool was turned to a tilted plane, until that ends
         self.feedrate = settings.feedrate
         self.turn_rate = nan if self.feedrate is None else self.feedrate / MM * DEG
-        self.blocks_per_minute: float | None = None
-        self.feed_changed = False  # whether the feed mode changed after the last F
-        self.spindle_speed = 0.0
-        self.by_surface_speed = False  # whether S is a speed of the surface (G96)
-        self.surface_speed = self.surface_limit = 0.0  # [m/min], and the largest [rev/min]
         self.contour = settings.contour_tolerance
         self.orientation = settings.orientation_tolerance
         # Position: a point (frames.py) [m], rotary axes [rad], whether words named them.
@@ -199,45 +148,39 @@ class ModalState:
 
     def follow(self, before: ModalState) -> None:
         self.probed = dict(before.probed)
-        for name in (*_SETTINGS, *_VALUES):
-            setattr(self, name, getattr(before, name))
+        for name, mode in MODES.items():
+            if mode.kept:
+                setattr(self, name, getattr(before, name))
         self.frames.follow(before.frames)
 
     def saved_values(self) -> dict[str, object]:
-        names = (*_SETTINGS[1:], *_VALUES)
-        values: dict[str, object] = {name: getattr(self, name) for name in names}
-        return values | {'offset': self.setup.offset, 'length': self.frames.length}
+        values = {name: getattr(self, name) for name, mode in MODES.items() if mode.saved}
+        return {**values, 'offset': self.setup.offset, 'length': self.frames.length}
 
     def restore_values(self, values: Mapping[str, object]) -> None:
         if values['tcp'] != self.tcp:
             self.switch_tcp(str(values['tcp']))
-        for name in (*_SETTINGS[1:], *_VALUES):
+        for name in values.keys() & MODES.keys():
             setattr(self, name, values[name])
         self.frames.length = float(str(values['length']))
         self.aim()
 
-    def modal_values(self) -> tuple[object, ...]:
+    def recorded_values(self) -> tuple[object, ...]:
         frames = self.frames
-        values = (getattr(self, name) for name in _COMPARED)
+        values = (getattr(self, name) for name in _RECORDED)
         return (*values, self.radius_code, self.setup.offset, bool(frames.length), *frames.shifts)
 
-    def modes(self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]) -> ActiveModes:
-        length = 'G43' if self.frames.length else 'G49'
-        turning = ('ORIVECT' if self.great_circle else 'ORIAXES') if self.rotary_letters else ''
-        settings = self.codes_of_settings()
-        found = (
-            cycle,
-            self.radius_code,
-            *(settings[name] for name in _SETTINGS[1:]),
-            offset,
-            *self.frames.shifts,
-            self.tcp or length,
-            'G16' * self.polar,
-            turning,
-            *outputs.values(),
-        )
-        codes = tuple(code for code in found if code)
-        return ActiveModes(codes, self.contour, self.orientation, self.spindle_speed, tool)
+    def active_modes(
+        self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]
+    ) -> ActiveModes:
+        codes = self.active_codes()
+        codes.pop('motion', None)  # each block has its own
+        turning, polar = codes.pop('great_circle', ''), codes.pop('polar', '')
+        length = self.tcp or ('G43' if self.frames.length else 'G49')
+        before = cycle, self.radius_code, *codes.values(), offset, *self.frames.shifts
+        found = (*before, length, polar, turning, *outputs.values())
+        shown = tuple(code for code in found if code)
+        return ActiveModes(shown, self.contour, self.orientation, self.spindle_speed, tool)
 
     @property
     def feed_word(self) -> float:
@@ -245,11 +188,15 @@ class ModalState:
         value = self.blocks_per_minute if self.feed_mode == 'G93' else self.feedrate
         return NONE if value is None else value
 
-    def codes_of_settings(self) -> dict[str, str]:
-        found: dict[str, str] = {}
-        for code, (attribute, value) in codes.SETTINGS.items():
-            if getattr(self, attribute) == value:
-                found.setdefault(attribute, code)
+    def active_codes(self) -> dict[str, str]:
+        """Return the word of each modal value that has one, by name, in the order of the table."""
+        found = {}
+        for name, words in _SHOWN.items():
+            value = getattr(self, name)
+            if code := next((code for code, sets in words.items() if sets == value), ''):
+                found[name] = code
+        if not self.rotary_letters:
+            del found['great_circle']
         return found
 
     def fault(self, message: str, word: str = '') -> ProgramError:

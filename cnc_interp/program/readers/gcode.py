@@ -18,6 +18,7 @@ from cnc_interp.program.execution.setting_words import Modes
 from cnc_interp.program.geometry.arcs import OF_PLACE, PLANES
 from cnc_interp.program.geometry.target_row import AT_M0, AT_M1
 from cnc_interp.program.job import JobSetup, SetupChange
+from cnc_interp.program.modal.groups import MODES, SETTINGS
 from cnc_interp.program.modal.state import NO_F, NO_NEW_F, modal_words
 from cnc_interp.program.motion import cycles, probing
 from cnc_interp.program.motion.cycles import TAPPING, CannedCycle, SiemensCycle
@@ -111,15 +112,15 @@ class GcodeReader:
     def active_modes(self, offset: str, tool: int) -> ActiveModes:
         _, motion, feed = self._state()
         code = '' if self._cycle is None else self._cycle.code
-        return self.mover.modes(code, offset, tool, self._outputs).moving(motion, feed)
+        return self.mover.active_modes(code, offset, tool, self._outputs).moving(motion, feed)
 
     def _state(self) -> tuple[float, float, float]:
         mover, tool = self.mover, self._tool
         code = '' if self._cycle is None else self._cycle.code
         motion = NONE if code or mover.motion is None else float(mover.motion)
         number = mover.targets.modes.number(
-            (code, tool, *self._outputs.values(), *mover.modal_values()),
-            lambda: mover.modes(code, mover.setup.offset, tool, self._outputs),
+            (code, tool, *self._outputs.values(), *mover.recorded_values()),
+            lambda: mover.active_modes(code, mover.setup.offset, tool, self._outputs),
         )
         return number, motion, mover.feed_word
 
@@ -405,8 +406,8 @@ class GcodeReader:
                 or ('U' in words.values and 'U' not in mover.extra_letters)
             ):
                 raise self.fault('a cycle of a lathe; lathe programs are not read', code)
-            elif code in codes.SETTINGS:
-                attribute, value = codes.SETTINGS[code]
+            elif code in SETTINGS:
+                attribute, value = SETTINGS[code]
                 if other := set_here.get(attribute):
                     raise self.fault(f'{other} is in the same block; keep one of them', code)
                 set_here[attribute] = code
@@ -438,7 +439,7 @@ class GcodeReader:
             elif code == 'G69':
                 self._plane.cancel()
             elif code == 'G16':
-                if mover.dialect not in (FANUC, PLAIN):
+                if mover.dialect not in MODES['polar'].dialects:
                     raise self.fault(
                         'polar coordinates are those of Fanuc; post with X and Y', code
                     )

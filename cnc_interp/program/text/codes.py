@@ -2,27 +2,8 @@
 
 import re
 
-from cnc_interp.core import INCH, MM
 from cnc_interp.program import job
 from cnc_interp.program.notices import WARNING
-
-# Codes of one modal group set the same attribute, so two of them in one block contradict.
-SETTINGS: dict[str, tuple[str, object]] = {
-    **{f'G{number}': ('motion', number) for number in range(4)},
-    **{code: ('plane', code) for code in ('G17', 'G18', 'G19')},
-    **dict.fromkeys(('G20', 'G70', 'G700'), ('unit', INCH)),
-    **dict.fromkeys(('G21', 'G71', 'G710'), ('unit', MM)),
-    'G90': ('incremental', False),
-    'G91': ('incremental', True),
-    'G90.1': ('centre_absolute', True),
-    'G91.1': ('centre_absolute', False),
-    **{code: ('feed_mode', code) for code in ('G93', 'G94', 'G95')},
-    'G98': ('retract_to_start', True),
-    'G99': ('retract_to_start', False),
-    **dict.fromkeys(('G61', 'G60', 'G61.1'), ('stop_always', True)),
-    **dict.fromkeys(('G64', 'G641', 'G642', 'G643', 'G644', 'G645'), ('stop_always', False)),
-    'G9': ('stop_once', True),
-}
 
 # Words that switch tool-tip programming (TCP), of several controls.
 TCP_ON = {'M428', 'M128', 'G43.4', 'G43.5', 'G234', 'TRAORI', '#TRAFO ON'}
@@ -274,15 +255,6 @@ REFUSED_NAMES: dict[str, str] = {
 }
 UNKNOWN_NAME = 'no such word; correct it, or set the variable in a block of its own'
 NO_SUCH_AXIS = 'no axis has this name; write the axis as a letter'
-# On linear blocks ORICURVE turns from one direction to the other like ORIVECT.
-INTERPOLATION_KEYS = {
-    'ORIVECT': True,
-    'ORIPLANE': True,
-    'ORICURVE': True,
-    'ORIAXES': False,
-    'ORIMKS': False,
-}
-
 
 _CYCLE = re.compile(r'CYCLE(?:8\d|840|800|832)')
 

@@ -28,10 +28,18 @@ from cnc_interp.machine.drives import (
     HomedDrives,
 )
 from cnc_interp.machine.spindle import Spindle
-from cnc_interp.machine.switching import NO_FUNCTION, Act, ActsOfChunk, Switching
+from cnc_interp.machine.switching import Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import SINCE
-from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State
+from cnc_interp.machine_model.signals import (
+    EMERGENCY,
+    FAULT,
+    LOST_MACHINE,
+    LOST_PLANNER,
+    RESET,
+    SINCE,
+    STOPS,
+)
+from cnc_interp.run.run_state import NO_RUN, Event, Reason, RunId, RunState, State, WaitsFor
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 #: What occurs when the machine rests after the last setpoint of a chunk, and why it rests.
@@ -45,9 +53,8 @@ RESTS = {
     Wait.FUNCTION: (Event.FILL, Reason.NONE),
     Wait.END: (Event.FINISH, Reason.NONE),
 }
-EMERGENCY = 'emergency_stop'  #: What switches off, as in ``signals.STOPS``.
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
-LOST = 2.0  #: After so long without setpoints the planner counts as lost [s].
+LOST = 2.0  #: A planner whose setpoints are waited for so long counts as lost [s].
 ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
 TOGETHER = 0.01  #: Motion that is read at once, where nothing else happens and much waits [s].
 SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
@@ -119,10 +126,10 @@ class Playback:
             drives.calm,
             self.spindle,
         )
-        self._signals, self._commanded = machine.signals, self.spindle.commanded
+        self._signals = machine.signals
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
-        self.switching = Switching(machine.signals, drives, self._commanded)
+        self.switching = Switching(machine.signals, drives, self.spindle)
         self.state = RunState()
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
@@ -170,6 +177,7 @@ class Playback:
         self._power_off()
 
     def close(self) -> None:
+        self.switching.stop(LOST_MACHINE)
         self.drives.close()
 
     # Runs and plans -----------------------------------------------------------------------------
@@ -222,7 +230,7 @@ class Playback:
         self._finishing = False  # the last functions wait
         self._answered = False  # the probe
         self.switching.forget_states(self.cycle.follows)
-        self._starved_for = 0.0  # [s]
+        self._waited_for = 0.0  # how long setpoints were waited for [s]
         #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
         self._passing = self._held_after = False
         self.last: Reached | None = None
@@ -258,6 +266,8 @@ class Playback:
         self.read()
         if not self.state.by_hand:
             self.state.after(Event.JOG)
+            if waits := self.switching.waits_for_answer:
+                raise StreamError(f'jog is not possible: {waits}; wait for it, or reset')
             if self.state.state is State.IDLE and self.buffer.count:
                 raise StreamError('jog is not possible: a program is about to start')
 
@@ -416,6 +426,7 @@ class Playback:
         self.state = cleared
         self.cycle.mute(False)
         self._given_up = self.run_id.program_id or self._given_up
+        self.switching.stop(RESET)
         self._forget_run(NO_RUN)
 
     def _handle(self, event: Event, reason: Reason = Reason.NONE, detail: str = '') -> None:
@@ -449,6 +460,8 @@ class Playback:
         if self.state.state is not State.IDLE or self.buffer.count:
             text = self.state.text or self.state.state.value
             raise StreamError(f'outputs are switched by hand at rest without a program ({text})')
+        if breach := self.switching.refusal(acts):
+            raise StreamError(breach)
         self._forget_run(NO_RUN)
         self.switching.add(acts)
         self._finishing = True
@@ -477,17 +490,19 @@ class Playback:
         self._handle(Event.HOLD, Reason.PROBE)
 
     def _see_stop(self) -> None:
-        if self.state.state in (State.STOPPING, State.FAULT) and not self.switching.off:
+        stops = self.state.state in (State.STOPPING, State.FAULT)
+        if stops and self.switching.off not in (EMERGENCY, FAULT):
             emergency = self.state.reason is Reason.EMERGENCY_STOP
-            self._switch_off(EMERGENCY if emergency else 'fault')
+            self._switch_off(EMERGENCY if emergency else FAULT)
 
     def _work(self, seconds: float) -> None:
         """Go on with the outputs that are set at rest, some time later; start what may start."""
-        switching, starved = self.switching, self.state.state is State.STARVED
+        switching = self.switching
+        waits = self.state.waits_for in (WaitsFor.SETPOINTS, WaitsFor.NEW_PLAN)
         self._see_stop()
-        self._starved_for = self._starved_for + seconds if starved else 0.0
-        if self._starved_for >= LOST and not self.switching.off:
-            self._switch_off('lost_planner')
+        self._waited_for = self._waited_for + seconds if waits else 0.0
+        if self._waited_for >= LOST and not self.switching.off:
+            self._switch_off(LOST_PLANNER)
         self._pass_over()
         last = self.buffer.rests > 0 or bool(self.buffer.chunks and self.state.refusal)
         ready = last or self.buffer.count >= self._full
@@ -516,7 +531,7 @@ class Playback:
 
     def _may_begin(self, act: Act) -> bool:
         held = self.state.state is State.HELD and not self.state.start_wanted
-        return act.number == NO_FUNCTION or act.before_stop or not held
+        return act.step.word in STOPS or act.before_stop or not held
 
     def _queue_functions(self, starts: bool) -> None:
         stops = self.state.state is State.HELD and self.state.reason in STOPPED

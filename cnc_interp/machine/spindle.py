@@ -90,6 +90,11 @@ class Spindle(NamedTuple):
         )
         return Spindle(spindle.commanded, np.array(signals.spindle), words, limits.copy(), known)
 
+    @property
+    def turns(self) -> bool:
+        """Whether the encoder sees that it turns."""
+        return bool(abs(self.words[RATE]) > SLOWEST)
+
     def cause(self, axes: Sequence[str]) -> str:
         """Say why a line in step with the spindle has failed."""
         cause = round(self.words[CAUSE])

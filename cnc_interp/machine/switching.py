@@ -1,4 +1,8 @@
-"""The outputs that are set while the path rests, one after the other, and those of a stop."""
+"""The outputs that are set while the path rests, one after the other, and those of a stop.
+
+Before an output is set, the interlocks of the machine file are looked at: here, because a function
+that can break one lets the path rest.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.drives import Drives
+from cnc_interp.machine.spindle import Spindle
 from cnc_interp.machine_model.signals import ASK, NO_WAIT, STOPS, TIMED, Signals, Step
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Wait
@@ -89,9 +94,11 @@ class ActsOfChunk(NamedTuple):
 
 
 class Switching:
-    def __init__(self, signals: Signals, drives: Drives, commanded: FloatArray):
-        self._signals, self._drives, self._commanded = signals, drives, commanded
+    def __init__(self, signals: Signals, drives: Drives, spindle: Spindle):
+        self._signals, self._drives, self._spindle = signals, drives, spindle
+        self._commanded = spindle.commanded
         self._queue: deque[Act] = deque()
+        self._breach = ''  # the interlock that keeps the first one from being set
         self._is_set = self._answered = False  # the first one of the queue
         self._waited = 0.0  # since it was set [s]
         #: What functions have set, until it is published: the run, and the setpoint before.
@@ -102,8 +109,8 @@ class Switching:
         """Begin a run, of which no function is set; what a stop sets remains."""
         self._forget()
         self.functions = self._queued = 0  # set so far; number after those that wait
-        self._wanted: dict[int, Act] = {}  # what the functions have set, by output
-        self.off = False  # a stop has switched off
+        self.off = ''  # which of ``signals.STOPS`` has switched off
+        self._were_on: dict[int, float] = {}  # what it has switched off, by output
         self.probes_from = 0  # setpoint with which the line of a probe begins
 
     @property
@@ -123,6 +130,8 @@ class Switching:
     @property
     def asks(self) -> str:
         """What the operator must see to before it goes on; empty for nothing."""
+        if self._queue and self._breach:
+            return f'{self._breach}; see to it, then cycle_start tries again, reset gives up'
         if not (self._queue and self._is_set) or self._answered:
             return ''
         step = self._queue[0].step
@@ -142,15 +151,47 @@ class Switching:
     def add(self, acts: Iterable[Act]) -> None:
         self._queue.extend(acts)
 
+    @property
+    def waits_for_answer(self) -> str:
+        """Say which answer of the machine is waited for; empty if no motion would disturb it."""
+        waits = self._queue and self._is_set and self._queue[0].step.wait not in (NO_WAIT, ASK)
+        return self.text if waits else ''
+
+    def refusal(self, acts: Iterable[Act]) -> str:
+        """Return the interlock that these would break, up to the first one that waits."""
+        outputs = self._commanded.copy()
+        for act in acts:
+            if breach := self._breach_of(act, outputs):
+                return breach
+            outputs[act.step.output] = act.value
+            if act.step.wait != NO_WAIT:
+                break
+        return ''
+
+    def _breach_of(self, act: Act, outputs: FloatArray) -> str:
+        wires = outputs[: self._signals.wired]
+        if act.step.output >= len(wires):
+            return ''
+        known = [*self._drives.inputs, self._spindle.turns, *wires]
+        return self._signals.breach(act.step.output, act.value, known)
+
     def stop(self, word: str) -> None:
-        """Set what a word of ``signals.STOPS`` says, now; setpoints switch nothing any more."""
+        """Switch off what a word of ``signals.STOPS`` says, now; setpoints switch nothing then."""
         self._queue.clear()
-        self._is_set = False
+        self._is_set, self._breach = False, ''
+        off = list(self._signals.off.get(word, ()))
+        self._were_on |= {k: value for k in off if (value := float(self._commanded[k]))}
+        self._commanded[off] = self._drives.outputs[off] = 0.0  # both: the clock may end
         steps = [self._signals.steps[k] for k in self._signals.words.get(word, ())]
         self.add(Act(step, float(step.value)) for step in steps)
-        self.off, self._queued = True, self.functions
+        self.off, self._queued = word, self.functions
         self.work(0.0, lambda _: True)
-        self._drives.outputs[:] = self._commanded[: self._signals.wired]  # the clock may end
+
+    def _as_before(self, output: int, value: float) -> Act:
+        """Return what sets an output again, and waits for the answer that its function has."""
+        steps = (step for step in self._signals.steps if step.word not in STOPS)
+        found = (step for step in steps if (step.output, step.value) == (output, value))
+        return Act(next(found, Step('', output, value)), value)
 
     def forget_states(self, follows: bool) -> None:
         """Let nothing that counts for a run alone count for the next one."""
@@ -163,10 +204,9 @@ class Switching:
     def queue(self, acts: ActsOfChunk, starts: bool, stops: bool) -> None:
         """Take what must be set before the path goes on, or before a program stop waits."""
         if starts and self.off:  # after a lost planner
-            self.off, outputs = False, self._commanded
             self._forget()
-            again = [a for a in self._wanted.values() if outputs[a.step.output] != a.value]
-            self.add(act._replace(number=NO_FUNCTION) for act in again)
+            self.add(self._as_before(*each) for each in self._were_on.items())
+            self.off, self._were_on = '', {}
         count = acts.waiting if starts else 0
         for k, (row, act) in enumerate(acts.rows):
             early = row == 0 and (k < count or (stops and act.before_stop))
@@ -181,13 +221,11 @@ class Switching:
         self.functions = act.number + 1
         if self._signals.probe and act.step.output == self._signals.probe[0]:
             self.probes_from = sample
-        self._wanted.pop(act.step.output, None)  # the last one comes last
-        self._wanted[act.step.output] = act
         self.switched.append((run_id, act, sample))
 
     def _forget(self) -> None:
         self._queue = deque(act for act in self._queue if act.step.word in STOPS)
-        self._is_set = self._is_set and bool(self._queue)
+        self._is_set, self._breach = self._is_set and bool(self._queue), ''
 
     def work(self, seconds: float, may_begin: Callable[[Act], bool]) -> list[Act]:
         """Let time pass; return what was set."""
@@ -197,6 +235,10 @@ class Switching:
             act = self._queue[0]
             if not self._is_set:
                 if not may_begin(act):
+                    break
+                if act.step.word not in STOPS:
+                    self._breach = self._breach_of(act, self._commanded)
+                if self._breach:
                     break
                 self._commanded[act.step.output] = act.value
                 self._is_set, self._answered, self._waited = True, False, 0.0
@@ -211,6 +253,8 @@ class Switching:
         step = act.step
         if step.wait in (NO_WAIT, TIMED):
             return self._waited >= (step.delay if step.wait == NO_WAIT else act.value)
-        if self._answered or step.wait == ASK or self._waited < max(step.delay, LEAST_DELAY):
+        soonest = max(step.delay, LEAST_DELAY) + self._drives.ahead  # inputs before are old
+        if self._answered or step.wait == ASK or self._waited < soonest:
             return self._answered
-        return bool(self._drives.inputs[abs(step.wait) - 1]) is (step.wait > 0)
+        known = *self._drives.inputs, self._spindle.turns
+        return bool(known[abs(step.wait) - 1]) is (step.wait > 0)

@@ -1,10 +1,10 @@
-"""Outputs and inputs of a machine, and what each function of a program does with them.
+"""Outputs and inputs of a machine: functions of programs, what stops switch off, and interlocks.
 
 A machine with an output ``SPEED`` has ``STATES``, too. Words set them like outputs, but no drive
 gets them: the cycle (``machine/spindle.py``) and the planner of the feed read them.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
@@ -16,8 +16,16 @@ from cnc_interp.machine_model.machine_entries import is_number
 
 #: Letters of a program whose value a function may take: speed, tool, and words of its own block.
 LETTERS = ('S', 'T', 'P', 'Q')
-#: What else switches outputs: an emergency stop, a fault, setpoints that do not come any more.
-STOPS = ('emergency_stop', 'fault', 'lost_planner')
+#: What switches outputs off: an emergency stop, a fault, the operator's reset, setpoints that do
+#: not come any more, and the end of the machine node. HAL does the last one alone.
+EMERGENCY, FAULT, RESET, LOST_PLANNER, LOST_MACHINE = STOPS = (
+    'emergency_stop',
+    'fault',
+    'reset',
+    'lost_planner',
+    'lost_machine',
+)
+ALWAYS, NEVER = 'always', 'never'  #: In place of a list of ``STOPS``.
 OPERATOR = 'operator'  #: In place of an input that is waited for: the operator's cycle start.
 AFTER = ('M2', 'M5', 'M9', 'M30')  #: Words that act after the motion of their block.
 #: Before a line that ends where the probe comes on (G38.2, G38.3), or goes off (G38.4, G38.5).
@@ -35,6 +43,7 @@ DWELL = 'dwell'  #: Value of G4 [s].
 #: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
+TURNING = 'spindle_turning'  #: Condition: the encoder sees that the spindle turns.
 NUMBERS: Mapping[str, str] = {ANGLE: 'rev', SINCE: 's'}  #: Inputs that are numbers, and units.
 FIXED = 'fixed'  #: Value of M50 and M51: 1 for P0.
 PER_TURN, FEED_FIXED, SPINDLE_FIXED = 'feed_per_turn', 'feed_fixed', 'spindle_fixed'
@@ -105,16 +114,17 @@ class Step:
     word: str  #: Of the program, or one of ``STOPS``.
     output: int  #: Number of the output.
     value: float | str  #: What it is set to; a letter for the value of that word.
-    #: ``NO_WAIT``; k for the input k - 1 that must come on, -k for one that must go off; ``ASK``,
-    #: ``TIMED``.
+    #: ``NO_WAIT``; k for the condition k - 1 that must come on, -k for one that must go off;
+    #: ``ASK``, ``TIMED``. Conditions are the inputs, ``TURNING``, then the outputs.
     wait: int = NO_WAIT
     limit: float = inf  #: Longest wait [s].
     delay: float = 0.0  #: The input is looked at after so long, and the next step comes then [s].
     ends: bool = False  #: Whether a line in step with the spindle ends there.
+    guarded: bool = False  #: Whether it can break an interlock, which is looked at in a rest.
 
     @property
     def rests(self) -> bool:
-        return self.wait != NO_WAIT or self.ends
+        return self.wait != NO_WAIT or self.ends or self.guarded
 
 
 @dataclass(frozen=True)
@@ -125,6 +135,10 @@ class Signals:
     words: Mapping[str, range] = field(default_factory=dict)  #: The steps of each word.
     after: frozenset[str] = frozenset()  #: Words that act after the motion of their block.
     wired: int = 0  #: Outputs that drives get; ``STATES`` come after them.
+    #: Numbers of the outputs that each of ``STOPS`` switches off.
+    off: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    #: Conditions that must hold while an output is on, by its number; k and -k as ``Step.wait``.
+    interlocks: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     @property
     def wires(self) -> tuple[Signal, ...]:
@@ -156,7 +170,24 @@ class Signals:
     def waited(self, step: Step) -> str:
         if step.wait in (ASK, TIMED):
             return OPERATOR if step.wait == ASK else 'its time'
-        return ('not ' if step.wait < 0 else '') + self.inputs[abs(step.wait) - 1].name
+        return ('not ' if step.wait < 0 else '') + self._conditions[abs(step.wait) - 1]
+
+    @property
+    def _conditions(self) -> list[str]:
+        return [*(each.name for each in self.inputs), TURNING, *(each.name for each in self.wires)]
+
+    def breach(self, output: int, value: float, conditions: Sequence[float]) -> str:
+        """Return which interlock an output would break with a value; empty if it may be set."""
+        first, after = len(self.inputs) + 1, list(conditions)
+        after[first + output] = value
+        for k, wanted in self.interlocks.items():
+            concerned = k == output or first + output + 1 in map(abs, wanted)
+            broken = next((c for c in wanted if bool(after[abs(c) - 1]) is not (c > 0)), 0)
+            if concerned and broken and after[first + k]:
+                told = f'{self._conditions[abs(broken) - 1]} is {"off" if broken > 0 else "on"}'
+                name = self.outputs[k].name
+                return f'{self.text(output, value)} is refused: {name} must not be on while {told}'
+        return ''
 
     def letters(self, words: Iterable[str]) -> set[str]:
         numbers = (number for word in words for number in self.words.get(word, ()))
@@ -188,8 +219,9 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
         except (OSError, UnreadableError):
             names = ', '.join(sorted(path.stem for path in file.parent.glob('*.yaml')))
             raise MachineError(f'no signals {given!r}; choose {names}', 'signals') from None
-    if not isinstance(given, dict) or set(given) - {'outputs', 'inputs', 'functions', 'after'}:
-        raise MachineError('may hold outputs, inputs, functions and after', 'signals')
+    known = 'outputs', 'inputs', 'functions', 'after', 'switched_off', 'interlocks'
+    if not isinstance(given, dict) or set(given) - set(known):
+        raise MachineError(f'may hold {", ".join(known)}', 'signals')
     outputs = tuple(_signals(given, 'outputs', ()))
     inputs = tuple(_signals(given, 'inputs', [signal.name for signal in outputs]))
     for axis in index:
@@ -202,26 +234,102 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
     for word, listed in _mapping(given, 'functions').items():
         where, first = f'signals.functions.{word}', len(steps)
         code = word[1:].isdigit() and word[0] == 'M' and word == f'M{int(word[1:])}'
-        others = ('S', 'T', TOWARD, AWAY, *STOPS)
+        others = ('S', 'T', TOWARD, AWAY, *STOPS[:-1])
         if word in NO_FUNCTIONS or not (code or word in others):
             raise MachineError(f'write an M code as M8, or one of {", ".join(others)}', where)
         each = listed if isinstance(listed, list) else [listed]
         steps += [_step(word, values, where, outputs, inputs) for values in each]
         words[word] = range(first, len(steps))
-    wired = len(outputs)
+        _refuse_old_answers(steps[first:], outputs, inputs, where)
+    wired, rules = len(outputs), _interlocks(given, outputs, inputs)
+    steps = [replace(step, guarded=_may_break(step, rules, len(inputs) + 1)) for step in steps]
     if SPEED in [signal.name for signal in outputs]:
         outputs += tuple(Signal(name, True, unit, -1e9, 1e9) for name, unit in STATES.items())
         _add_states(outputs, inputs, steps, words)
     after = given.get('after', [word for word in AFTER if word in words])
     if not isinstance(after, list) or not set(after) <= set(words) - set(STOPS):
         raise MachineError('must list words of functions', 'signals.after')
-    found = Signals(outputs, inputs, tuple(steps), words, frozenset(after), wired)
+    off = _switched_off(given, outputs[:wired])
+    found = Signals(outputs, inputs, tuple(steps), words, frozenset(after), wired, off, rules)
     for word, armed in ((TOWARD, 1.0), (AWAY, 2.0)):
         last = steps[words[word][-1]] if words.get(word) else None
         if last and (not found.probe or (last.output, last.value) != (found.probe[0], armed)):
             text = f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input'
             raise MachineError(text, f'signals.functions.{word}')
     return found
+
+
+def _refuse_old_answers(
+    steps: list[Step], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...], where: str
+) -> None:
+    """Refuse a request with an answer that is taken back, if the answer may be an old one."""
+    for k, step in enumerate(steps):
+        begins, ends = (
+            any(s.output == step.output and s.wait == -step.wait for s in part)
+            for part in (steps[:k], steps[k + 1 :])
+        )
+        if 0 < step.wait <= len(inputs) and ends and not begins:
+            name, answer = outputs[step.output].name, inputs[step.wait - 1].name
+            text = f'would take an old answer of {answer}; begin with'
+            raise MachineError(f'{text} {{{name}: 0, wait_for: not {answer}}}', where)
+
+
+def _switched_off(
+    given: Mapping[str, Any], outputs: tuple[Signal, ...]
+) -> dict[str, tuple[int, ...]]:
+    """Read the table of what is switched off, and when: by default whatever is no number."""
+    rows = _mapping(given, 'switched_off')
+    for name in rows:
+        if name not in [signal.name for signal in outputs]:
+            raise MachineError('must name outputs', f'signals.switched_off.{name}')
+    found = dict[str, tuple[int, ...]]()
+    for k, signal in enumerate(outputs):
+        stops = rows.get(signal.name, NEVER if signal.is_number else ALWAYS)
+        if stops in (ALWAYS, NEVER):
+            stops = [*STOPS] if stops == ALWAYS else []
+        where = f'signals.switched_off.{signal.name}'
+        if not isinstance(stops, list) or not all(stop in STOPS for stop in stops):
+            raise MachineError(
+                f'must be {ALWAYS}, {NEVER}, or a list of {", ".join(STOPS)}', where
+            )
+        if stops and (fault := signal.fault_of(0.0)):
+            raise MachineError(fault, where)
+        found |= {stop: (*found.get(stop, ()), k) for stop in stops}
+    return found
+
+
+def _interlocks(
+    given: Mapping[str, Any], outputs: tuple[Signal, ...], inputs: tuple[Signal, ...]
+) -> dict[int, tuple[int, ...]]:
+    names = [signal.name for signal in outputs]
+    bits = [signal.name for signal in inputs if not signal.is_number]
+    turning = [TURNING] if ANGLE in [signal.name for signal in inputs] else []
+    known, places = [*bits, *turning, *names], [*(s.name for s in inputs), TURNING, *names]
+    found = {}
+    for name, listed in _mapping(given, 'interlocks').items():
+        where, conditions = f'signals.interlocks.{name}', listed
+        if name not in names:
+            raise MachineError('must name an output', where)
+        conditions = listed if isinstance(listed, list) else [listed]
+        plain = [str(each).removeprefix('not ') for each in conditions]
+        if not set(plain) <= {*known} - {name}:
+            told = f'must list what holds while it is on: {", ".join(known)}, or "not" and a name'
+            raise MachineError(told, where)
+        numbers = [places.index(each) + 1 for each in plain]
+        found[names.index(name)] = tuple(
+            number if each == condition else -number
+            for number, each, condition in zip(numbers, plain, conditions, strict=True)
+        )
+    return found
+
+
+def _may_break(step: Step, interlocks: Mapping[int, tuple[int, ...]], first: int) -> bool:
+    """Tell whether an interlock can forbid a step; conditions from ``first`` on are outputs."""
+    number, demands = first + step.output + 1, [c for each in interlocks.values() for c in each]
+    on, off = step.value != 0.0, step.value == 0.0 or isinstance(step.value, str)
+    return (on and (step.output in interlocks or -number in demands)) or (
+        off and number in demands
+    )
 
 
 def _add_states(
@@ -336,6 +444,7 @@ def _wait(
     if wanted == OPERATOR:
         return ASK, limit, delay
     names = [signal.name for signal in inputs]
+    names += [TURNING] if ANGLE in names else []
     name = str(wanted).removeprefix('not ')
     if name not in names:
         told = f'must name an input: {", ".join(names)}; or {OPERATOR}'

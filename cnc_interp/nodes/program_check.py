@@ -179,7 +179,7 @@ def check(
             take(chain.finish(), last=True)
             stream.note(chain.notice)
         start = finder.found() if finder is not None else None
-        if not (length > 0.0 or may_rest or len(stream.functions)):
+        if not (length > 0.0 or may_rest):
             raise no_motion(stream.source)
     except OSError as problem:
         blocks.close()

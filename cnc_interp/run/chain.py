@@ -154,4 +154,5 @@ def at_fault(source: str) -> Iterator[None]:
 
 
 def no_motion(source: str) -> ProgramError:
-    return ProgramError('holds no motion; add blocks after the start pose', source)
+    text = 'holds no motion: its first position is where the run starts; add a block after it'
+    return ProgramError(text, source)

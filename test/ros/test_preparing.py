@@ -17,8 +17,9 @@ from cnc_interp.core import BlockError, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.program_check import prepare
-from cnc_interp.program import read_text
+from cnc_interp.program import open_program, read_text
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))
@@ -117,6 +118,36 @@ def test_without_a_folder_no_file_is_read_and_a_text_has_a_name(folder):
     goal = RunProgram.Goal(program='/etc/part.ngc', text='G1 X10 F100\nG1 Xfoo\n')
     with pytest.raises(InterpError, match=r'^part\.ngc'):
         prepare(goal, TRANSFORM, Settings(), lambda share: None)
+
+
+@pytest.mark.parametrize(
+    ('text', 'moves'),
+    [
+        ('S3000 M3\nG1 X60 F500\nM2\n', False),
+        ('S3000 M3\nM2\n', False),
+        ('G38.2 X60 F500\nM2\n', False),
+        ('G0 X0\nM8\nG1 X0 F500\nM9\nM2\n', False),
+        ('S3000 M3\nG1 X0 F500\nX60\nM2\n', True),
+    ],
+)
+def test_a_program_is_refused_exactly_where_plan_refuses_it(text, moves, tmp_path):
+    """One line of motion switched spindle and coolant on, and was "done, without motion"."""
+    machine, refusals = Machine.load('vmc'), []
+    file, transform = tmp_path / 'p.ngc', Transform.of(machine)
+    file.write_text(text)
+    goal = RunProgram.Goal(program=str(file))
+    for act in (
+        lambda: prepare(goal, transform, Settings(), print, [str(tmp_path)]),
+        lambda: plan_to_files(
+            open_program(file, transform, Settings()), machine, tmp_path / 'plan'
+        ),
+    ):
+        try:
+            act()
+            refusals.append('')
+        except ProgramError as problem:
+            refusals.append(str(problem))
+    assert refusals[0] == refusals[1] and (refusals[0] == '') is moves
 
 
 @pytest.mark.parametrize('machine', ['/etc/passwd', '/dev/zero', 'bc_trunnion'])

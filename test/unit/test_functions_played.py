@@ -9,11 +9,12 @@ import pytest
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
 from cnc_interp.core import MM, StreamError
+from cnc_interp.core.small_files import config_directory, read_yaml
 from cnc_interp.machine.playback import LOST, Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import Step, signals
+from cnc_interp.machine_model.signals import STOPS, Step, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import ProgramStream
@@ -41,6 +42,19 @@ MANY = (
     + ''.join(f'S{100 + k} G1 X{0.5 * k} Y{k % 2} F6000\n' for k in range(1, 25))
     + 'M30\n'
 )
+
+
+def milling():
+    return read_yaml(config_directory() / 'signals' / 'milling.yaml')
+
+
+def by_hand():
+    """Return the milling machine with a door, and with inputs that the test sets."""
+    given = milling()
+    given['inputs'] |= {'tool_changed': None, 'spindle_at_speed': None, 'door_closed': None}
+    given['interlocks'] |= {'spindle_forward': ['door_closed', 'not tool_change']}
+    given['interlocks'] |= {'coolant_flood': 'door_closed'}
+    return replace(MACHINE, signals=signals({'signals': given}))
 
 
 class Bench:
@@ -366,9 +380,241 @@ def test_functions_survive_the_wire_and_unsound_ones_are_refused():
         ('sequence', 99, 'does not follow'),
     ):
         spoilt = function_messages(bench.functions, 3, MACHINE.signals)
-        setattr(spoilt[2], name, value)
+        setattr(spoilt[3], name, value)
         with pytest.raises(StreamError, match=told):
             check_functions('blocks', spoilt, MACHINE.signals)
+
+
+CHANGING = 'S100 M3\nG0 X0 Y0 Z0\nG1 X2 F3000\nT2 M6\nX4\nT5 M6\nX6\nM30\n'
+BY_HAND = by_hand()
+INPUTS = [signal.name for signal in BY_HAND.signals.inputs]
+
+
+class Operated(Bench):
+    """The milling machine; inputs are set, and outputs read, by their names."""
+
+    def __init__(self, text, **inputs):
+        super().__init__(text, BY_HAND)
+        self.tell(door_closed=1, **inputs)
+
+    def tell(self, **inputs):
+        for name, value in inputs.items():
+            self.drives.inputs[INPUTS.index(name)] = value
+
+    def on(self, name):
+        return self.drives.outputs[NAMES.index(name)]
+
+    def until(self, wanted, most=20_000):
+        for _ in range(most):
+            if wanted():
+                return
+            self.step()
+        raise AssertionError(f'not reached: {self.play.state}')
+
+    def let_pass(self, seconds):
+        for _ in range(round(seconds / T)):
+            self.step()
+
+    def acts(self, word):
+        steps = [BY_HAND.signals.steps[k] for k in BY_HAND.signals.words[word]]
+        return [Act(step, float(step.value)) for step in steps]
+
+    def give_up(self):
+        self.feed = lambda: None
+        self.play.reset()
+
+
+def changing():
+    """Return the machine while it waits for its tool changer."""
+    bench = Operated(CHANGING, spindle_at_speed=1)
+    bench.until(lambda: bench.on('tool_change'))
+    bench.let_pass(0.2)
+    assert bench.play.state.reason is Reason.FUNCTION and bench.on('tool_change')
+    return bench
+
+
+def test_a_reset_while_a_tool_change_waits_drops_the_request():
+    """The next M3 turned the spindle while the drawbar was open."""
+    bench = changing()
+    bench.play.hold()
+    bench.let_pass(0.05)
+    bench.give_up()
+    assert not bench.on('tool_change') and not bench.play.switching.busy
+    bench.play.switch(bench.acts('M3'))
+    bench.let_pass(0.2)
+    assert bench.on('spindle_forward') and not bench.on('tool_change')
+
+
+def test_a_tool_change_waits_until_the_answer_of_the_one_before_has_gone():
+    """The next M6 took the old answer and counted the tool as changed."""
+    bench = changing()
+    bench.tell(tool_changed=1)
+    bench.until(lambda: not bench.on('tool_change'))
+    bench.let_pass(1.0)  # the changer keeps its answer
+    assert 'waits for not tool_changed' in bench.play.state.text
+    bench.tell(tool_changed=0)
+    bench.until(lambda: bench.play.state.state is State.RUNNING)
+    bench.tell(tool_changed=1)  # an answer that nobody has asked for
+    bench.until(lambda: bench.play.state.reason is Reason.FUNCTION)
+    bench.let_pass(1.0)
+    assert not bench.on('tool_change') and bench.on('tool_number') == 2
+    bench.tell(tool_changed=0)
+    bench.until(lambda: bench.on('tool_change'))
+    assert bench.on('tool_number') == 5
+
+
+def test_no_tool_is_changed_while_the_spindle_turns():
+    bench = Operated('S3000 M3\nG0 X0 Y0 Z0\nG1 X2 F3000\nT2 M6\nX4\nM30\n', spindle_at_speed=1)
+    bench.until(lambda: bench.play.state.state is State.RUNNING)
+    turning = []
+    while not bench.on('tool_change'):
+        bench.step()
+        turning.append(bench.drives.memory[10])  # of the simulated spindle [rev/s]
+        assert len(turning) < 9000
+    assert max(turning) > 5.0 and abs(turning[-1]) < 0.1
+
+
+def test_axes_are_not_moved_by_hand_while_the_changer_works():
+    bench = changing()
+    bench.play.hold()
+    bench.let_pass(0.05)
+    assert bench.play.state.state is State.HELD
+    with pytest.raises(StreamError, match='tool_change on: waits for tool_changed; wait for it'):
+        bench.play.check_jog()
+
+
+def test_an_interlock_stops_a_program_until_the_operator_has_seen_to_it():
+    bench = Operated(CHANGING, spindle_at_speed=1)
+    bench.tell(door_closed=0)
+    bench.until(lambda: bench.play.state.state is State.HELD)
+    told = 'spindle_forward on is refused: spindle_forward must not be on while door_closed is off'
+    assert bench.play.state.text.startswith(told)
+    bench.play.start()  # without having seen to it
+    bench.let_pass(0.5)
+    assert bench.play.state.state is State.HELD and not bench.on('spindle_forward')
+    bench.tell(door_closed=1)
+    bench.let_pass(0.5)  # a door that is closed starts nothing
+    assert not bench.on('spindle_forward')
+    bench.play.start()
+    bench.until(lambda: bench.on('spindle_forward'))
+
+
+def test_an_interlock_holds_for_keys_and_services_too():
+    bench = Operated(CHANGING, spindle_at_speed=1)
+    bench.give_up()
+    request = Act(Step('', NAMES.index('tool_change'), 1.0), 1.0)
+    bench.play.switch([request])
+    bench.let_pass(0.1)
+    for word in ('M3', 'M4'):
+        with pytest.raises(StreamError, match='must not be on while tool_change is on'):
+            bench.play.switch(bench.acts(word))
+    assert not bench.on('spindle_forward') and not bench.on('spindle_reverse')
+    bench.play.reset()
+    bench.play.switch(bench.acts('M3'))
+    bench.let_pass(0.2)
+    both = Act(Step('', NAMES.index('spindle_reverse'), 1.0), 1.0)
+    with pytest.raises(StreamError, match='must not be on while spindle_forward is on'):
+        bench.play.switch([both])
+    bench.tell(door_closed=0)
+    bench.play.switch(bench.acts('M5'))  # what switches off is never refused
+    bench.let_pass(0.1)
+    assert not bench.on('spindle_forward')
+
+
+def test_an_output_with_an_interlock_is_set_at_rest_only():
+    bench = Operated('G0 X0 Y0 Z0\nG1 X2 F3000\nM8 X4\nX6\nM30\n')
+    bench.until(lambda: bench.play.state.state is State.RUNNING)
+    bench.tell(door_closed=0)
+    bench.until(lambda: bench.play.state.state is State.HELD)
+    assert bench.play.axes.setpoints[-1][0] == pytest.approx(2 * MM, abs=1e-9)
+    assert not bench.on('coolant_flood')
+    bench.tell(door_closed=1)
+    bench.play.start()
+    bench.run()
+    assert (2, 'coolant_flood', 1.0) in bench.set or bench.on('coolant_flood') == 0.0
+    bench.prove()
+
+
+@pytest.mark.parametrize('door', [1, 0])
+def test_what_was_switched_on_by_hand_comes_back_after_a_lost_planner(door):
+    """The program went on with a spindle that stood."""
+    bench = Operated('G0 X0 Y0 Z0\nG1 X60 F3000\nX80\nM30\n', spindle_at_speed=1)
+    play, feed = bench.play, bench.feed
+    bench.give_up()
+    play.switch(bench.acts('M3'))
+    bench.let_pass(0.2)
+    play.begin(RunId('p'))
+    bench.feed = feed
+    bench.until(lambda: play.state.state is State.RUNNING)
+    bench.feed = lambda: None
+    bench.let_pass(LOST + 1.0)
+    assert not bench.on('spindle_forward')
+    bench.tell(door_closed=door)
+    bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.switching.functions)
+    play.begin_plan(RunId('p', attempt=1))
+    bench.feed = feed
+    if not door:
+        bench.until(lambda: play.state.state is State.HELD)
+        bench.tell(door_closed=1)
+        bench.let_pass(0.5)  # a door that is closed starts nothing
+        assert play.state.state is State.HELD and not bench.on('spindle_forward')
+        play.start()
+    bench.until(lambda: play.state.state is State.RUNNING)
+    assert bench.on('spindle_forward')
+
+
+def test_a_planner_that_is_lost_at_a_rest_switches_off_as_well():
+    """Only what starved in motion counted: spindle and coolant ran on for ever."""
+    bench = Operated('M7\nG0 X0 Y0 Z0\nG1 X2 F3000\nG4 P0.1\nX4\nM30\n')
+    plan, chunks = bench.planner.stream.current, []
+    while not any(chunk.rests for chunk in chunks):
+        chunks += bench.planner.work(plan, True, -np.inf)
+    for chunk in chunks[: next(k for k, c in enumerate(chunks) if c.rests) + 1]:
+        bench.play.push(chunk)
+    bench.feed = lambda: None
+    bench.until(lambda: bench.play.state.state is State.FILLING and bench.play.last)
+    assert bench.on('coolant_mist')
+    bench.let_pass(LOST + 0.1)
+    assert not bench.on('coolant_mist')
+
+
+OFF = {
+    'never': 'never',
+    'always': 'always',
+    'unnamed': None,
+    **{stop: [stop] for stop in STOPS},
+}
+TABLE = {
+    'outputs': dict.fromkeys(OFF),
+    'switched_off': {name: stops for name, stops in OFF.items() if stops},
+    'functions': {f'M{100 + k}': {name: 1} for k, name in enumerate(OFF)},
+}
+
+
+@pytest.mark.parametrize('stop', STOPS)
+def test_each_stop_switches_off_what_the_table_says_and_nothing_else(stop):
+    machine = replace(MACHINE, signals=signals({'signals': TABLE}))
+    words = ''.join(f'M{100 + k}\n' for k in range(len(OFF)))
+    bench = Bench(f'{words}G0 X0 Y0 Z0\nG1 X5 F3000\nX200\nM30', machine)
+    play, outputs = bench.play, bench.drives.outputs
+    while not (play.state.state is State.RUNNING and outputs.all() and play.played > 100):
+        bench.step()
+    bench.feed = lambda: None
+    if stop == 'emergency_stop':
+        play.stop()
+    elif stop == 'fault':
+        play.refuse('a message was spoilt')
+    elif stop == 'reset':
+        play.hold()
+    elif stop == 'lost_machine':
+        play.close()
+    for _ in range(round((LOST + 3.0) / T) if stop == 'lost_planner' else 1500):
+        bench.play.step()
+    if stop == 'reset':
+        assert outputs.all()  # a hold switches nothing off
+        play.reset()
+    off = {name for name, value in zip(OFF, outputs, strict=True) if not value}
+    assert off == {'always', 'unnamed', stop}
 
 
 @pytest.mark.thorough

@@ -8,12 +8,12 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from test_functions_played import MACHINE, Bench, T
+from test_functions_played import MACHINE, Bench, T, milling
 from tiers import few_of
 
 from cnc_interp.core import MM, ProgramError
 from cnc_interp.machine.spindle import CHAIN, Spindle, see_angle
-from cnc_interp.machine_model.signals import Signals
+from cnc_interp.machine_model.signals import Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.motion_plan import OperatorSettings
@@ -164,7 +164,7 @@ def test_what_the_axis_cannot_follow_stops_within_its_limits_and_says_so():
     assert finished(bench, each) is State.FAULT
     list(lines(bench))
     assert 'Z cannot follow the spindle within its' in bench.play.state.text
-    assert not bench.play._commanded[[FORWARD, REVERSE]].any()
+    assert not bench.play.spindle.commanded[[FORWARD, REVERSE]].any()
 
 
 @pytest.mark.parametrize(
@@ -195,9 +195,10 @@ def test_an_emergency_stop_follows_the_spindle_until_it_stands():
 
 
 def test_without_an_encoder_a_tap_has_a_floating_holder_and_a_thread_is_refused():
-    inputs = tuple(s for s in MACHINE.signals.inputs if s.name != 'spindle_angle')
-    words = {w: steps for w, steps in MACHINE.signals.words.items() if not w.startswith('G33')}
-    plain = replace(MACHINE, signals=replace(MACHINE.signals, inputs=inputs, words=words))
+    given = milling()
+    del given['inputs']['spindle_angle'], given['interlocks']['tool_change']
+    del given['functions']['M6']
+    plain = replace(MACHINE, signals=signals({'signals': given}))
     with pytest.raises(ProgramError, match='the spindle has no encoder'):
         Bench(THREAD, plain)
     bench = Bench(f'{START}G84 Z-10 R2 F1350\nG80\nM30', plain)

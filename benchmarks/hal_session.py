@@ -28,7 +28,7 @@ from cnc_interp.machine.hal_drives import (
     HalStream,
     shared_memories,
 )
-from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of, pins_of
+from cnc_interp.machine.hal_file import NO_SIGNALS, columns_of, gate_lines, gates, pins_of
 from cnc_interp.machine_model.signals import Signals
 
 FOLDER = Path(__file__).resolve().parents[1] / 'config' / 'hal'
@@ -67,9 +67,13 @@ def witnessed_columns(signals: Signals, more: Sequence[str]) -> str:
 def witnessed_file(text: str, signals: Signals, more: Sequence[str]) -> str:
     """Return a HAL file with the signals of a machine file, and with the second sampler.
 
-    A net of its name begins at each output.
+    A net of its name begins at each output, with the gate that HAL switches off.
     """
-    count = len(AXES)
+    count, gated = len(AXES), gates(signals)
+    for _, gate, module in gated:
+        text = re.sub(rf'(loadrt {module} names=\S+)', rf'\1,{gate}', text)
+    called = ''.join(f'\naddf {gate} servo-thread' for _, gate, _ in gated)
+    text = text.replace('addf power-given servo-thread', f'addf power-given servo-thread{called}')
     stream, samples = columns_of(count, signals)
     text = re.sub(r'(depth=1000 cfg=)\w+', rf'\1{stream}', text)
     for net, columns in (
@@ -83,6 +87,7 @@ def witnessed_file(text: str, signals: Signals, more: Sequence[str]) -> str:
     nets += [f'{name} {pin}' for name, pin in pins_of(count, signals)[0].items()]
     nets += more
     nets = [f'net {net} => sampler.1.pin.{k}' for k, net in enumerate(nets)]
+    nets += gate_lines(count, signals)
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
     return re.sub(r'^start$', added, text, flags=re.MULTILINE)
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 
 from cnc_interp.core import InterpError
-from cnc_interp.machine_model.signals import Signals, home_input, index_signals
+from cnc_interp.machine_model.signals import LOST_MACHINE, Signals, home_input, index_signals
 
 NO_SIGNALS = Signals()
 STREAMER, SAMPLER = 'streamer.0', 'sampler.0'
@@ -42,13 +42,15 @@ loadrt bitslice names={slices} personality={sizes}
 loadrt weighted_sum wsum_sizes={sums}"""
 #: What else is loaded, by module; HAL loads each module once.
 NAMES = {
-    'not': ['stream-alive'],
-    'and2': ['power-wanted', 'power-given'],
     'timedelay': ['stream-late'],
+    'not': ['power-unwanted'],
+    'and2': ['drive-tripped'],
+    'or2': ['power-lost', 'power-off'],
+    'estop_latch': ['power-given'],
 }
 #: Functions that take the place of those of the motion controller, with those of ``INDEXED``.
 HANDLER, CONTROLLER = 'motion-command-handler', 'motion-controller'
-LAST = 'stream-late', 'stream-alive', 'power-wanted', 'power-given'
+LAST = 'drive-tripped', 'power-lost', 'power-off', 'power-given'
 MODULES = {
     'edge': ('found', 'asks'),
     'tristate_bit': ('ask',),
@@ -104,7 +106,34 @@ def seen(bit: int) -> str:
 
 
 def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the pins of outputs and inputs by name: numbers have columns after the velocities."""
+    """Return the pins of outputs and inputs by name.
+
+    Numbers have columns after the velocities. What the end of the machine node switches off comes
+    through a gate.
+    """
+    outputs, inputs = raw_pins_of(n, signals)
+    return outputs | {name: f'{gate}.out' for name, gate, _ in gates(signals)}, inputs
+
+
+def gates(signals: Signals) -> list[tuple[str, str, str]]:
+    """Return name, gate and module of each output that is off while the axes have no power."""
+    return [
+        (signal.name, f'on-{signal.name}', 'mux2' if signal.is_number else 'and2')
+        for signal in (signals.outputs[k] for k in signals.off.get(LOST_MACHINE, ()))
+    ]
+
+
+def gate_lines(n: int, signals: Signals) -> list[str]:
+    raw, lines = raw_pins_of(n, signals)[0], []
+    for name, gate, module in gates(signals):
+        value, power = ('in1', 'sel') if module == 'mux2' else ('in0', 'in1')
+        lines += [f'net cnc-{gate} {raw[name]} => {gate}.{value}']
+        lines += [f'net {POWER} => {gate}.{power}']
+    return lines
+
+
+def raw_pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the pins as ``pins_of``, but before the gates."""
     outputs, inputs = dict[str, str](), dict[str, str]()
     for pins, declared, name, bit, pin in (
         (outputs, signals.wires, STREAMER, 1, sent),
@@ -118,15 +147,19 @@ def pins_of(n: int, signals: Signals) -> tuple[dict[str, str], dict[str, str]]:
 
 
 POWERED = """
-# Power: cnc_interp asks for it; the emergency stop and a stream that stays empty take it away.
-net cnc-enable {wanted} => power-wanted.in0
+# Power: cnc_interp asks for it. The emergency stop, a fault of an amplifier and a stream that
+# stays empty take it away, until cnc_interp asks anew. Outputs with a gate are off without it.
+net cnc-enable {wanted} => power-unwanted.in power-given.reset
+net cnc-unwanted power-unwanted.out => power-off.in0
 net cnc-empty streamer.0.empty => {empty} stream-late.in
 setp stream-late.on-delay 0.1
 setp stream-late.off-delay 0
-net cnc-late stream-late.out => stream-alive.in
-net cnc-alive stream-alive.out => power-wanted.in1
-net cnc-wanted power-wanted.out => power-given.in0
-net cnc-power power-given.out => {power}
+net cnc-late stream-late.out => power-lost.in0
+net cnc-fault {fault} => drive-tripped.in0
+net cnc-tripped drive-tripped.out => power-lost.in1
+net cnc-lost power-lost.out => power-off.in1
+net cnc-off power-off.out => power-given.fault-in
+net cnc-power power-given.ok-out => {power} drive-tripped.in1
 {stop}
 
 start"""
@@ -146,9 +179,15 @@ def hal_file(
             f'of LinuxCNC (axes: {" ".join(axes)}); an axis with two motors cannot be converted'
         )
     place, needed = _places(axes, joints, signals), {HANDLER, CONTROLLER}
+    faults = [f'fault-{k}' for k in range(len(axes))]
     columns, indexed = columns_of(len(axes), signals), _indexed(axes, signals)
     functions = {
-        HANDLER: [STREAMER, *(f'bits-{k}' for k in range(columns[0].count('u'))), *LAST],
+        HANDLER: [
+            STREAMER,
+            *(f'bits-{k}' for k in range(columns[0].count('u'))),
+            *('stream-late', 'power-unwanted', *faults, *LAST),
+            *(gate for _, gate, _ in gates(signals)),
+        ],
         CONTROLLER: ['process_wsums', SAMPLER],
     }
     functions[HANDLER] += [f'{x}-{name}' for x in indexed for name in IN_ORDER]
@@ -161,11 +200,12 @@ def hal_file(
             nets.setdefault(' '.join(words[1:2]), set()).update(_pins(words))
     renamed = {name: new for name, pins in nets.items() if (new := _new_name(pins))}
     made, left_out = [], []
-    names = NAMES | {
-        module: [f'{x}-{name}' for x in indexed for name in each]
-        for module, each in MODULES.items()
-        if indexed
-    }
+    names = {module: list(each) for module, each in NAMES.items()}
+    names['or2'] += faults
+    for _, gate, module in gates(signals):
+        names.setdefault(module, []).append(gate)
+    for module, each in MODULES.items() if indexed else ():
+        names.setdefault(module, []).extend(f'{x}-{name}' for x in indexed for name in each)
     given = {words[1] for _, words in rows if words[:1] == ['loadrt'] and len(words) > 1}
     for line, words in rows:
         needed -= set(words)
@@ -191,10 +231,10 @@ def hal_file(
             made.append(line)
     if needed:
         raise InterpError(f'no HAL file names {min(needed)}; give all files of the configuration')
-    n, stop = len(axes), f'net {STOP} => power-given.in1'
+    n, stop = len(axes), f'net {STOP} => power-given.ok-in'
     if STOP not in renamed.values():
         left_out.append('there is no contact by which the emergency stop takes the power away')
-        stop = 'setp power-given.in1 1'
+        stop = 'setp power-given.ok-in 1'
     outputs, inputs = pins_of(n, signals)
     for k, x in enumerate(name.lower() for name in axes):
         if x in indexed:
@@ -217,7 +257,10 @@ def hal_file(
         f'net cnc-seen-{k} wsum.{k}.sum => {SAMPLER}.pin.{sees + k}'
         for k in range(len(columns[1]) - sees)
     ]
-    made.append(POWERED.format(wanted=sent(0), power=seen(n), empty=seen(n + 1), stop=stop))
+    made += [f'net cnc-fault-{k} {faults[k]}.out => {faults[k + 1]}.in0' for k in range(n - 1)]
+    made += gate_lines(n, signals)
+    places = {'power': seen(n), 'empty': seen(n + 1), 'fault': f'{faults[-1]}.out'}
+    made.append(POWERED.format(wanted=sent(0), stop=stop, **places))
     return '\n'.join(made) + '\n', left_out
 
 
@@ -236,7 +279,7 @@ def _places(axes: Sequence[str], joints: str, signals: Signals) -> dict[str, str
             f'{of}motor-pos-cmd': f'{STREAMER}.pin.{i} {SAMPLER}.pin.{i}',
             f'{of}vel-cmd': f'{STREAMER}.pin.{n + i}',
             f'{of}motor-pos-fb': f'{SAMPLER}.pin.{n + i}',
-            f'{of}amp-fault-in': seen(i),
+            f'{of}amp-fault-in': f'{seen(i)} fault-{i}.in1',
         }
         if home_input(letter) in inputs:
             found[f'{of}home-sw-in'] = inputs[home_input(letter)]

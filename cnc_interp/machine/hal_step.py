@@ -187,12 +187,12 @@ def _judge(block: Block) -> int:
             return CHANGED
     if kept[2 * n] == 0.0 or not (on or words[CONFIRMED]):
         return 0
-    if not on:
-        return SWITCHED_OFF
     words[CONFIRMED] = 1
     for i in range(n):
         if _bit(block, i):
             return AMPLIFIER + i
+    if not on:
+        return SWITCHED_OFF
     for i in range(n):
         if not abs(kept[i] - block.actual[1, i]) <= block.limits[i]:
             return BEHIND + i
@@ -328,6 +328,8 @@ def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
         _tell_angle(block)
     if words[SILENT] > LONGEST_SILENCE:
         fault = STOPPED
+    if alarm and moves and words[CONFIRMED] and not _bit(block, n):
+        fault = alarm  # without power no axis follows a stop tail
     words[ALARM] = fault or alarm
     if power != OFF:
         publish(words, POWERED, words[CONFIRMED])  # after the alarm, for who waits for it

@@ -242,7 +242,7 @@ def test_a_planner_that_is_killed_loses_no_function_and_what_it_left_on_goes_off
 
 
 @pytest.mark.parametrize('stop', ['stop', 'fail'])
-def test_a_stop_switches_off_in_the_order_of_the_file_and_nothing_comes_on_after(stop):
+def test_a_stop_switches_off_at_once_and_nothing_comes_on_after(stop):
     bench = Bench('G0 X0 Y0 Z0\nM3 S100\nM8\nG1 X100 F3000\nX101\nM7\nX200\nM30')
     while not (bench.play.state.state is State.RUNNING and bench.drives.outputs[3]):
         bench.step()

@@ -57,12 +57,17 @@ def test_every_motor_hears_the_axis_of_its_joint(joints):
         assert motor in nets
         assert {f'stepgen.{joint}.position-fb', f'sampler.0.pin.{3 + i}'} in nets
     alarm = 'XYZ'.index(joints[2])
-    assert {'parport.0.pin-11-in', f'wsum.0.bit.{alarm}.in'} in nets
-    powered = {'power-given.out', 'wsum.0.bit.3.in', 'parport.0.pin-01-out'}
+    assert {'parport.0.pin-11-in', f'wsum.0.bit.{alarm}.in', f'fault-{alarm}.in1'} in nets
+    powered = {
+        'power-given.ok-out',
+        'wsum.0.bit.3.in',
+        'parport.0.pin-01-out',
+        'drive-tripped.in1',
+    }
     for bits in ({'streamer.0.pin.6', 'bits-0.in'}, {'wsum.0.sum', 'sampler.0.pin.6'}):
         assert bits in nets
     assert powered | {f'stepgen.{k}.enable' for k in range(3)} in nets
-    assert {'parport.0.pin-10-in', 'power-given.in1'} in nets
+    assert {'parport.0.pin-10-in', 'power-given.ok-in'} in nets
     assert left_out == ['net spindle-cw spindle.0.forward => parport.0.pin-09-out']
     assert 'cfg=ffffffu\n' in made and 'cfg=ffffffs\n' in made
     calls = [line.split()[1] for line in made.splitlines() if line.startswith('addf ')]
@@ -78,7 +83,7 @@ def test_without_a_contact_the_emergency_stop_is_told_to_be_missing():
         'net mushroom =>', 'net loop iocontrol.0.user-enable-out =>'
     )
     made, left_out = hal_file(looped, 'XYZ', 'XYZ')
-    assert 'setp power-given.in1 1\n' in made and 'emergency stop' in left_out[-1]
+    assert 'setp power-given.ok-in 1\n' in made and 'emergency stop' in left_out[-1]
 
 
 @pytest.mark.parametrize(
@@ -134,8 +139,8 @@ def test_a_module_of_the_configuration_is_not_loaded_again():
         if line.startswith('loadrt ')
     ]
     assert loaded[:2] == [
-        'loadrt not names=not.0,not.1,stream-alive',
-        'loadrt and2 names=a,b,power-wanted,power-given',
+        'loadrt not names=not.0,not.1,power-unwanted',
+        'loadrt and2 names=a,b,drive-tripped',
     ]
     modules = [line.split()[1] for line in loaded]
     assert len(modules) == len(set(modules)) and 'timedelay' in modules
@@ -154,6 +159,31 @@ def test_bits_share_columns_and_more_numbers_than_hal_has_columns_are_refused():
             columns_of(5, declared)
 
 
+def test_what_the_end_of_the_machine_node_switches_off_has_a_gate_with_the_power():
+    """After kill -9 of machine_node, the axes lost their power and the spindle turned on."""
+    given = {
+        'outputs': {'spindle_forward': None, 'spindle_speed': {'range': [0, 9]}, 'lamp': None},
+        'switched_off': {'spindle_speed': ['lost_machine'], 'lamp': ['fault']},
+    }
+    text = HAL + 'net rate spindle.0.speed-out-abs => pwmgen.0.value\n'
+    made, left_out = hal_file(text, 'XYZ', 'XYZ', signals_of({'signals': given}))
+    assert not left_out
+    nets = signals(made)
+    power = next(net for net in nets if 'power-given.ok-out' in net)
+    assert {'on-spindle_forward.in1', 'on-spindle_speed.sel', 'stepgen.0.enable'} < power
+    for net in (
+        {'bits-0.out-01', 'on-spindle_forward.in0'},
+        {'on-spindle_forward.out', 'parport.0.pin-09-out'},
+        {'streamer.0.pin.6', 'on-spindle_speed.in1'},
+        {'on-spindle_speed.out', 'pwmgen.0.value'},
+    ):
+        assert net in nets
+    calls = [line.split()[1] for line in made.splitlines() if line.startswith('addf ')]
+    order = ['streamer.0', 'power-given', 'on-spindle_forward', 'sampler.0']
+    assert [name for name in calls if name in order] == order
+    assert 'on-lamp' not in made
+
+
 def test_an_index_shifts_command_and_position_of_its_axis_in_the_same_period():
     given = {'signals': {'inputs': {'home_y': None}}}
     declared = signals_of(given, ['X', 'Y'])  # the switch of X is no input
@@ -167,7 +197,8 @@ def test_an_index_shifts_command_and_position_of_its_axis_in_the_same_period():
         {'stepgen.1.position-fb', 'y-index.fb-in', 'y-jump.in0'},
         {'streamer.0.pin.1', 'sampler.0.pin.1', 'y-index.in'},
         {'y-index.fb-out', 'y-jump.in1', 'sampler.0.pin.4'},
-        {'bits-0.out-01', 'y-asks.in'},
+        {'bits-0.out-01', 'on-index_y.in0'},
+        {'on-index_y.out', 'y-asks.in'},
         {'y-off.out', 'y-off.in0', 'y-index.offset', 'sampler.0.pin.6'},
     ):
         assert net in nets

@@ -3,6 +3,7 @@
 import ctypes
 
 import numpy as np
+import pytest
 
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.hal_file import columns_of
@@ -140,6 +141,27 @@ def test_axes_that_are_counted_anew_stay_where_they_are_until_the_machine_knows(
     stand.setpoint[0, 0] += 0.5
     stand.step(here)
     assert np.array_equal(stand.sent[:N], here + [0.5, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('powered', [True, False])
+def test_a_fault_of_an_amplifier_without_power_ends_the_motion_at_once(powered):
+    """Else the FIFO was drained, and axes sped up in between; with power the path is kept."""
+    stand, here = Stand(), np.array([1.0, 2.0, 3.0])
+    for _ in range(2):
+        stand.step(here)
+    stand.tell(N)
+    stand.tell(N + 1, False)
+    stand.words[hal_step.POWER] = hal_step.HOLD
+    stand.setpoint[0] = here
+    for _ in range(4):
+        assert stand.step(here) == 0
+    stand.setpoint[0, 0] += 0.5
+    stand.setpoint[1, 0] = 500.0
+    stand.tell(0)  # the amplifier of X
+    stand.tell(N, powered)
+    assert stand.step(here) == (-1 if powered else 1) * hal_step.AMPLIFIER
+    stand.setpoint[1] = 0.0
+    assert stand.step(here) == -hal_step.AMPLIFIER  # at rest it is an alarm
 
 
 def test_rows_at_rest_are_brought_to_those_wanted_one_by_one():

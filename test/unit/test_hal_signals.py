@@ -155,7 +155,6 @@ def test_a_fault_of_an_amplifier_without_power_ends_the_motion_at_once(powered):
     stand.setpoint[0] = here
     for _ in range(4):
         assert stand.step(here) == 0
-    stand.setpoint[0, 0] += 0.5
     stand.setpoint[1, 0] = 500.0
     stand.tell(0)  # the amplifier of X
     stand.tell(N, powered)

@@ -67,9 +67,9 @@ def witnessed_columns(signals: Signals, more: Sequence[str]) -> str:
 def witnessed_file(text: str, signals: Signals, more: Sequence[str]) -> str:
     """Return a HAL file with the signals of a machine file, and with the second sampler.
 
-    A net of its name begins at each output, with the gate that HAL switches off.
+    A net of its name begins at each output, after its gate, which is added where it is missing.
     """
-    count, gated = len(AXES), gates(signals)
+    count, gated = len(AXES), [each for each in gates(signals) if each[1] not in text]
     for _, gate, module in gated:
         text = re.sub(rf'(loadrt {module} names=\S+)', rf'\1,{gate}', text)
     called = ''.join(f'\naddf {gate} servo-thread' for _, gate, _ in gated)
@@ -87,7 +87,7 @@ def witnessed_file(text: str, signals: Signals, more: Sequence[str]) -> str:
     nets += [f'{name} {pin}' for name, pin in pins_of(count, signals)[0].items()]
     nets += more
     nets = [f'net {net} => sampler.1.pin.{k}' for k, net in enumerate(nets)]
-    nets += gate_lines(count, signals)
+    nets += gate_lines(count, signals) if gated else []
     added = '\n'.join(['addf sampler.1 servo-thread', *nets, 'start'])
     return re.sub(r'^start$', added, text, flags=re.MULTILINE)
 

@@ -219,7 +219,7 @@ def advance(memory: Memory, step: int) -> None:
 def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
     """Advance every ``period`` [ns], shifted by drives with their own clock, until QUIT.
 
-    Calm drives are called once in ``together`` periods.
+    Calm drives are called once in ``together`` periods, but not while the spindle turns.
     """
     control, spec = memory.control, np.zeros(2, dtype=np.int64)
     due, calm = time_now(spec), 0
@@ -237,7 +237,8 @@ def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
             if now - due > LONGEST_CATCH_UP:
                 due = now
         advance(memory, step)
-        calm = calm + 1 if control[SOURCE] == REST else 0
+        turns = abs(memory.spindle.words[spin.RATE]) > spin.SLOWEST
+        calm = calm + 1 if control[SOURCE] == REST and not turns else 0
         due += np.int64(memory.feedback[3, 0] * NANOSECONDS)
 
 

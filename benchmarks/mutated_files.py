@@ -33,7 +33,7 @@ from test_hostile_files import MACHINE, SMALL, mutant
 
 from cnc_interp.cam.surface_file import answer
 from cnc_interp.client.bag import TOPICS, Bag, BagWriter
-from cnc_interp.commands.check import plan_files
+from cnc_interp.commands.check import run_files
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import read_plan
@@ -107,8 +107,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
 
 def proven(bag: Path) -> bool:
     """Return whether the last run of a bag is proven."""
-    with plan_files(bag, None) as (plan, machine):
-        assert machine is not None
+    with run_files(bag, None) as (plan, machine, *_):
         return verify(read_plan(plan), Machine.load(machine)).ok
 
 

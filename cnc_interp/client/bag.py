@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 from cnc_interp.core import InterpError, StreamError, small_files
 from cnc_interp.nodes import qos
-from cnc_interp.nodes.streams import opened
+from cnc_interp.nodes.streams import is_spoilt, opened
 
 #: What is recorded: topic, type, quality of service.
 TOPICS: dict[str, tuple[Any, QoSProfile]] = {
@@ -252,17 +252,23 @@ class Bag:
 
     def messages(self, topic: str) -> Iterator[Any]:
         """Yield all sound messages of a topic, one at a time."""
-        for _, _, data in self.raw(topic):
-            try:
-                yield self.message(topic, data)
-            except StreamError:  # damaged on the wire; its receiver asked for it again
-                continue
+        sound = (self.sound(topic, data) for _, _, data in self.raw(topic))
+        return (message for message in sound if message is not None)
+
+    def sound(self, topic: str, data: bytes) -> Any:
+        """Return a message; None if it was damaged on the wire, and was sent again."""
+        try:
+            return self.message(topic, data)
+        except StreamError:
+            return None
 
     def spooled(self, topic: str) -> SpooledMessages:
-        """Return all messages of a topic, in a temporary file; the topic has no checksums."""
+        """Return all sound messages of a topic, in a temporary file."""
         file, ends = tempfile.TemporaryFile(), array('q', [0])  # noqa: SIM115
         try:
             for _, _, data in self.raw(topic):
+                if topic in SEALED and is_spoilt(data):
+                    continue
                 file.write(data)
                 ends.append(ends[-1] + len(data))
             file.flush()

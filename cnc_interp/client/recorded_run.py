@@ -1,5 +1,6 @@
 """A run as it was on the wire: blocks, segments and executed setpoints -> plan files."""
 
+import copy
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,6 +15,7 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
+from cnc_interp.machine.jog import JOG
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ARMED
 from cnc_interp.machine_model.transform import Transform
@@ -69,10 +71,10 @@ class RecordedRun:
     def _order(self) -> tuple[list[int], str]:
         """Return the chunks in order, up to the first that is missing, and how the record ends."""
         order: list[int] = []
-        following, last = None, self.chunks[0]
+        following, last = 0, self.chunks[0]
         for k in np.argsort([chunk.first_sample for chunk in self.chunks], kind='stable'):
             chunk = self.chunks[k]
-            if following is not None and chunk.first_sample > following:
+            if chunk.first_sample > following:
                 end = f'lacks executed setpoints {following} to {chunk.first_sample - 1}'
                 return order, f'the record {end}, after line {last.line_numbers[-1]}'
             following, last = chunk.first_sample + len(chunk.sequences), chunk
@@ -122,10 +124,13 @@ class RecordedRun:
             stretches.pop()
         return [np.concatenate(stretch) for stretch in stretches]
 
-    def _executed(self, machine: Machine) -> Iterator[Setpoints]:
+    def executed(self) -> Iterator[SetpointChunk]:
         """Yield what was executed, in order, up to the first chunk that is missing."""
+        return map(self.chunks.__getitem__, self._order[0])
+
+    def _executed(self, machine: Machine) -> Iterator[Setpoints]:
         period = self.period
-        for chunk in map(self.chunks.__getitem__, self._order[0]):
+        for chunk in self.executed():
             if chunk.period != period:
                 raise InterpError(
                     f'setpoints from {chunk.first_sample} on have the period {chunk.period:g} s, '
@@ -146,8 +151,9 @@ class RecordedRun:
         program = np.append(np.cumsum(kept) - kept, kept.sum())
         sample = np.full(len(sent), MISSING)
         for done in (f for chunk in self.chunks for f in chunk.functions):
-            known = done.number < len(sent) and sent[done.number]
-            if not known or (known.step, known.value) != (done.step, done.value):
+            plain = copy.copy(done)
+            plain.sample = 0  # what was sent has none
+            if done.number >= len(sent) or sent[done.number] != plain:
                 raise InterpError(f'function {done.number} was executed, but not sent so')
             if sample[done.number] != MISSING:
                 raise InterpError(f'function {done.number} was executed twice')
@@ -212,23 +218,27 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     )
 
 
-def parts_of(bag: Bag) -> list[str]:
-    """Return the runs of the last program in a bag: a part ends with the line of a probe."""
-    runs = [message.program_id for message in bag.messages('loaded_program')]
-    if len(runs) < 2:
-        return ['']
+def programs_of(bag: Bag) -> list[list[str]]:
+    """Return the runs of each program in which the machine moved, by their ids, in order.
+
+    A program with probes has a run for each part: a part ends with the line of a probe.
+    """
     probing = {
         block.program_id
         for batch in bag.messages('block_batches')
         for block in batch.blocks
         if any(function.output == ARMED for function in block.functions)
     }
-    moved = {chunk.program_id for chunk in bag.messages('executed_setpoints')}
-    runs = [run for run in runs if run in moved]
-    first = len(runs) - 1
-    while first > 0 and runs[first - 1] in probing:
-        first -= 1
-    return runs[max(first, 0) :] or ['']
+    moved = (m.program_id for m in bag.messages('executed_setpoints') if len(m.sequences))
+    programs: list[list[str]] = []
+    goes_on = False
+    for run in dict.fromkeys(moved):
+        if run == JOG:
+            continue  # motion by hand without a program
+        programs = programs if goes_on else [*programs, []]
+        programs[-1].append(run)
+        goes_on = run in probing
+    return programs
 
 
 def stream_of(bag: Bag, stream: str, run_id: RunId) -> list[Any]:

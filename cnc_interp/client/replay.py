@@ -4,14 +4,12 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from cnc_interp_msgs.msg import G1Block, SetpointChunk
-from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
@@ -27,40 +25,51 @@ from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.run_state import RunId
-from cnc_interp.run.setpoints import Setpoints, Wait
+from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Setpoints, Wait
 from cnc_interp.settings.options import Settings
-from cnc_interp.wire.path_messages import blocks_from, setpoints_from
+from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.wire.path_messages import (
+    blocks_from,
+    check_functions,
+    chunk_from,
+    functions_from,
+    segment_messages,
+)
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 #: Topics that are published again. The streams are left out: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's')
+COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's', 'line')
 
 
 @dataclass(frozen=True)
 class Comparison:
     run_id: RunId  #: Run, attempt and plan.
     recorded: int  #: Setpoints that were recorded.
-    same: int  #: Number of setpoints, from the first on, that are the same bit for bit.
+    #: Number of setpoints, from the first on, that are the same bit for bit, stop tails included.
+    same: int
     #: Largest difference of a position [m, rad]; infinite where setpoints are missing.
     difference: float
-    #: True if the feed override changed during the run; after which setpoint is unknown.
-    overridden: bool
+    joins: bool = False  #: It joined in motion, at a moment that is not in the bag.
+    segment: int = -1  #: The first segment of the run that differs, or -1.
 
     @property
     def ok(self) -> bool:
-        """True if all setpoints are the same, or if they differ because of the override."""
-        return self.same == self.recorded or self.overridden
+        """True if all setpoints that can be computed again are the same."""
+        return (self.joins or self.same == self.recorded) and self.segment < 0
 
     def text(self) -> str:
         run = self.run_id
         attempt = f', attempt {run.attempt}' if run.attempt else ''
         name = f'run {run.program_id}{attempt}, plan {run.plan}: {self.recorded} setpoints'
+        if self.segment >= 0:
+            return f'{name}: segment {self.segment}, computed again, is DIFFERENT'
+        if self.joins:
+            return f'{name}: not computed again, because the plan joined another one in motion'
         if self.same == self.recorded:
             return f'{name}, computed again: the same bit for bit'
-        reason = 'the feed override changed' if self.overridden else 'DIFFERENT'
         return (
-            f'{name}, computed again: the same up to {self.same}, then {reason}, '
+            f'{name}, computed again: the same up to {self.same}, then DIFFERENT, '
             f'by {self.difference:.1e} (m, rad) at most'
         )
 
@@ -69,66 +78,116 @@ def compute_again(bag: Bag, machine: str | None = None) -> Iterator[Comparison]:
     """Compute the setpoints of all runs in a bag again from its blocks, and compare."""
     transform = Transform.of(Machine.load(bag.machine(machine)))
     recorded: dict[RunId, dict[int, dict[int, SetpointChunk]]] = {}
-    for chunk in bag.read('setpoints'):
+    for chunk in bag.messages('setpoints'):
         plans = recorded.setdefault(RunId(chunk.program_id, chunk.attempt), {})
         plans.setdefault(chunk.plan, {}).setdefault(chunk.first_sample, chunk)
     if not recorded:
         raise InterpError(f'{bag.path}: no setpoints in this bag; record a run')
     for run_id, plans in recorded.items():
-        yield from _compare_run(bag, transform, run_id, plans)
+        yield from Repetition(bag, transform, run_id, plans).compare()
 
 
-def _compare_run(
-    bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, dict[int, SetpointChunk]]
-) -> Iterator[Comparison]:
-    # A plan that joins in motion follows settings whose moment is not in the bag.
-    compared = list(takewhile(lambda plan: 0 in plans[plan], sorted(plans)))
-    told = [joined(bag, plans[plan]) for plan in compared]
-    blocks = stream_of(bag, 'blocks', run_id)
-    period = plans[min(plans)][0].period
-    overrides = _overrides(bag, run_id)
-    followed = overrides[0]
-    # After a loss the run continued from where the machine stood when planning began again.
-    goes_on = blocks[0].continue_at > 0.0
-    wanted = replace(
-        own_settings(bag, 'feedrate_node'),
-        flank_height=blocks[0].flank_height,
-        interpolation_period=period,
-    )
-    place = float(told[0].s[0])
-    planner = RunPlanner(
-        transform,
-        wanted,
-        float(bag.parameters.get('feedrate_node.chunk_time', 0.005)),
-        told[0].position[0],
-        (place if place > 0.0 else float(blocks[0].continue_at)) if goes_on else math.nan,
-        followed,
-        asks=run_id.attempt == 0,
-    )
-    settings = settings_of_block(blocks[0], own_settings(bag))
-    smoother = smoother_of(transform, settings)
-    stops = {m.sequence: Wait.PROGRAM_STOP for m in blocks if m.program_stop == G1Block.STOP}
-    for segments in (smoother.push(blocks_from(blocks)), smoother.finish()):
-        if len(segments):
-            planner.push(segments, stops)
-    planner.finish()
-    rests = {
-        m.plan: m.path_position
-        for m in bag.read('machine_state')
-        if run_id_of(m).same_attempt(run_id) and m.plan_over
-    }
-    for plan, samples in zip(compared, told, strict=True):
-        if plan > 0:
-            if plan - 1 not in rests:
-                raise InterpError(f'{bag.path}: does not tell where plan {plan - 1} was left')
-            planner.resume(rests[plan - 1], samples.position[0], followed)
-        again = _all_samples(planner, len(samples))
-        yield Comparison(
-            replace(run_id, plan=plan),
-            len(samples),
-            *_compared(samples, again),
-            len(set(overrides)) > 1,
+Chunks = dict[int, SetpointChunk]  #: Those of a plan by their first setpoints.
+
+
+class Repetition:
+    """One attempt at a run, planned again from its recorded blocks."""
+
+    def __init__(self, bag: Bag, transform: Transform, run_id: RunId, plans: dict[int, Chunks]):
+        self._bag, self._transform, self._run_id = bag, transform, run_id
+        self._plans = plans
+        self._blocks = stream_of(bag, 'blocks', run_id)
+        smoother = smoother_of(transform, settings_of_block(self._blocks[0], own_settings(bag)))
+        parts = smoother.push(blocks_from(self._blocks)), smoother.finish()
+        self._segments = [part for part in parts if len(part)]
+
+    def compare(self) -> Iterator[Comparison]:
+        segment, planner = self._wrong_segment(), None
+        rests = {
+            m.plan: m.path_position
+            for m in self._bag.messages('machine_state')
+            if run_id_of(m).same_attempt(self._run_id) and m.plan_over
+        }
+        for number, settings in _settings_of(self._bag, self._run_id, self._plans).items():
+            chunks, run_id = self._plans[number], replace(self._run_id, plan=number)
+            if any(chunk.joins for chunk in chunks.values()):
+                count = sum(len(chunk.sequences) for chunk in chunks.values())
+                yield Comparison(run_id, count, 0, math.inf, True, segment)
+                continue
+            recorded = joined(self._bag, chunks)
+            found = []
+            for each in settings:
+                if not number:
+                    planner = self._planner(recorded[0], each)
+                elif planner is None or number - 1 not in rests:
+                    text = f'does not tell where plan {number - 1} was left'
+                    raise InterpError(f'{self._bag.path}: {text}')
+                else:
+                    planner.resume(rests[number - 1], recorded[0].samples.position[0], each)
+                found.append(_compared(recorded, _all_chunks(planner, recorded)))
+                if found[-1][0] == sum(len(chunk.samples) for chunk in recorded):
+                    break
+            same, difference = max(found)
+            count = sum(len(chunk.samples) for chunk in recorded)
+            yield Comparison(run_id, count, same, difference, False, segment)
+            segment = -1
+
+    def _wrong_segment(self) -> int:
+        """Return the first recorded segment that differs from the one computed again, or -1."""
+        height = self._blocks[0].flank_height
+        again = segment_messages(
+            PathSegments.concatenate(self._segments), self._run_id, 0, height, end=True
         )
+        recorded = stream_of(self._bag, 'segments', self._run_id)
+        for k, (one, other) in enumerate(zip(recorded, again, strict=False)):
+            for name in ('continue_at', 'program_stop', 'functions', 'checksum'):
+                setattr(other, name, getattr(one, name))  # not of the smoother
+            if repr(one) != repr(other):  # NaN, which equals nothing, is in some of them
+                return k
+        return -1 if len(recorded) == len(again) else min(len(recorded), len(again))
+
+    def _planner(self, begins: Chunk, followed: OperatorSettings) -> RunPlanner:
+        first, bag, signals = self._blocks[0], self._bag, self._transform.machine.signals
+        # After a loss the run continued from where the machine stood when planning began again.
+        goes_on, place = first.continue_at > 0.0, float(begins.samples.s[0])
+        wanted = replace(
+            own_settings(bag, 'feedrate_node'),
+            flank_height=first.flank_height,
+            interpolation_period=self._plans[0][0].period,
+        )
+        planner = RunPlanner(
+            self._transform,
+            wanted,
+            float(bag.parameters.get('feedrate_node.chunk_time', 0.005)),
+            begins.samples.position[0],
+            (place if place > 0.0 else float(first.continue_at)) if goes_on else math.nan,
+            followed,
+            asks=self._run_id.attempt == 0,
+        )
+        functions = [function for block in self._blocks for function in block.functions]
+        check_functions('blocks', functions, signals)
+        stops, given = self._stops(), functions_from(functions)
+        for segments in self._segments:
+            planner.push(segments, stops, given)
+            given = NO_FUNCTIONS
+        planner.finish()
+        return planner
+
+    def _stops(self) -> dict[int, Wait]:
+        """Return the blocks with M0, and those with M1 at which the setpoints have a stop."""
+        waits = {G1Block.STOP: Wait.PROGRAM_STOP}
+        optional = {
+            chunk.sequences[-1]
+            for chunks in self._plans.values()
+            for chunk in chunks.values()
+            if chunk.wait == SetpointChunk.OPTIONAL_STOP
+        }
+        return {
+            m.sequence: waits.get(m.program_stop, Wait.OPTIONAL_STOP)
+            for m in self._blocks
+            if m.program_stop == G1Block.STOP
+            or (m.program_stop == G1Block.OPTIONAL_STOP and m.sequence in optional)
+        }
 
 
 def own_settings(bag: Bag, node: str = 'lookahead_node') -> Settings:
@@ -137,53 +196,85 @@ def own_settings(bag: Bag, node: str = 'lookahead_node') -> Settings:
     return parameters.settings_of(told)
 
 
-def joined(bag: Bag, chunks: dict[int, SetpointChunk]) -> Setpoints:
+def joined(bag: Bag, chunks: Chunks) -> list[Chunk]:
     following, parts = 0, []
     for first in sorted(chunks):
         if first != following:
             raise InterpError(f'{bag.path}: setpoints {following} to {first - 1} are not in it')
-        parts.append(setpoints_from(chunks[first]))
-        following = first + len(parts[-1])
-    return Setpoints.concatenate(parts)
+        parts.append(chunk_from(chunks[first]))
+        following = first + len(parts[-1].samples)
+    return parts
 
 
 def _settings(state: Any) -> OperatorSettings:
     shares = state.rapid_override, state.spindle_override
-    return OperatorSettings(state.feed_override, False, *shares)
+    return OperatorSettings(state.feed_override, state.single_block, *shares)
 
 
-def _overrides(bag: Bag, run_id: RunId) -> list[OperatorSettings]:
-    """Return the overrides at the start of a run, and all that followed during it."""
-    found, running = [OperatorSettings()], False
+def _settings_of(
+    bag: Bag, run_id: RunId, plans: dict[int, Chunks]
+) -> dict[int, list[OperatorSettings]]:
+    """Return the settings with which each plan may have begun, the most probable ones first.
+
+    They are those of the last state before its first setpoints, and of all since the setpoints
+    of another plan; a state that came late counts, too.
+    """
+    found: dict[int, list[OperatorSettings]] = {}
+    told, plan = [OperatorSettings()], -1
     for topic, _, data in bag.raw('machine_state', 'setpoints'):
-        message = deserialize_message(data, TOPICS[topic][0])
-        if topic == 'setpoints':
-            running = running or run_id_of(message).same_attempt(run_id)
-        elif running and run_id_of(message).same_attempt(run_id):
-            found.append(_settings(message))
-        elif not running:
-            found = [_settings(message)]
-    return found
+        message = bag.sound(topic, data)
+        if topic == 'machine_state' and message is not None:
+            told.append(_settings(message))
+            if plan >= 0 and len(told) == 2:  # the first one after the first setpoints
+                found[plan].append(told[-1])
+        elif message is not None and run_id_of(message).same_attempt(run_id):
+            if message.plan != plan and message.plan not in found:
+                plan = message.plan
+                found[plan] = told[::-1]
+            told = told[-1:]
+    return {
+        number: list(dict.fromkeys(found.get(number, [OperatorSettings()])))
+        for number in sorted(plans)
+    }
 
 
-def _all_samples(planner: RunPlanner, wanted: int) -> Setpoints:
-    parts: list[Setpoints] = []
+def _all_chunks(planner: RunPlanner, recorded: list[Chunk]) -> list[Chunk]:
+    parts: list[Chunk] = []
     plan = planner.stream.current
-    while sum(map(len, parts)) < wanted and (plan.can_sample or plan.can_plan):
-        parts += [chunk.samples for chunk in planner.work(plan, True, -np.inf)]
-    return Setpoints.concatenate(parts)
+    while len(parts) < len(recorded) and (plan.can_sample or plan.can_plan):
+        parts += [planner.with_lines(chunk) for chunk in planner.work(plan, True, -np.inf)]
+    return parts
 
 
-def _compared(samples: Setpoints, again: Setpoints) -> tuple[int, float]:
-    """Return how many are the same, and the largest difference of a position [m, rad]."""
+def _compared(recorded: list[Chunk], again: list[Chunk]) -> tuple[int, float]:
+    """Return how many setpoints are the same, and the largest difference of a position.
+
+    Where a stop tail or a wait differs, the last setpoint before it counts as different.
+    """
+    same, difference, alike = 0, 0.0, True
+    for chunk, other in zip(recorded, again, strict=False):
+        for part, of_other in ((chunk.samples, other.samples), (chunk.tail, other.tail)):
+            n = min(len(part), len(of_other))
+            off = np.abs(part.position[:n] - of_other.position[:n]).max(initial=0.0)
+            difference = max(difference, float(off) if len(part) == len(of_other) else math.inf)
+        if alike:
+            count = _same_rows(chunk.samples, other.samples)
+            alike = count == len(chunk.samples) == len(other.samples)
+            if alike:
+                tails = _same_rows(chunk.tail, other.tail), len(chunk.tail), len(other.tail)
+                alike = len(set(tails)) == 1 and chunk.wait is other.wait
+                count -= not alike
+            same += count
+    return same, difference if len(again) >= len(recorded) else math.inf
+
+
+def _same_rows(samples: Setpoints, again: Setpoints) -> int:
     n = min(len(samples), len(again))
     same = np.ones(n, dtype=bool)
     for name in COLUMNS:
         a, b = getattr(samples, name)[:n], getattr(again, name)[:n]
-        same &= (a == b).reshape(n, -1).all(axis=1)
-    off = np.abs(samples.position[:n] - again.position[:n]).max(initial=0.0)
-    difference = float(off) if n == len(samples) else math.inf
-    return n if same.all() else int(np.argmin(same)), difference
+        same &= (a == b).reshape(n, math.prod(a.shape[1:])).all(axis=1)
+    return n if same.all() else int(np.argmin(same))
 
 
 def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:

@@ -1,16 +1,21 @@
 """Runs in bags, what is proven of them, and scores of motions along the problem set."""
 
+from __future__ import annotations
+
 import json
 import tempfile
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cnc_interp.commands.parser import FAILED, FINE, command, positive
 from cnc_interp.core import MS, UM, FloatArray, InterpError
+
+if TYPE_CHECKING:
+    from cnc_interp.proof.verdict import Proof
 
 
 def add_check_commands(commands: Any) -> None:
@@ -30,38 +35,78 @@ def add_check_commands(commands: Any) -> None:
 
 
 def check_command(options: Namespace) -> int:
-    """Prove every setpoint of a plan or a recorded run against limits and tolerances."""
+    """Prove every setpoint of a plan or of all recorded runs against limits and tolerances."""
+    if not is_bag(options.directory):
+        proofs = [prove(options, options.directory, options.machine)]
+    else:
+        proofs = list(prove_runs(options))
+    last = proofs[-1]
+    if isinstance(last, InterpError) and len(proofs) == 1:
+        raise last
+    ok = all(not isinstance(proof, InterpError) and proof.ok for proof in proofs)
+    if options.json:
+        told = [
+            {'ok': False, 'failures': [str(proof)]}
+            if isinstance(proof, InterpError)
+            else proof.to_json()
+            for proof in proofs
+        ]
+        print(json.dumps(told[-1] | {'ok': ok} | ({'parts': told} if told[1:] else {}), indent=2))
+        return FINE if ok else FAILED
+    for k, proof in enumerate(proofs, start=1):
+        if isinstance(proof, InterpError):
+            print(f'run {k} of {len(proofs)}: NOT judged: {proof}')
+        elif proof.ok and k < len(proofs):
+            short = f'{proof.blocks} blocks, {proof.cycle_time:.3f} s, proven'
+            print(f'run {k} of {len(proofs)}: {short}')
+        else:
+            print((f'run {k} of {len(proofs)}:\n' if len(proofs) > 1 else '') + proof.text())
+    return FINE if ok else FAILED
+
+
+def prove_runs(options: Namespace) -> Iterator[Any]:
+    """Yield the proof of each run of a bag, or the InterpError of one that cannot be judged."""
+    from cnc_interp.client.bag import Bag
+    from cnc_interp.client.recorded_run import programs_of
+
+    with Bag(options.directory) as bag:
+        programs = programs_of(bag) or [['']]
+    if len(programs[-1]) > 1 and options.program is not None:
+        raise InterpError('a program with probes went on by what they told; leave out --program')
+    for program in programs:
+        text = options.program if program is programs[-1] else None
+        for run in program:
+            try:
+                with run_files(options.directory, options.machine, run, True) as given:
+                    yield prove(Namespace(**{**vars(options), 'program': text}), *given)
+            except InterpError as fault:
+                yield fault
+
+
+def prove(
+    options: Namespace,
+    folder: Path,
+    named: str | None,
+    beside: Sequence[FloatArray] = (),
+    faults: Sequence[str] = (),
+) -> Proof:
+    """Prove plan files; ``faults``: what a record says otherwise."""
     from cnc_interp.machine_model.machine import Machine
     from cnc_interp.proof.plan_files import read_plan
     from cnc_interp.proof.program_again import compare_with_text, with_program
     from cnc_interp.proof.verdict import given_of
     from cnc_interp.proof.verify import verify, with_beside
 
-    proofs = []
-    parts = runs_of(options.directory)
-    if len(parts) > 1 and options.program is not None:
-        raise InterpError('a program with probes went on by what they told; leave out --program')
-    for part in parts:
-        with plan_files(options.directory, options.machine, part) as (folder, named, beside):
-            plan = read_plan(folder)
-            name = named or str(plan.summary.get('machine', ''))
-            machine = Machine.load(name)
-            given = given_of(plan, machine, name, options.directory)
-            proof = replace(verify(plan, machine), given=given)
-            proof = with_beside(proof, machine, plan.period, beside)
-            if options.program is not None:
-                proof = with_program(proof, compare_with_text(plan, machine, options.program))
-            proofs.append(proof)
-    ok = all(proof.ok for proof in proofs)
-    if options.json:
-        told = [proof.to_json() for proof in proofs]
-        print(json.dumps(told[-1] | {'ok': ok} | ({'parts': told} if told[1:] else {}), indent=2))
-    else:
-        for k, proof in enumerate(proofs[:-1], start=1):
-            short = f'{proof.blocks} blocks, {proof.cycle_time:.3f} s, proven'
-            print(f'part {k} of {len(proofs)}: {short if proof.ok else proof.text()}')
-        print(proofs[-1].text())
-    return FINE if ok else FAILED
+    plan = read_plan(folder)
+    name = named or str(plan.summary.get('machine', ''))
+    machine = Machine.load(name)
+    given = given_of(plan, machine, name, options.directory)
+    proof = replace(verify(plan, machine), given=given)
+    proof = with_beside(proof, machine, plan.period, beside)
+    proof = replace(proof, failures=(*proof.failures, *faults))
+    if options.program is not None:
+        proof = with_program(proof, compare_with_text(plan, machine, options.program))
+    return proof
 
 
 def report_command(options: Namespace) -> int:
@@ -72,21 +117,14 @@ def report_command(options: Namespace) -> int:
     options.out = page = options.out or options.directory / 'report.html'
     if is_bag(options.directory) and options.compare:
         raise InterpError('--compare sets two folders of plan files side by side, not bags')
-    with plan_files(options.directory, options.machine) as (folder, machine, _):
-        write_report(folder, page, Machine.load(machine) if machine else None, options.compare)
+    if is_bag(options.directory):
+        with run_files(options.directory, options.machine) as (folder, name, *_):
+            write_report(folder, page, Machine.load(name))
+    else:
+        machine = Machine.load(options.machine) if options.machine else None
+        write_report(options.directory, page, machine, options.compare)
     print(f'report         {page}')
     return FINE
-
-
-def runs_of(path: Path) -> list[str]:
-    """Return the parts of the last program in a bag, each a run of its own; [''] for a plan."""
-    if not is_bag(path):
-        return ['']
-    from cnc_interp.client.bag import Bag
-    from cnc_interp.client.recorded_run import parts_of
-
-    with Bag(path) as bag:
-        return parts_of(bag)
 
 
 def is_bag(path: Path) -> bool:
@@ -94,25 +132,25 @@ def is_bag(path: Path) -> bool:
 
 
 @contextmanager
-def plan_files(
-    path: Path, machine: str | None, part: str = ''
-) -> Iterator[tuple[Path, str | None, list[FloatArray]]]:
-    """Yield a folder of plan files, the machine if it is named, and the motion beside the program.
+def run_files(
+    path: Path, machine: str | None, run_id: str = '', compare: bool = False
+) -> Iterator[tuple[Path, str, list[FloatArray], list[str]]]:
+    """Yield plan files of a run in a bag, the last one or by its id, in a temporary folder.
 
-    For a bag they are those of its last run, or of a ``part``, in a temporary folder.
+    With them come the machine, the motion beside the program, and where the record of the run
+    contradicts itself, if that is to be compared.
     """
-    if not is_bag(path):
-        yield path, machine, []
-        return
     from cnc_interp.client.bag import Bag
+    from cnc_interp.client.executed_run import faults_of
     from cnc_interp.client.recorded_run import recorded_run, write_run
     from cnc_interp.machine_model.machine import Machine
 
     with Bag(path) as bag:
-        run, name = recorded_run(bag, part), bag.machine(machine)
+        run, name = recorded_run(bag, run_id), bag.machine(machine)
+        faults = faults_of(bag, run, Machine.load(name)) if compare else []
     with tempfile.TemporaryDirectory(prefix='cnc_interp_') as folder:
         write_run(run, Machine.load(name), Path(folder))
-        yield Path(folder), name, run.beside(Machine.load(name))
+        yield Path(folder), name, run.beside(Machine.load(name)), faults
 
 
 def add_bag_commands(commands: Any) -> None:

@@ -20,7 +20,16 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
-from cnc_interp.nodes.node_main import OK, PREPARED, WAITING, WARN, Diagnostics, Pace, run_node
+from cnc_interp.nodes.node_main import (
+    OK,
+    PREPARED,
+    WAITING,
+    WARN,
+    Diagnostics,
+    Pace,
+    give_back_memory,
+    run_node,
+)
 from cnc_interp.nodes.peers import Peers, second_publisher
 from cnc_interp.nodes.program_check import Prepared, prepare, prepare_line, prepare_on
 from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, answer, why_not
@@ -338,7 +347,9 @@ class ProgramNode(Node):
         run.preparation.close()
         self._setup.release()
         self._run = None
+        self._goal.request.text = ''  # rclpy keeps a goal for a quarter of an hour
         answer(self._goal, result)
+        give_back_memory()
         if not succeeded:
             self._queue.give_up(run.name)
 

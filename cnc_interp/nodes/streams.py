@@ -30,10 +30,15 @@ def sealed(message: Any) -> bytes:
     return bytes(data[:-CHECKSUM]) + zlib.crc32(data[:-CHECKSUM]).to_bytes(CHECKSUM, 'little')
 
 
+def is_spoilt(data: bytes) -> bool:
+    """Tell whether a serialised message has a checksum that is not that of its content."""
+    given = int.from_bytes(data[-CHECKSUM:], 'little')
+    return given != 0 and given != zlib.crc32(data[:-CHECKSUM])
+
+
 def opened(data: bytes, kind: Any) -> Any:
     """Read a message and compare its checksum, if given; StreamError if it was spoilt."""
-    given = int.from_bytes(data[-CHECKSUM:], 'little')
-    if given and given != zlib.crc32(data[:-CHECKSUM]):
+    if is_spoilt(data):
         text = 'a message was spoilt on its way (checksum); it is sent again'
         raise StreamError(text, Refusal.SPOILT)
     try:

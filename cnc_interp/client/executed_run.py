@@ -1,0 +1,358 @@
+"""What the machine executed in a run, compared with everything else that its record says.
+
+Every executed setpoint must be, bit for bit, the next one that was sent to the machine, or the
+next one of the stop tail of the chunk before it. Motion by hand, at a hold or after a stop, is
+exempt: nobody sent it, and its limits are judged on their own.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+from cnc_interp_msgs.msg import G1Block, MachineState, SetpointChunk
+
+from cnc_interp.client.bag import Bag
+from cnc_interp.client.recorded_run import RecordedRun
+from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import FOLLOWS
+from cnc_interp.run.run_state import NO_RUN, RunId
+from cnc_interp.run.setpoints import Setpoints
+from cnc_interp.wire.message_checks import check_setpoints
+from cnc_interp.wire.path_messages import SETPOINT_FIELDS
+from cnc_interp.wire.run_messages import run_id_of
+
+#: Chunks after which the machine waits for cycle_start.
+OPERATOR_WAITS = (SetpointChunk.PROGRAM_STOP, SetpointChunk.OPTIONAL_STOP, SetpointChunk.APPROACH)
+LONGEST_TAIL = 1 << 14  #: No stop along the path takes so many setpoints.
+#: A probe answers at a place that the axes pass in that period, up to rounding [m, rad].
+AT_CONTACT = 1e-7
+S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
+
+
+def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
+    """Return all columns of the setpoints of a message, or of its stop tail, side by side."""
+    check_setpoints(message, message.axis_count, prefix)
+    n, columns = len(getattr(message, f'{prefix}sequences')), []
+    for field, name in SETPOINT_FIELDS.items():
+        width = message.axis_count if Setpoints.declared[name].tail else 1
+        values = np.asarray(getattr(message, prefix + field), dtype=float)
+        columns.append(values.reshape(n, width))
+    return np.hstack(columns)
+
+
+class SentSetpoints:
+    """Setpoints of a run as they were sent, by plan and number; each is read when needed."""
+
+    def __init__(self, bag: Bag, program_id: str):
+        self._messages = bag.spooled('setpoints')
+        self._places: dict[RunId, dict[int, int]] = defaultdict(dict)  # by first setpoint
+        self.joins: dict[RunId, int] = {}  #: First setpoints of plans that join in motion.
+        self.faults: list[str] = []
+        for place, message in enumerate(self._messages):
+            if message.program_id != program_id:
+                continue
+            run_id, first = run_id_of(message), message.first_sample
+            known = self._places[run_id].setdefault(first, place)
+            if known != place and not _same(self._messages[known], message):
+                self.faults.append(f'setpoint {first} of {run_id} was sent in two ways')
+            if message.joins:
+                self.joins[run_id] = first
+        self._firsts = {run_id: sorted(places) for run_id, places in self._places.items()}
+
+    def at(self, run_id: RunId, number: int) -> SetpointChunk | None:
+        """Return the message with a setpoint; None if the record does not have it."""
+        firsts = self._firsts.get(run_id, [])
+        k = bisect_right(firsts, number) - 1
+        if k < 0:
+            return None
+        message = self._messages[self._places[run_id][firsts[k]]]
+        return message if number < firsts[k] + len(message.sequences) else None
+
+    def tail(self, run_id: RunId, number: int, row: FloatArray) -> FloatArray | None:
+        """Return the rest of a stop tail that has a row in place of a setpoint of the plan.
+
+        A tail may follow the plan at first, so it may be that of a chunk some chunks before.
+        """
+        plan = np.zeros((0, len(row)))  # from the end of a chunk to the setpoint
+        while len(plan) < LONGEST_TAIL:
+            message = self.at(run_id, number - len(plan) - 1)
+            if message is None:
+                return None
+            rows = rows_of(message)[: number - len(plan) - message.first_sample]
+            tail, count = rows_of(message, 'tail_'), len(plan)
+            whole = len(rows) == len(message.sequences)
+            if whole and count < len(tail) and (tail[:count] == plan).all():
+                if (tail[count] == row).all():
+                    return tail[count:]
+            plan = np.concatenate([rows, plan])
+        return None
+
+
+def _same(a: SetpointChunk, b: SetpointChunk) -> bool:
+    """Compare two messages but for their checksums, which cover bytes that mean nothing."""
+    return all(
+        getattr(a, name) == getattr(b, name)
+        for name in a.get_fields_and_field_types()
+        if name != 'checksum'
+    )
+
+
+class Follower:
+    """Follows executed setpoints through what was sent; ``faults`` has one for each plan."""
+
+    def __init__(self, sent: SentSetpoints):
+        self._sent = sent
+        self.faults: list[str] = []
+        self.run_id = NO_RUN  #: The plan that is executed.
+        self.count = 0  #: Executed setpoints.
+        self.waits: list[int] = []  #: Executed setpoints after which cycle_start was waited for.
+        self.ended = False  #: Whether the last setpoint is the end of the program.
+        self._number = 0  # of the next setpoint of the plan
+        self._tail: FloatArray | None = None  # what is left of the stop tail
+        self._by_hand = self._lost = False  # how far the plan is compared
+        self._rests = True
+        self._wait = SetpointChunk.NOTHING  # of the chunk whose last setpoint came
+
+    def take(self, message: SetpointChunk) -> None:
+        rows, run_id = rows_of(message), run_id_of(message)
+        if run_id != self.run_id and len(rows):
+            self._begin(run_id)
+        axes = message.axis_count
+        while len(rows):
+            if self._wait in OPERATOR_WAITS:
+                self.waits.append(self.count)
+            self._wait, self.ended = SetpointChunk.NOTHING, False
+            taken = len(rows) if self._lost else self._step(rows)
+            if taken:
+                self._rests = not rows[taken - 1, axes : 2 * axes].any()
+            self.count, rows = self.count + taken, rows[taken:]
+
+    def _begin(self, run_id: RunId) -> None:
+        joins = self._sent.joins.get(run_id)
+        if joins is None:
+            self._close()
+        elif not self._lost and (self._number != joins or self._tail is not None):
+            self._fault(f'plan {run_id.plan} did not join at setpoint {joins}')
+        self.run_id, self._number = run_id, joins or 0
+        self._tail, self._by_hand, self._lost = None, False, False
+
+    def _close(self) -> None:
+        """Demand that the plan before was left at rest, after the whole of a stop tail."""
+        if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
+            self._fault('was left in motion')
+
+    def close(self, cut: bool) -> None:
+        if not cut:
+            self._close()
+        if not (cut or self._lost or self.ended):
+            self._fault('did not reach the end that was sent')
+
+    def _step(self, rows: FloatArray) -> int:
+        """Return how many setpoints could be followed; 0 where something else is tried next."""
+        if self._by_hand:
+            by_hand = rows[:, BLOCK] == 0
+            count = len(rows) if by_hand.all() else int(np.argmin(by_hand))
+            if not count:
+                self._fault('was left, and went on without a new plan', rows[0])
+            return count
+        if self._tail is not None:
+            found, self._tail = self._tail, self._tail[len(rows) :]
+            same = _leading(rows, found)
+            if same < min(len(rows), len(found)):
+                self._fault('left its stop tail', rows[same])
+            self._by_hand = not len(self._tail)
+            return same
+        message = self._sent.at(self.run_id, self._number)
+        if message is not None:
+            expected = rows_of(message)[self._number - message.first_sample :]
+            same = _leading(rows, expected)
+            self._number += same
+            if same == len(expected):
+                self._wait, self.ended = message.wait, message.end_of_program
+            if same:
+                return same
+        self._tail = self._sent.tail(self.run_id, self._number, rows[0])
+        if self._tail is None:
+            self._by_hand = self._rests and self._number > 0 and rows[0, BLOCK] == 0
+            if not self._by_hand:
+                missing = message is None
+                text = 'is not in the record of what was sent' if missing else 'was not sent so'
+                self._fault(f'setpoint {self._number} was executed, but {text}', rows[0])
+        return 0
+
+    def _fault(self, text: str, row: FloatArray | None = None) -> None:
+        where = '' if row is None else f' (line {row[LINE]:.0f}, executed as number {self.count})'
+        self.faults.append(f'plan {self.run_id.plan} {text}{where}')
+        self._lost = True
+
+
+def _leading(rows: FloatArray, expected: FloatArray) -> int:
+    """Return how many rows, from the first on, are as expected."""
+    n = min(len(rows), len(expected))
+    if rows.shape[1] != expected.shape[1]:
+        return 0
+    same = (rows[:n] == expected[:n]).all(axis=1)
+    return n if same.all() else int(np.argmin(same))
+
+
+def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
+    """Compare what was executed with what was sent, and with all that the machine said of it."""
+    sent = SentSetpoints(bag, run.program_id)
+    follower, told = Follower(sent), ToldStates(bag, run)
+    feedback = FeedbackRecord(bag, run)
+    for message in run.executed():
+        told.compare(follower.count, rows_of(message), message.axis_count)
+        feedback.compare(message)
+        follower.take(message)
+    follower.close(bool(run.cut))
+    faults = [*sent.faults, *follower.faults, *told.faults(follower, run), *feedback.faults]
+    faults += _faults_of_functions(bag, run, machine)
+    return [*faults, *_faults_of_program(bag, run)]
+
+
+class ToldStates:
+    """States of the machine: each must say what was executed by then, and of each stop."""
+
+    def __init__(self, bag: Bag, run: RecordedRun):
+        states = [m for m in bag.messages('machine_state') if m.program_id == run.program_id]
+        self._states = sorted(states, key=lambda state: int(state.samples))
+        self._next = 0  # the first state that is not compared yet
+        self._stops = [b.sequence for b in run.blocks if b.program_stop == G1Block.STOP]
+        self._block = 0  # the last one of the program
+        self._passed: list[tuple[int, int]] = []  # M0 by block, and setpoints executed then
+        self._wrong: list[str] = []
+
+    def compare(self, count: int, rows: FloatArray, axes: int) -> None:
+        """Compare the states that were told while some setpoints were executed."""
+        for block, number in zip(*self._changes(rows[:, BLOCK], count), strict=True):
+            if self._block > 0:
+                crossed = [stop for stop in self._stops if self._block <= stop < block]
+                self._passed += [(stop, number) for stop in crossed]
+            self._block = max(self._block, block)
+        while self._next < len(self._states):
+            state = self._states[self._next]
+            if state.samples > count + len(rows):
+                return
+            self._next += 1
+            if state.samples <= count or len(state.resume_positions):
+                continue  # before the first setpoint, or moved by hand away from the path
+            row = rows[state.samples - count - 1]
+            place = state.sequence, state.line_number, state.path_position
+            same = place == (row[BLOCK], row[LINE], row[S])
+            same &= np.array_equal(state.commanded_positions, row[:axes])
+            if not same and not self._wrong:
+                text = f'a machine_state after {state.samples} setpoints does not say where'
+                self._wrong.append(f'{text} the axes were commanded to')
+
+    def _changes(self, block: FloatArray, count: int) -> tuple[list[int], list[int]]:
+        at = np.flatnonzero(np.diff(block, prepend=self._block))
+        return block[at].astype(int).tolist(), (at + count).tolist()
+
+    def faults(self, follower: Follower, run: RecordedRun) -> list[str]:
+        if not self._states:
+            return ['the record has no machine_state of the run: its stops cannot be proven']
+        held = {int(s.samples) for s in self._states if s.state == MachineState.HELD}
+        stops = {number: f'line {run.blocks[stop].line_number}' for stop, number in self._passed}
+        stops |= {number: f'setpoint {number}' for number in follower.waits if number not in stops}
+        faults = [
+            f'the machine did not wait for cycle_start after {place}'
+            for number, place in stops.items()
+            if number not in held
+        ]
+        if run.cut:
+            return [*self._wrong, *faults]
+        if {int(s.samples) for s in self._states if s.completed} != {follower.count}:
+            faults.append('no machine_state completes the run with its last executed setpoint')
+        if (counted := int(self._states[-1].samples)) > follower.count:
+            text = f'a machine_state counts {counted} executed setpoints'
+            faults.append(f'{text}, the record has {follower.count}')
+        return [*self._wrong, *faults]
+
+
+class FeedbackRecord:
+    """Where the axes were: a row for each executed setpoint, and the places of contacts."""
+
+    def __init__(self, bag: Bag, run: RecordedRun):
+        mine = bag.spooled('axis_feedback').where(lambda m: m.program_id == run.program_id)
+        self._rows = mine
+        self._places = {(run_id_of(m), m.first_sample): k for k, m in enumerate(mine)}
+        contacts = (m for m in bag.messages('probe_contact') if m.program_id == run.program_id)
+        self._contacts: list[Any] = [[m, np.inf] for m in contacts]
+        self._last = np.zeros((0, 0))
+        self._missing = -1
+
+    def compare(self, message: SetpointChunk) -> None:
+        count = len(message.sequences)
+        place = self._places.get((run_id_of(message), message.first_sample))
+        found = None if place is None else self._rows[place]
+        if count and (found is None or len(found.positions) != len(message.positions)):
+            self._missing = message.first_sample if self._missing < 0 else self._missing
+            self._last = np.zeros((0, 0))
+            return
+        if not count or not self._contacts:
+            return
+        rows = np.reshape(found.positions, (count, -1))
+        way = np.concatenate([self._last, rows]) if len(self._last) else rows
+        self._last = rows[-1:]
+        for contact in self._contacts:
+            point = np.asarray(contact[0].positions)
+            if len(point) == way.shape[1]:
+                contact[1] = min(contact[1], _distance(way, point))
+
+    @property
+    def faults(self) -> list[str]:
+        lacks = f'the record lacks axis_feedback of executed setpoints from {self._missing} on'
+        return ([lacks] if self._missing >= 0 else []) + [
+            f'line {contact.line_number}: the axes were never where the probe is said to have '
+            f'answered ({distance:.3g} m or rad beside their way)'
+            for contact, distance in self._contacts
+            if not distance <= AT_CONTACT
+        ]
+
+
+def _distance(way: FloatArray, point: FloatArray) -> float:
+    """Return the largest distance of a coordinate from the nearest place of a polyline."""
+    step = np.diff(way, axis=0, append=way[-1:])
+    length = np.maximum((step**2).sum(axis=1), 1e-300)
+    share = np.clip(((point - way) * step).sum(axis=1) / length, 0.0, 1.0)
+    return float(np.abs(way + share[:, None] * step - point).max(axis=1).min())
+
+
+def _faults_of_functions(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
+    """Compare the functions that travelled with segments and setpoints with the program's."""
+    sent = [function for block in run.blocks for function in block.functions]
+    topics = {
+        'segments': iter(run.segments),
+        'setpoints': (m for m in bag.messages('setpoints') if m.program_id == run.program_id),
+    }
+    faults = []
+    for topic, found in topics.items():
+        functions = [f for message in found for f in message.functions]
+        wrong = [f.number for f in functions if f.number >= len(sent) or f != sent[f.number]]
+        missing = set(range(len(sent))) - {f.number for f in functions}
+        if wrong or (missing and not run.cut):
+            number = wrong[0] if wrong else min(missing)
+            faults.append(f'function {number} is not among the {topic} as it is among the blocks')
+    words = machine.signals.words
+    if FOLLOWS in words:
+        first = words[FOLLOWS].start
+        begun = {f.sequence for c in run.executed() for f in c.functions if f.step == first}
+        lacking = begun - {m.sequence for m in run.followed}
+        if lacking and not run.cut:
+            line = run.blocks[min(lacking)].line_number
+            faults.append(f'the record has no followed_spindle of line {line}: nothing proves it')
+    return faults
+
+
+def _faults_of_program(bag: Bag, run: RecordedRun) -> list[str]:
+    """Compare the program that was said to be loaded with the blocks that were sent."""
+    loaded = [m for m in bag.messages('loaded_program') if m.program_id == run.program_id]
+    if not loaded:
+        return ['the record has no loaded_program of the run; record from before the start']
+    settings, height = run.blocks[0].settings, run.flank_height
+    same = all(m.settings == settings and m.flank_height == height for m in loaded)
+    return [] if same else ['loaded_program has other settings than the first block']

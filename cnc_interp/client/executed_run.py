@@ -288,14 +288,16 @@ class FeedbackRecord:
     def compare(self, message: SetpointChunk) -> None:
         count = len(message.sequences)
         place = self._places.get((run_id_of(message), message.first_sample))
-        found = None if place is None else self._rows[place]
-        if count and (found is None or len(found.positions) != len(message.positions)):
+        if not count:
+            return
+        positions = () if place is None else self._rows[place].positions
+        if len(positions) != len(message.positions):
             self._missing = message.first_sample if self._missing < 0 else self._missing
             self._last = np.zeros((0, 0))
             return
-        if not count or not self._contacts:
+        if not self._contacts:
             return
-        rows = np.reshape(found.positions, (count, -1))
+        rows = np.reshape(positions, (count, -1))
         way = np.concatenate([self._last, rows]) if len(self._last) else rows
         self._last = rows[-1:]
         for contact in self._contacts:

@@ -28,8 +28,8 @@ from cnc_interp.wire.run_messages import run_id_of
 #: Chunks after which the machine waits for cycle_start.
 OPERATOR_WAITS = (SetpointChunk.PROGRAM_STOP, SetpointChunk.OPTIONAL_STOP, SetpointChunk.APPROACH)
 LONGEST_TAIL = 1 << 14  #: No stop along the path takes so many setpoints.
-#: A probe answers at a place that the axes pass in that period, up to rounding [m, rad].
-AT_CONTACT = 1e-7
+#: The axes pass the place of a contact in that period, up to their acceleration in it [m, rad].
+AT_CONTACT = 1e-6
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
 
 
@@ -163,7 +163,7 @@ class Follower:
             found, self._tail = self._tail, self._tail[len(rows) :]
             same = _leading(rows, found)
             if same < min(len(rows), len(found)):
-                self._fault('left its stop tail', rows[same])
+                self._astray(rows[same])
             self._by_hand = not len(self._tail)
             return same
         message = self._sent.at(self.run_id, self._number)
@@ -179,10 +179,13 @@ class Follower:
         if self._tail is None:
             self._by_hand = self._rests and self._number > 0 and rows[0, BLOCK] == 0
             if not self._by_hand:
-                missing = message is None
-                text = 'is not in the record of what was sent' if missing else 'was not sent so'
-                self._fault(f'setpoint {self._number} was executed, but {text}', rows[0])
+                self._astray(rows[0])
         return 0
+
+    def _astray(self, row: FloatArray) -> None:
+        missing = self._sent.at(self.run_id, self._number) is None
+        text = 'is not in the record of what was sent' if missing else 'was not sent so'
+        self._fault(f'setpoint {self._number} was executed, but {text}', row)
 
     def _fault(self, text: str, row: FloatArray | None = None) -> None:
         where = '' if row is None else f' (line {row[LINE]:.0f}, executed as number {self.count})'

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from cnc_interp_msgs.msg import MachineState
+from cnc_interp_msgs.msg import MachineState, StreamStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
@@ -44,7 +44,8 @@ NUMBERED: dict[str, tuple[str, Callable[[Any], list[tuple[Any, int, int]]]]] = {
     'segments': ('segments', lambda m: [(one, one.sequence, 1) for one in m.segments]),
     'setpoints': ('setpoints', lambda m: [(m, m.first_sample, len(m.line_numbers))]),
 }
-LAST_WAIT = 5.0  #: Longest wait for the last messages [s].
+#: Longest wait for the last messages [s]: what DDS has lost of them is announced every 3 s.
+LAST_WAIT = 10.0
 
 
 class StreamRecord:
@@ -53,20 +54,36 @@ class StreamRecord:
     def __init__(self, topic: str):
         self.name, self._numbers = NUMBERED[topic]
         self._spans: dict[RunId, list[tuple[int, int]]] = {}
+        self._joins: dict[RunId, int] = {}  # first numbers of plans that join in motion
+        #: Up to where the receiver had come when it was heard first, and last.
+        self._received: dict[RunId, tuple[int, int]] = {}
 
     def add(self, message: Any) -> None:
         for one, first, count in self._numbers(message):
-            spans = self._spans.setdefault(run_id_of(one), [])
+            run_id = run_id_of(one)
+            spans = self._spans.setdefault(run_id, [])
             follows = spans and spans[-1][1] == first
             spans.append((spans.pop()[0] if follows else first, first + count))
+            if getattr(one, 'joins', False):
+                self._joins[run_id] = first
+
+    def acknowledge(self, status: StreamStatus) -> None:
+        """Hear how far the receiver of the stream has come: so far the record must reach, too."""
+        run_id, reached = run_id_of(status), int(status.next_sequence)
+        first, last = self._received.get(run_id, (reached, reached))
+        self._received[run_id] = first, max(last, reached)
 
     @property
     def lost(self) -> int:
-        """How many are missing between the first and the last one of each plan."""
+        """How many are missing of each plan since it was heard of, or the receiver was."""
         lost = 0
-        for spans in self._spans.values():
-            reached = min(spans)[0]
-            for first, after in sorted(spans):
+        for run_id in self._spans.keys() | self._received.keys():
+            spans = sorted(self._spans.get(run_id, []))
+            if not spans and self.name == 'blocks':
+                continue  # they may travel one by one
+            begin, end = self._received.get(run_id, (spans or [(0, 0)])[0])
+            reached = self._joins.get(run_id, min([begin, *(first for first, _ in spans[:1])]))
+            for first, after in [*spans, (end, end)]:
                 lost += max(0, first - reached)
                 reached = max(reached, after)
         return lost
@@ -117,6 +134,13 @@ class Recorder:
             write(data)
             self._streams[topic].add(deserialize_message(data, TOPICS[topic][0]))
 
+        def acknowledge(data: bytes) -> None:
+            write(data)
+            status = deserialize_message(data, StreamStatus)
+            for record in self._streams.values():
+                if record.name == status.stream:
+                    record.acknowledge(status)
+
         def keep(data: bytes) -> None:
             write(data)
             self._state = data
@@ -125,6 +149,8 @@ class Recorder:
             return count
         if topic in NUMBERED:
             return number
+        if topic == 'stream_status':
+            return acknowledge
         return keep if topic == 'machine_state' else write
 
     @property
@@ -149,7 +175,8 @@ class Recorder:
             if self._flush[node].answer() is not None:
                 self._flushed.add(node)
         counted = min(self._counts.values(), default=0) >= self.wanted
-        return not self._missing() and counted and self._has_last_state()
+        whole = counted and not any(stream.lost for stream in self._streams.values())
+        return not self._missing() and whole and self._has_last_state()
 
     def _has_last_state(self) -> bool:
         """Tell whether a state of the machine after the end is recorded; states come in order."""

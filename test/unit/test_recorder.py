@@ -4,7 +4,14 @@ import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, PathSegment, PathSegmentBatch, SetpointChunk
+from cnc_interp_msgs.msg import (
+    G1Block,
+    G1BlockBatch,
+    PathSegment,
+    PathSegmentBatch,
+    SetpointChunk,
+    StreamStatus,
+)
 
 from cnc_interp.client.recorder import StreamRecord
 
@@ -48,3 +55,20 @@ def test_each_plan_has_its_own_numbers():
     for first, plan in ((0, 0), (10, 0), (15, 1), (25, 1), (0, 2), (20, 2)):
         record.add(setpoints(first, 10, plan))
     assert record.lost == 10
+
+
+def test_what_the_receiver_has_and_the_record_has_not_is_missing():
+    """On a busy computer DDS gave a recorder nothing of a second run; nothing was missing."""
+    record = StreamRecord('setpoints')
+    for reached in (0, 5, 30):
+        record.acknowledge(StreamStatus(program_id='a', stream='setpoints', next_sequence=reached))
+    assert record.lost == 30
+    record.add(setpoints(5, 20))
+    assert record.lost == 10  # the first message of the plan, and the last
+    record.add(setpoints(0, 5))
+    record.add(setpoints(25, 5))
+    assert record.lost == 0
+    begun_before = StreamRecord('setpoints')
+    begun_before.acknowledge(StreamStatus(program_id='a', next_sequence=100))
+    begun_before.add(setpoints(100, 10))
+    assert begun_before.lost == 0

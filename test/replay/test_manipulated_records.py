@@ -1,0 +1,321 @@
+"""Manipulated messages of a record, on every topic: found by `check`, or by `replay --compare`."""
+
+import copy
+from array import array
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import Function, G1Block, MachineState, SetpointChunk
+
+from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.client.executed_run import faults_of
+from cnc_interp.client.recorded_run import recorded_run, write_run
+from cnc_interp.client.replay import compute_again
+from cnc_interp.core import InterpError
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.verify import verify
+
+HELD = Path(__file__).parent / 'held'
+
+
+class Messages(list):
+    """Messages of a topic, found as those in a file are."""
+
+    def where(self, holds):
+        return Messages(filter(holds, self))
+
+
+class Record:
+    """A bag in memory, whose messages may be changed."""
+
+    def __init__(self, bag):
+        self.path, self.parameters = bag.path, bag.parameters
+        self.order = []
+        for topic, stamp, data in bag.raw(*TOPICS):
+            message = bag.sound(topic, data)
+            if message is not None:
+                self.order.append((topic, stamp, message))
+
+    def read(self, topic):
+        return Messages(message for name, _, message in self.order if name == topic)
+
+    messages = spooled = read
+
+    def raw(self, *topics):
+        return ((name, stamp, m) for name, stamp, m in self.order if name in topics)
+
+    def sound(self, _topic, message):
+        return message
+
+    def machine(self, _other=None):
+        return self.parameters['machine_node.machine']
+
+    def without(self, gone):
+        self.order = [(t, s, m) for t, s, m in self.order if not any(m is g for g in gone)]
+
+
+@pytest.fixture(scope='module')
+def held():
+    with Bag(HELD) as bag:
+        return Record(bag)
+
+
+def every(topic, change):
+    """Change all messages of a topic."""
+
+    def changed(record):
+        for message in record.read(topic):
+            change(message)
+
+    return changed
+
+
+def one(topic, change, share=0.5):
+    """Change one message of a topic, at a share of all."""
+
+    def changed(record):
+        found = record.read(topic)
+        change(found[int(share * (len(found) - 1))])
+
+    return changed
+
+
+def lost(topic, first=0.5, last=None):
+    """Take out one message at a share of all of its topic, or all up to another share."""
+
+    def changed(record):
+        found = record.read(topic)
+        begin = int(first * (len(found) - 1))
+        record.without(found[begin : begin + 1 if last is None else int(last * len(found))])
+
+    return changed
+
+
+def adds(name, by, at=0):
+    """Add to one value of a field: a number, or those of an array."""
+
+    def change(message):
+        values = getattr(message, name)
+        if np.ndim(values):
+            values[at] += by
+        else:
+            setattr(message, name, type(values)(values + by))
+
+    return change
+
+
+def sets(name, value):
+    return lambda message: setattr(message, name, value)
+
+
+def first_point(message):
+    message.segments[0].bottom.control_points[0] += 1e-5
+
+
+def of_segments(name, value):
+    return lambda message: setattr(message.segments[0], name, value)
+
+
+def slower(record):
+    """Leave out each fifth executed setpoint: a run at F2400 becomes one at F3000."""
+    chunks, count = record.read('executed_setpoints'), 0
+    for chunk in chunks:
+        n = len(chunk.sequences)
+        keep = np.arange(n) % 5 != 0
+        for field in ('positions', 'velocities', 'accelerations', 'jerks'):
+            rows = np.reshape(getattr(chunk, field), (n, -1))[keep]
+            setattr(chunk, field, array('d', rows.ravel().tolist()))
+        for field, kind in (('sequences', 'Q'), ('line_numbers', 'I'), ('path_positions', 'd')):
+            values = np.asarray(getattr(chunk, field))[keep].tolist()
+            setattr(chunk, field, array(kind, values))
+        chunk.first_sample, count = count, count + int(keep.sum())
+
+
+def without_approach(record):
+    chunks = record.read('executed_setpoints')
+    gone = [chunk for chunk in chunks if not any(chunk.sequences)]
+    record.without(gone)
+    begin = sum(len(chunk.sequences) for chunk in gone)
+    for chunk in record.read('executed_setpoints'):
+        chunk.first_sample -= begin
+
+
+def twice(topic, change):
+    """Repeat a message of a topic in another form."""
+
+    def changed(record):
+        found = record.read(topic)
+        again = copy.deepcopy(found[len(found) // 2])
+        change(again)
+        k = next(k for k, (_, _, m) in enumerate(record.order) if m is found[len(found) // 2])
+        record.order.insert(k + 1, (topic, 0, again))
+
+    return changed
+
+
+def moved_tail(message):
+    if len(message.tail_positions):
+        message.tail_positions[-1] += 1e-9
+
+
+def no_tail(message):
+    for field in message.get_fields_and_field_types():
+        if field.startswith('tail_'):
+            setattr(message, field, array(getattr(message, field).typecode))
+
+
+def a_stop_of_the_program(message):
+    message.program_stop = G1Block.STOP
+
+
+def a_function(message):
+    message.functions = [Function(number=0, sequence=1, step=0, output='spindle', value=1.0)]
+
+
+SENT = SetpointChunk.OPTIONAL_STOP
+#: What `check` finds.
+BY_CHECK = {
+    'an executed position off by 0.1 nm': one('executed_setpoints', adds('positions', 1e-10)),
+    'an executed velocity': one('executed_setpoints', adds('velocities', 1e-9)),
+    'an executed acceleration': one('executed_setpoints', adds('accelerations', 1e-9)),
+    'an executed jerk': one('executed_setpoints', adds('jerks', 1e-9)),
+    'an executed place': one('executed_setpoints', adds('path_positions', 1e-12)),
+    'an executed block': one('executed_setpoints', adds('sequences', 1)),
+    'an executed line': one('executed_setpoints', adds('line_numbers', 1)),
+    'another plan': one('executed_setpoints', adds('plan', 1), 0.2),
+    'another attempt': one('executed_setpoints', adds('attempt', 1)),
+    'another number': one('executed_setpoints', adds('first_sample', 1)),
+    'another period': one('executed_setpoints', sets('period', 0.002)),
+    'every position shifted': every('executed_setpoints', adds('positions', 1e-9, 2)),
+    'executed setpoints lost': lost('executed_setpoints'),
+    'the first executed setpoints lost': lost('executed_setpoints', 0.0),
+    'the last executed setpoints lost': lost('executed_setpoints', 1.0),
+    'no end of the program': one('executed_setpoints', sets('end_of_program', False), 1.0),
+    'executed at another feed': slower,
+    'the approach left out': without_approach,
+    'executed twice': twice('executed_setpoints', lambda m: None),
+    'a function that was not sent': one('executed_setpoints', a_function),
+    'a sent position': every('setpoints', adds('positions', 1e-9)),
+    'a sent jerk': every('setpoints', adds('jerks', 1e-9)),
+    'a sent line': every('setpoints', adds('line_numbers', 1)),
+    'a sent number': one('setpoints', adds('first_sample', 1), 0.2),
+    'a sent period': every('setpoints', adds('axis_count', 1)),
+    'sent setpoints lost': lost('setpoints', 0.2),
+    'the first of a plan lost': lost('setpoints', 0.0),
+    'all sent setpoints lost': lost('setpoints', 0.0, 1.0),
+    'a function among the setpoints': one('setpoints', a_function),
+    'sent in two ways': twice('setpoints', adds('positions', 1e-6)),
+    'stop tails moved': every('setpoints', moved_tail),
+    'no stop tails': every('setpoints', no_tail),
+    'a wait that nobody saw': every('setpoints', sets('wait', SENT)),
+    'no wait at the end': one('setpoints', sets('end_of_program', False), 1.0),
+    'a block lost': lost('blocks', 0.3, 0.6),
+    'all blocks lost': lost('blocks', 0.0, 1.0),
+    'M0 that was passed': every('blocks', a_stop_of_the_program),
+    'a function in a block': one('blocks', a_function),
+    'a block moved by 0.1 mm': every('blocks', adds('tip', 1e-4)),
+    'another tool axis': every('blocks', sets('axis', np.array([1.0, 0.0, 0.0]))),
+    'half the feed': every('blocks', lambda m: setattr(m, 'feedrate', m.feedrate / 2)),
+    'a tolerance of 0.1 um': every('blocks', sets('contour_tolerance', 1e-7)),
+    'other settings in block 0': every('blocks', lambda m: m.settings and m.settings.pop()),
+    'all segments lost': lost('segments', 0.0, 1.0),
+    'a path moved by 10 um': every('segments', first_point),
+    'a function in a segment': every('segments', lambda m: a_function(m.segments[0])),
+    'feedback lost': lost('axis_feedback'),
+    'all feedback lost': lost('axis_feedback', 0.0, 1.0),
+    'feedback of a row less': one('axis_feedback', lambda m: m.positions.pop()),
+    'feedback of another number': one('axis_feedback', adds('first_sample', 1)),
+    'all states lost': lost('machine_state', 0.0, 1.0),
+    'a state elsewhere': every('machine_state', adds('path_position', 1e-9)),
+    'a state in another block': every('machine_state', adds('sequence', 1)),
+    'a state in another line': every('machine_state', adds('line_number', 1)),
+    'a state with other axes': every('machine_state', adds('commanded_positions', 1e-9)),
+    'a state of later': one('machine_state', adds('samples', 10), 0.2),
+    'more was counted': one('machine_state', adds('samples', 1000), 1.0),
+    'never completed': every('machine_state', sets('completed', False)),
+    'no program': lost('loaded_program', 0.0, 1.0),
+    'a program with other settings': every('loaded_program', lambda m: m.settings.pop()),
+    'a program of another flank height': every('loaded_program', adds('flank_height', 1e-6)),
+}
+#: What only `replay --compare` finds.
+BY_REPLAY = {
+    'twice the feed': every('blocks', lambda m: setattr(m, 'feedrate', m.feedrate * 2)),
+    'ten times the tolerance': every(
+        'blocks', lambda m: setattr(m, 'contour_tolerance', m.contour_tolerance * 10)
+    ),
+    'another deviation': every('segments', of_segments('contour_deviation', 1e-9)),
+    'another kind of segment': every('segments', of_segments('orientation_room', 1.0)),
+    'a stop tail that was not played': one('setpoints', moved_tail, 0.1),
+}
+
+
+def unproven(record, folder):
+    """Return why `check` does not prove a record; empty if it does."""
+    machine = Machine.load(record.machine())
+    try:
+        run = recorded_run(record)
+        faults = faults_of(record, run, machine)
+        write_run(run, machine, folder)
+        return [*faults, *verify(read_plan(folder), machine).failures]
+    except InterpError as refusal:
+        assert '\n' not in str(refusal)
+        return [str(refusal)]
+
+
+def repeated(record):
+    try:
+        return [(c.same, c.difference, c.segment) for c in compute_again(record)]
+    except InterpError as refusal:
+        return str(refusal)
+
+
+def test_the_record_as_it_was_is_proven(held, tmp_path):
+    assert unproven(held, tmp_path) == []
+
+
+@pytest.mark.parametrize('name', BY_CHECK)
+def test_check_finds(name, held, tmp_path):
+    record = copy.deepcopy(held)
+    BY_CHECK[name](record)
+    assert unproven(record, tmp_path)
+
+
+@pytest.mark.parametrize('name', BY_REPLAY)
+def test_replay_finds(name, held):
+    record = copy.deepcopy(held)
+    BY_REPLAY[name](record)
+    assert repeated(record) != repeated(held)
+
+
+def test_an_override_in_one_state_does_not_switch_the_comparison_off(held):
+    """A machine_state with another override made every difference an effect of it."""
+    record = copy.deepcopy(held)
+    one('machine_state', sets('feed_override', 1.2))(record)
+    assert repeated(record) == repeated(held)
+    one('setpoints', adds('positions', 1e-6), 0.2)(record)
+    assert repeated(record) != repeated(held)
+    assert not all(c.ok for c in compute_again(record))
+
+
+def test_a_bag_without_the_first_setpoints_of_a_plan_is_refused_in_a_line(held):
+    """It ended with KeyError: 0."""
+    record = copy.deepcopy(held)
+    lost('setpoints', 0.0)(record)
+    with pytest.raises(InterpError, match=r'setpoints 0 to .* are not in it'):
+        list(compute_again(record))
+
+
+def test_m0_needs_a_wait_for_cycle_start(held):
+    record = copy.deepcopy(held)
+    for state in record.read('machine_state'):
+        if state.state == MachineState.HELD:
+            state.state = MachineState.RUNNING
+    every('blocks', a_stop_of_the_program)(record)
+    machine = Machine.load(record.machine())
+    found = faults_of(record, recorded_run(record), machine)
+    assert any('did not wait for cycle_start after line' in fault for fault in found)

@@ -337,15 +337,22 @@ def run_recorded(
     """Run programs; they are recorded also for ``out`` and for a limit of the tool error."""
     tell(tool_warnings(machine, request.settings))
     judged = request.settings.tool_error is not None
+    results: list[RunResult] = []
     with bag_folder(request) as folder:
-        with ExitStack() as records:
-            recorder = None
-            if folder is not None:
-                topics = NEEDED if request.record is None else TOPICS
-                recorder = Recorder(client.node, folder, topics)
-                records.callback(recorder.finish, client)
-            with RunConsole(client, children, request, recorder) as console:
-                results = console.run(machine, started)
+        try:
+            with ExitStack() as records:
+                recorder = None
+                if folder is not None:
+                    topics = NEEDED if request.record is None else TOPICS
+                    recorder = Recorder(client.node, folder, topics)
+                    records.callback(recorder.finish, client)
+                with RunConsole(client, children, request, recorder) as console:
+                    results = console.run(machine, started)
+        except OSError as fault:  # of the record: what was executed is told all the same
+            if not results or fault.filename != str(folder):
+                raise
+            text = f'{fault.filename}: {fault.strerror}'
+            return [replace(one, ok=False, message=f'{one.message}; {text}') for one in results]
         if folder is not None and (request.out is not None or judged):
             with Bag(folder) as bag:
                 results = [written(bag, result, machine, request.out) for result in results]

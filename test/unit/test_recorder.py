@@ -1,5 +1,8 @@
 """What a record lacks of the streams is counted."""
 
+from dataclasses import dataclass
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip('cnc_interp_msgs', reason='needs ROS 2; run the tests with ./cnc test')
@@ -13,6 +16,7 @@ from cnc_interp_msgs.msg import (
     StreamStatus,
 )
 
+from cnc_interp.client import run_console
 from cnc_interp.client.recorder import StreamRecord
 
 
@@ -72,3 +76,41 @@ def test_what_the_receiver_has_and_the_record_has_not_is_missing():
     begun_before.acknowledge(StreamStatus(program_id='a', next_sequence=100))
     begun_before.add(setpoints(100, 10))
     assert begun_before.lost == 0
+
+
+@dataclass(frozen=True)
+class Result:
+    ok: bool = True
+    message: str = 'executed to the end'
+
+
+def test_a_full_disk_ends_the_record_and_the_summary_is_told(tmp_path, monkeypatch):
+    """Nothing was told of a run whose record did not fit the disk."""
+
+    class FullDisk:
+        def __init__(self, *_):
+            pass
+
+        def finish(self, _client):
+            raise OSError(28, 'No space left on device', str(tmp_path / 'bag'))
+
+    class Console(FullDisk):
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def run(self, *_):
+            return [Result()]
+
+    monkeypatch.setattr(run_console, 'Recorder', FullDisk)
+    monkeypatch.setattr(run_console, 'RunConsole', Console)
+    monkeypatch.setattr(run_console, 'tool_warnings', lambda *_: [])
+    request = SimpleNamespace(
+        record=tmp_path / 'bag', out=None, settings=SimpleNamespace(tool_error=None)
+    )
+    (result,) = run_console.run_recorded(request, None, SimpleNamespace(node=None), None, 0.0)
+    assert not result.ok
+    assert result.message.startswith('executed to the end; ')
+    assert 'No space left on device' in result.message

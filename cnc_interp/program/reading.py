@@ -11,12 +11,14 @@ from cnc_interp.program.blocks.block_modes import ActiveModes, ModesOfBlocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartLine
 from cnc_interp.program.blocks.targets import ProgramChange
+from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import NAMED_ALONE, Notices
 from cnc_interp.program.readers.cl_data import ClReader
 from cnc_interp.program.readers.gcode import GcodeReader
 from cnc_interp.program.readers.heidenhain import HeidenhainReader
+from cnc_interp.program.readers.program_reader import ProgramReader
 from cnc_interp.program.text import dialects as profiles
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings
@@ -55,7 +57,7 @@ class ProgramStream:
         self.setup = '' if setup == JobSetup() else setup.text()
         self.dialect = profiles.form_of(source)
         self._notices, self._signals = Notices(), geometry.machine.signals
-        self._reader: ClReader | GcodeReader
+        self._reader: ClReader | ProgramReader
         settings = profiles.as_on(geometry, settings)
         self.read_as: tuple[str, ...] = ()  #: Whose words they are, and why, in one line.
         if self.dialect == 'cl':
@@ -64,12 +66,13 @@ class ProgramStream:
                 why = 'it runs from the workpiece zero of the machine file'
                 self._notices.once('offsets', 1, f'CL data: work offsets do not count; {why}')
         else:
-            kind: type[GcodeReader] = HeidenhainReader
+            kind: type[ProgramReader] = HeidenhainReader
             profile, why = profiles.HEIDENHAIN, 'by BEGIN PGM'
             if self.dialect == 'gcode':
                 kind, (profile, why) = GcodeReader, profiles.dialect_of(source, settings.dialect)
             self.read_as = (f'read as {profile.title}: {why}',)
-            self._reader = kind(geometry, settings, setup, source, self._notices, profile)
+            at = Execution(geometry, settings, setup, source, self._notices, profile)
+            self._reader = kind(at)
 
     def __iter__(self) -> Iterator[Blocks]:
         try:
@@ -84,12 +87,12 @@ class ProgramStream:
 
     def wait_at_probes(self) -> None:
         """Let the blocks end at each probe, until ``go_on`` is called."""
-        if isinstance(self._reader, GcodeReader):
-            self._reader.waits_at_probes = True
+        if isinstance(self._reader, ProgramReader):
+            self._reader.at.waits_at_probes = True
 
     @property
     def probe(self) -> Probe | None:
-        return self._reader.probe if isinstance(self._reader, GcodeReader) else None
+        return self._reader.at.probe if isinstance(self._reader, ProgramReader) else None
 
     def go_on(self, stands: FloatArray, at: FloatArray | None) -> None:
         """Read on after a probe, when iterated again; block 0 is where the machine stands.
@@ -97,8 +100,8 @@ class ProgramStream:
         ``stands``, ``at`` (n_axes,): where the axes stand, and where they were when the probe
         answered; None if it has not [m, rad].
         """
-        assert isinstance(self._reader, GcodeReader)
-        self._reader.go_on(stands, at)
+        assert isinstance(self._reader, ProgramReader)
+        self._reader.at.go_on(stands, at)
 
     def close(self) -> None:
         self._source.close()
@@ -191,7 +194,7 @@ class MdiLine(ProgramStream):
         self._source, self.source, self.dialect = reader.flow.main, MDI, 'gcode'
         self._reader = self.reader = reader
         self._notices, self.read_as = notices, ()
-        self._signals = reader.mover.geometry.machine.signals
+        self._signals = reader.at.signals
 
 
 class MdiReader:
@@ -207,22 +210,22 @@ class MdiReader:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)
         notices = Notices()
         reader = self._reader(text, notices, setup)
-        reader.follow(self._last)
-        reader.stand_at(stands)
-        reader.waits_at_probes = True
+        reader.at.follow(self._last.at)
+        reader.at.stand_at(stands)
+        reader.at.waits_at_probes = True
         return MdiLine(reader, notices)
 
     def keep(self, line: MdiLine) -> None:
         self._last = line.reader
-        if line.reader.finished:
+        if line.reader.at.finished:
             self._last = self._reader('', Notices(), JobSetup())
 
     def _reader(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
         source = Source.of_text(text, MDI)
         dialect = profiles.PROFILES.get(self._settings.dialect, profiles.PLAIN)
-        reader = GcodeReader(self._geometry, self._settings, setup, source, notices, dialect)
-        reader.whole = False
-        return reader
+        at = Execution(self._geometry, self._settings, setup, source, notices, dialect)
+        at.whole = False
+        return GcodeReader(at)
 
     def modes(self, setup: JobSetup) -> ActiveModes:
         return self._last.active_modes(setup.offset, setup.tool)

@@ -33,13 +33,13 @@ class TiltedPlane:
         #: Points, or directions, of a plane that takes several blocks (P2, P3), by their number.
         self.parts: dict[int, tuple[FloatArray, FloatArray, float]] = {}
 
-    def takes(self, codes: Sequence[str]) -> bool:
+    def refuse_gaps(self, codes: Sequence[str]) -> None:
+        """Refuse other words before all blocks of a plane are there."""
         if self.parts and not DEFINING & set(codes):
             raise self.fault(
                 'the plane of G68.2 is not complete; P2 takes three points, Q1 Q2 '
                 'Q3, P3 two directions'
             )
-        return not CODES.isdisjoint(codes)
 
     def execute(self, code: str, words: BlockWords) -> None:
         if code in DEFINING:

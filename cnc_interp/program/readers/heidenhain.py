@@ -3,16 +3,18 @@
 import re
 from cmath import exp, phase
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
+from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.execution.setting_words import tolerances
+from cnc_interp.program.execution.setup_words import cutter_of
 from cnc_interp.program.geometry.arcs import PLANES, Corner
 from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
 from cnc_interp.program.motion.mover import NO_CORNER
-from cnc_interp.program.readers.gcode import GcodeReader
 from cnc_interp.program.readers.heidenhain_frames import HeidenhainFrames
+from cnc_interp.program.readers.program_reader import ProgramReader
 from cnc_interp.program.text.cursor import Loop
 from cnc_interp.program.text.expressions import OPERATORS, ExpressionError, formula
 from cnc_interp.program.text.source import LineStart
@@ -87,26 +89,27 @@ _SIDES, _SAME = {1.0: (-1, 0), 2.0: (0, -1), 3.0: (1, 0), 4.0: (0, 1)}, 1e-9
 _NEAR, _BREAK = 0.6 * MM, 0.2 * MM
 
 
-class HeidenhainReader(GcodeReader):
-    def __init__(self, *given: Any):
-        super().__init__(*given)
+class HeidenhainReader(ProgramReader):
+    def __init__(self, at: Execution):
+        super().__init__(at)
+        self.variables = at.variables
         self.centre = 0j  # CC in the plane [m]
         self.heading: complex | None = None  # of the last motion at its end, in the plane
         self.shortest = False  # M126
         self.modal_cycle = False  # M89
         self.cycle = 0  # number of the cycle that is defined
         self.defining = False  # whether lines with Q belong to the cycle before
-        self._frames = HeidenhainFrames(self.mover, self._plane)
+        self._frames = HeidenhainFrames(self.mover, at.plane)
 
-    def _run(self, first: int, end: int) -> None:
+    def read_lines(self, first: int, end: int) -> None:
         for row in range(first, end):
             self.flow.row, self.flow.jumped = row, False
-            self._line(self.flow.window.line(row))
+            self.read_line(self.flow.window.line(row))
             if self.flow.ended or self.flow.jumped:
                 return
         self.flow.row = end
 
-    def _line(self, raw: str) -> None:
+    def read_line(self, raw: str) -> None:
         text = raw.upper().split(';')[0] if '"' not in raw else raw.upper()
         if raw.lstrip().startswith('/') and self.settings.skip_blocks:
             return
@@ -119,9 +122,9 @@ class HeidenhainReader(GcodeReader):
             if self.defining and not numbered and self._assign(line):
                 return
             self.defining = False
-            self._in_flow = True
+            self.in_flow = True
             passed = self._flow(line)
-            self._in_flow = False
+            self.in_flow = False
             if not passed:
                 self._statement(line)
         except ExpressionError as problem:
@@ -153,7 +156,7 @@ class HeidenhainReader(GcodeReader):
             if flow.depth and flow.source is not flow.main:
                 flow.leave()
             else:
-                flow.ended = self.finished = True
+                flow.ended = self.at.finished = True
         else:
             return False
         return True
@@ -216,7 +219,7 @@ class HeidenhainReader(GcodeReader):
         elif match := re.fullmatch(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)', line):
             if not match[1] and 'SPAT' in match[2]:
                 raise self.fault('angles in space are not supported; post with AXIS POS', 'TCPM')
-            self._execute(BlockWords(m=['M129' if match[1] else 'M128']))
+            self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
         elif match := _CORNER.fullmatch(line):
             if self.mover.held is None:  # the line before has looked for it
                 raise self.fault('stands between two lines L, in the plane', match[1])
@@ -290,7 +293,7 @@ class HeidenhainReader(GcodeReader):
         start = self._flat(self.mover.here())
         if kind == 'L' and moves and words.g[0] != 'G0':
             self.mover.corner = self._coming_corner()
-        self._execute(words)
+        self.execute(words)
         self._frames.after()
         if kind == 'L' and moves:
             way = self._flat(self.mover.here()) - start
@@ -420,7 +423,7 @@ class HeidenhainReader(GcodeReader):
         for name in 'SF':
             if name in values:
                 words.values[name], words.texts[name] = values[name], f'{name}{values[name]:g}'
-        self._execute(words)
+        self.execute(words)
 
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
         frames = self._frames
@@ -436,9 +439,9 @@ class HeidenhainReader(GcodeReader):
             if number == 9 and part != '0':
                 self.mover.targets.stop_here()
                 found = re.search(r'([\d.]+)\s*$', rest)
-                self._rest_for('CYCL DEF 9', float(found[1]) if found else 0.0)
+                self.at.rest_for('CYCL DEF 9', float(found[1]) if found else 0.0)
             elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
-                self._modes.tolerances('CYCL DEF 32', float(match[1]) or None, None)
+                tolerances(self.at, 'CYCL DEF 32', float(match[1]) or None, None)
         elif number in _SETTING:
             self.defining = True
             self.notice(f'CYCL DEF {number}', _SETTING[number])
@@ -547,7 +550,7 @@ class HeidenhainReader(GcodeReader):
             for place, level in ((here, edge - gap), (aside, edge - gap), (aside, retract)):
                 go(place, level, 'Q253')
         else:
-            cutter = self._modes.cutter(BlockWords(), self._tool).radius
+            cutter = cutter_of(self.at, BlockWords()).radius
             radius, pitch = 0.5 * of('Q335') * unit - cutter, of('Q334') * unit
             if radius < 0.0 or not (depth < 0.0 < pitch):
                 raise self.fault(
@@ -564,7 +567,7 @@ class HeidenhainReader(GcodeReader):
             go(here, retract)
             go(aside, retract, 'Q206')
             turns = (gap - depth) / pitch
-            climbs = (of('Q351') >= 0.0) == (self._outputs.get('spindle') != 'M4')
+            climbs = (of('Q351') >= 0.0) == (self.at.outputs.get('spindle') != 'M4')
             angle = turns * 2j * np.pi * (1 if climbs else -1)
             rim = aside.copy()
             rim[a], rim[b] = here[a] + radius * exp(angle).real, here[b] + radius * exp(angle).imag
@@ -579,7 +582,7 @@ class HeidenhainReader(GcodeReader):
                     }
                     words.values |= {'IJK'[i]: here[i] / unit for i in (a, b)}
                     words.texts = dict.fromkeys(words.values, name)
-                    self._execute(words)
+                    self.execute(words)
             go(here, surface + depth, 'Q206')
             go(here, retract)
         go(here, clear)

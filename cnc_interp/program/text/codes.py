@@ -2,7 +2,6 @@
 
 import re
 
-from cnc_interp.program import job
 from cnc_interp.program.notices import WARNING
 
 # Words that switch tool-tip programming (TCP), of several controls.
@@ -15,45 +14,7 @@ LENGTH = {'G43', 'G44', 'G43.1', 'G49'}
 LENGTH_CODES = LENGTH | TCP_BY_LENGTH
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
-WORK_OFFSETS = set(job.WORK_OFFSETS)
 THREAD_CYCLE = 'G76 of LinuxCNC'
-#: Codes with their own meaning of the axis words in their block.
-TAKE_AXES = {
-    'G4',
-    'G10',
-    'G28',
-    'G28.1',
-    'G30',
-    'G30.1',
-    'G52',
-    'G65',
-    'G92',
-    'G92.1',
-    'G92.2',
-    'G92.3',
-    'G32',
-    'G33',
-    'G33.1',
-    'G68',
-    'G68.2',
-    'G68.3',
-    'G68.4',
-    'G53.1',
-    'G53.3',
-    'G53.6',
-    'G31',
-    'G38.2',
-    'G38.3',
-    'G38.4',
-    'G38.5',
-    'MEAS=1',
-    'MEAS=-1',
-    THREAD_CYCLE,
-}
-#: Those of which no control tells what a polar word is.
-NOT_POLAR = {'G28', 'G30', 'G31', 'G32', 'G33', 'G33.1', 'G53.3'}
-THREADS = {'G32', 'G33', 'G33.1', THREAD_CYCLE}
-TAKE_F = {'G4', 'G65', 'G32'}  #: Whose F is no feed.
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 #: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}
@@ -95,16 +56,6 @@ G10_CONFLICTS = {
     'tool R': 'R is the radius on LinuxCNC, the value (length) on Fanuc; write L1 with Z and R',
 }
 
-#: What moves the program coordinates or the tool beside the contour: not with G41 and G42.
-NOT_BESIDE_CONTOUR = (
-    (TAKE_AXES - {'G4', 'G65'})
-    | WORK_OFFSETS
-    | CYCLES
-    | LENGTH
-    | TCP_ON
-    | TCP_OFF
-    | {'G53', 'G69', 'TRANS', 'ATRANS', 'ROT', 'AROT', 'CYCLE800', 'BSPLINE', 'SUPA', 'G153'}
-)
 #: Switches of a control's look-ahead, and their words: G05 P10000, G05.1 Q1, G08 P1.
 LOOK_AHEAD = {'G5': 'P', 'G5.1': 'QR', 'G8': 'P'}
 SPLINE_LETTERS = frozenset('XYZIJ')  #: With these letters, a code of ``LOOK_AHEAD`` is a spline.

@@ -63,6 +63,9 @@ _NUMBER = r'[ \t/]*(?:N\s*\d+\s*)?'
 _FOR = re.compile(r'(\w+)\s*=(.*?)(?<!\w)TO(?!\w)(.*)')
 _BRANCH_WORD = re.compile(r'(ELSEIF|ELSE|ENDIF)(?![A-Z_])\s*([^;(]*)')
 
+#: A subprogram by number: the number, rounds, and the arguments of G65.
+Call = tuple[int, int, dict[int, float] | None]
+
 
 class Flow(Cursor):
     def execute(self, line: str) -> str | None:
@@ -234,7 +237,7 @@ class Flow(Cursor):
         by_value = arguments is not None
         self.call(f'O{number:04d}', pattern, rounds, arguments or {}, by_value, vacant=True)
 
-    def call_of(self, words: BlockWords) -> tuple[int, int, dict[int, float] | None] | None:
+    def call_of(self, words: BlockWords) -> Call | None:
         """Return number, rounds and arguments of a subprogram call (M98 P, G65 P), or None."""
         values = words.values
         if 'G65' not in words.g and 'M98' not in words.m:

@@ -1,0 +1,58 @@
+"""Assignments of a block: words with an equals sign, parameters and variables."""
+
+import re
+
+from cnc_interp.core import DEG
+from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.geometry.arcs import Corner
+from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS
+from cnc_interp.program.modal.state import FARTHEST
+from cnc_interp.program.motion.splines import CURVE_WORDS
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.expressions import ExpressionError
+from cnc_interp.program.text.words import BlockWords
+
+
+def assign(at: Execution, words: BlockWords) -> None:
+    mover = at.mover
+    others = bool(words.values or words.g or words.m or words.keys)
+    for name, value in words.sets:
+        if name in ('A3', 'B3', 'C3', 'RPL', 'ANG', *CURVE_WORDS, *NORMAL_WORDS):
+            continue
+        if name == 'CR':
+            words.values['R'], words.texts['R'] = value, f'CR={value:g}'
+        elif name == 'TURN':
+            words.values['P'], words.texts['P'] = value + 1.0, f'TURN={value:g}'
+        elif name in ('RND', 'RNDM', 'CHR', 'CHF') and not at.variables.exists(str(name)):
+            modal = name == 'RNDM'
+            mover.corner = Corner('RND' if modal else str(name), value * mover.unit, modal)
+        elif name in ('CTOL', 'OTOL'):
+            if not 0.0 < value * mover.unit < FARTHEST:
+                raise at.fault('the tolerance must be greater than zero', str(name))
+            if mover.settings.force_tolerances:
+                at.notice(str(name), "ignored, the command's tolerances are forced")
+            elif name == 'CTOL':
+                mover.contour = value * mover.unit
+            else:  # OTOL is an angle; convert it to the deviation at flank height
+                mover.orientation = min(value, 90.0) * DEG * mover.settings.flank_height
+        elif isinstance(name, int):
+            try:
+                at.variables.set_number(name, value)
+            except ExpressionError as problem:
+                raise at.fault(str(problem), f'#{name}') from None
+        else:
+            _set_name(at, name, value, others)
+
+
+def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
+    if not at.variables.exists(name) and not name.startswith('<'):
+        if why := codes.REFUSED_NAMES.get(name):
+            raise at.fault(why, name)
+        if name in codes.HARMLESS_NAMES or re.fullmatch(r'[SM]\d', name):
+            at.notice(name, 'no effect, it does not move the tool')
+            return
+        if re.fullmatch(r'[A-QS-Z]\d+', name):
+            raise at.fault(codes.NO_SUCH_AXIS, name)
+        if others and not re.fullmatch(r'R\d+', name):
+            raise at.fault(codes.UNKNOWN_NAME, name)
+    at.variables.set_name(name, value)

@@ -1,0 +1,141 @@
+"""Words that move the tool, alone or with the axis words of their block."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cnc_interp.core import MINUTE
+from cnc_interp.program.blocks.functions import acting
+from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.geometry.arcs import PLANES
+from cnc_interp.program.motion import cycles, probing
+from cnc_interp.program.motion.cycles import SiemensCycle
+from cnc_interp.program.motion.probing import Probe
+from cnc_interp.program.motion.thread_cycle import cut_thread
+from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import FANUC, PLAIN, SIEMENS
+from cnc_interp.program.text.words import BlockWords
+
+
+def dwell(at: Execution, code: str, words: BlockWords) -> None:
+    """Process G4, whose time the letters P, X, F, U or (in turns) S give."""
+    given = at.times
+    at.mover.end_corner()
+    if {'X', 'Y', 'Z', *at.mover.rotary_letters} & set(words.values):
+        raise at.fault('a dwell and a motion in one block; write two lines', code)
+    at.splines.stop_here()
+    letter = next(iter(given), '')
+    seconds = given.get(letter, 0.0)
+    if letter == 'S':
+        seconds *= MINUTE / max(at.mover.spindle_speed, 1.0)
+    at.rest_for(code, seconds, words.texts.get('P', '') if letter == 'P' else '.')
+
+
+def tilt(at: Execution, code: str, words: BlockWords) -> None:
+    at.plane.execute(code, words)
+
+
+def thread(at: Execution, code: str, words: BlockWords) -> None:
+    """Process G33, G33.1 which comes back, and G32 of Fanuc: K or F is the way per turn."""
+    mover, letter = at.mover, 'F' if code == 'G32' else 'K'
+    if code == 'G32' and mover.dialect not in (FANUC, PLAIN):
+        raise at.fault('a thread of Fanuc; write G33 with K', code)
+    if not mover.follows:
+        raise at.fault(
+            'the spindle has no encoder; name the input spindle_angle in the machine file',
+            code,
+        )
+    mover.end_corner()
+    at.splines.stop_here()
+    if code == codes.THREAD_CYCLE:
+        cut_thread(mover, words)
+        mover.motion = None
+        return
+    pitch = words.values.pop(letter, 0.0) * mover.unit
+    if not pitch > 0.0:
+        raise at.fault(f'needs {letter}, the way per turn', code)
+    target = mover.frames.point(mover.target(words)[:3])
+    if code == 'G32' and (way := np.abs(target - mover.point)).any():
+        pitch *= float(np.linalg.norm(way)) / way.max()  # F counts along the longest axis
+    mover.in_step(code, target, pitch, code == 'G33.1')
+    mover.motion = None  # it holds on controls; here each line says it again
+
+
+def probe(at: Execution, code: str, words: BlockWords) -> None:
+    """Process G38.2 to G38.5 and G31: move from rest to rest, while the probe is watched."""
+    mover = at.mover
+    if at.targets.start.line and not at.targets.start.passes:
+        raise at.fault('the line of the start comes after a probe; start at the top', code)
+    point = probing.target_of(code, words, mover, at.signals)
+    mover.end_corner()
+    at.splines.stop_here()
+    ready, _ = acting(at.signals, [probing.CODES[code].word], {}, at.fault)
+    at.act(ready)
+    mover.go(point, mover.rotary, rapid=False)
+    at.splines.stop_here()
+    if code.startswith('G38'):
+        mover.motion = None
+    mover.probed = probing.answer(mover, True)
+    if at.waits_at_probes:
+        at.probe = Probe(code, at.flow.main_line)
+    else:
+        at.notice(code, probing.ASSUMED)
+
+
+def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
+    mover, values = at.mover, words.values
+    machine = 'G53' in words.g and not {'G28', 'G30'} & set(words.g)
+    axes = any(letter in values for letter in ('X', 'Y', 'Z', *mover.rotary_letters))
+    if machine and axes and mover.incremental and mover.dialect is not SIEMENS:
+        raise at.fault('with G91 Fanuc leaves it out, LinuxCNC refuses it; write G90', 'G53')
+    if at.cycle is not None and axes:
+        if machine:
+            raise at.fault('machine coordinates in a canned cycle; write G80 before', 'G53')
+        at.cycle.drill(mover, words, feed_given)
+    elif at.cycle is None and not at.splines.take(words, feed_given):
+        mover.move(words, feed_given, machine)
+    for letter in list(values):
+        if letter == 'H' and mover.frames.length:
+            raise at.fault(
+                'on Fanuc it changes the tool length; write G43 with it, or leave it out',
+                words.texts['H'],
+            )
+        if at.signals.uses(letter):
+            continue
+        if letter in 'STDHE':
+            at.notice(letter, 'no effect, it does not move the tool')
+        elif letter in 'ABCUVW':
+            raise at.fault(mover.why_not(letter), words.texts[letter])
+        elif letter == 'L' and len(values) == 1:
+            why = 'is not supported; put it into this file'
+            raise at.fault(f'the subprogram L{values[letter]:g} {why}', words.texts[letter])
+        elif at.cycle is None or letter not in 'QRPKL':
+            raise at.fault('this word has no meaning here', words.texts[letter])
+
+
+def siemens_cycles(at: Execution, words: BlockWords) -> list[SiemensCycle]:
+    mover, modal, found = at.mover, False, list[SiemensCycle]()
+    if not words.keys:
+        return found
+    for key, given in words.keys:
+        if key == 'MCALL':
+            modal, at.called = True, None
+        elif key in cycles.SIEMENS:
+            found.append(SiemensCycle(key, given, mover))
+        elif key in cycles.PATTERNS:
+            drill_pattern(at, key, given)
+    words.keys[:] = [key for key in words.keys if key[0] not in cycles.SIEMENS_WORDS]
+    if modal and found:
+        at.called = found.pop()
+    return found
+
+
+def drill_pattern(at: Execution, key: str, given: Sequence[float | None]) -> None:
+    mover = at.mover
+    if at.called is None:
+        raise at.fault('a pattern needs a modal cycle; write MCALL CYCLE81(...) before', key)
+    for place in cycles.places_of(key, given, mover):
+        target = mover.here()
+        target[list(PLANES[mover.plane][:2])] = place
+        mover.go(mover.frames.point(target[:3]), mover.rotary, rapid=True)
+        at.called.make()

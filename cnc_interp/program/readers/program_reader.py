@@ -1,0 +1,127 @@
+"""What readers of lines share: the order of lines, loops and calls, refusals, and start lines."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+from cnc_interp.core import ProgramError
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks.block_modes import ActiveModes
+from cnc_interp.program.blocks.targets import TargetColumns
+from cnc_interp.program.execution.block_executor import execute
+from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.execution.machine_words import restore
+from cnc_interp.program.geometry.arcs import OF_PLACE
+from cnc_interp.program.modal.state import NO_F, NO_NEW_F
+from cnc_interp.program.motion.mover import Mover
+from cnc_interp.program.notices import Refusals
+from cnc_interp.program.text.dialects import LINUXCNC
+from cnc_interp.program.text.expressions import UNSET
+from cnc_interp.program.text.words import BlockWords
+
+
+class ProgramReader(ABC):
+    """Turns lines into words; what these do is in ``execution/``."""
+
+    def __init__(self, at: Execution):
+        self.at, self.flow, self.settings = at, at.flow, at.settings
+        self.fault, self.notice = at.fault, at.notice
+        self.in_flow = False  # whether a refusal leaves it open which line is the next
+
+    @abstractmethod
+    def read_line(self, raw: str) -> None:
+        """Execute one line."""
+
+    @abstractmethod
+    def read_lines(self, first: int, end: int) -> None:
+        """Execute plain lines, by their rows in the window of text, up to a jump."""
+
+    def execute(self, words: BlockWords) -> None:
+        execute(self.at, words)
+
+    @property
+    def mover(self) -> Mover:
+        return self.at.mover
+
+    @property
+    def targets(self) -> TargetColumns:
+        return self.at.mover.targets
+
+    @property
+    def used(self) -> set[str]:
+        return self.mover.used | {'G92', self.mover.last_offset}
+
+    @property
+    def share(self) -> float:
+        return self.flow.share * self.targets.share
+
+    def active_modes(self, offset: str, tool: int) -> ActiveModes:
+        _, motion, feed = self.at.state()
+        return self.at.active_modes(offset, tool).moving(motion, feed)
+
+    def blocks(self) -> Iterator[Blocks]:
+        """Yield the blocks in batches, none after a refusal; raise all refusals at the end."""
+        flow, refused = self.flow, Refusals()
+        while self.at.probe is None:
+            try:
+                self.in_flow = True
+                if not flow.here():
+                    break
+                self.in_flow = False
+                self._next_lines(together=not refused)
+            except ProgramError as problem:
+                if self.in_flow:  # what follows may not be what would be executed
+                    refused.add(problem, of_place=False)
+                    raise refused.error() from None
+                later = problem.line_number not in (flow.line_number, flow.main_line)
+                unset = problem.message in (NO_F, NO_NEW_F) or problem.message.endswith(UNSET)
+                refused.add(problem, later or problem.message.startswith(OF_PLACE), unset)
+                flow.row += 1
+            else:
+                if refused and self.mover.motion in (0, 1):
+                    refused.arrive()
+            parts = self.targets.take()
+            if not refused:
+                yield from parts
+        yield from self._last_blocks(refused)
+
+    def _last_blocks(self, refused: Refusals) -> Iterator[Blocks]:
+        flow, mover, targets = self.flow, self.mover, self.targets
+        if flow.ran_out and flow.has_o_words and mover.dialect is LINUXCNC:
+            raise self.fault('the program ends without M2, M30 or %; add M2')
+        if refused:
+            raise refused.error()
+        if mover.lone_arc:
+            raise mover.lone_arc
+        self.at.splines.end()
+        mover.end_corner()
+        if targets.empty and targets.switches:  # a program that moves nothing
+            mover.go(mover.point, mover.rotary, rapid=True)
+        yield from targets.finish()
+
+    def _next_lines(self, together: bool) -> None:
+        flow = self.flow
+        window, row = flow.window, flow.row
+        end = self._until_start(row, window.next_rare(row))
+        end = end if together else min(end, row + 1)
+        if end > row:
+            self.read_lines(row, end)
+        else:
+            flow.jumped = False
+            self.read_line(window.line(row))
+            if flow.restoring is not None:
+                restore(self.at, flow.restoring)
+                flow.restoring = None
+            if not flow.jumped:
+                flow.row = row + 1
+
+    def _until_start(self, row: int, end: int) -> int:
+        start, flow = self.targets.start, self.flow
+        ahead = start.line - flow.line_number
+        if not start.line or ahead < 0 or flow.source is not flow.main:
+            return end
+        if ahead == 0:
+            start.reach(self.at.state_words)
+            return end
+        return min(end, row + ahead)

@@ -35,8 +35,10 @@ from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.program import Blocks, JobSetup, ProgramStream, open_program
+from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.readers.gcode import GcodeReader
+from cnc_interp.program.text.dialects import PLAIN
 from cnc_interp.program.text.source import Source
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.start_place import StartFinder, StartPlace
@@ -130,10 +132,11 @@ def words_set_the_state(case: Case, line: int, place: StartPlace) -> str:
     feeds = [word for word in words if word.startswith('F')]
     text = '\n'.join([*codes, *feeds, *case.lines[line - 1 :], ''])
     source = Source.of_text(text, 'rest' + case.file.suffix)
-    reader = GcodeReader(case.transform, case.settings, case.setup, source, Notices())
+    state = case.transform, case.settings, case.setup, source, Notices(), PLAIN
+    reader = GcodeReader(Execution(*state))
     here = case.blocks[row - 1 : row]
     q = positions_of_pose(case.transform, here.tip[0], here.axis[0], place.position)
-    reader.stand_at(q)
+    reader.at.stand_at(q)
     try:
         again = Blocks.concatenate(list(reader.blocks()))[1:]
     except InterpError:

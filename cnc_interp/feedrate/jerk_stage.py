@@ -114,19 +114,14 @@ def _cells(
     nodes: IntArray,
     bounds: FloatArray,
     v: FloatArray,
-    most: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, IntArray]:
-    """Return widths, both ends and first coefficients of the planner cells; points of others.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return widths, both ends and first coefficients of the planner cells.
 
-    The coefficients are a moving minimum, then a mean, as no law follows corners. ``most`` points
-    are checked in a planner cell; they are shared out among its path cells.
+    The coefficients are a moving minimum, then a mean, as no law follows corners.
     """
-    n = len(nodes) - 1
-    h, points = s[nodes[1:]] - s[nodes[:-1]], np.empty(len(s) - 1, dtype=np.int64)
+    n, h = len(nodes) - 1, s[nodes[1:]] - s[nodes[:-1]]
     first, last = np.empty((4, n, left.shape[2])), np.empty((4, n, left.shape[2]))
     for i in range(n):
-        for c in range(nodes[i], nodes[i + 1]):
-            points[c] = 2 + int(np.ceil((most - 2) * ((s[c + 1] - s[c]) / h[i])))
         first[:, i], last[:, i] = left[:, nodes[i]], right[:, nodes[i + 1] - 1]
     squared, least, m = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -136,7 +131,7 @@ def _cells(
         least[i] = squared[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].min()
     for i in range(n):
         m[i] = least[max(i - SMOOTHING_CELLS, 0) : i + SMOOTHING_CELLS + 1].mean()
-    return h, first, last, m, points
+    return h, first, last, m
 
 
 @numba.njit(cache=True, nogil=True, error_model='numpy')
@@ -209,17 +204,31 @@ def _spread(
     a: FloatArray,
     duration: FloatArray,
     table: FloatArray,
-    points: IntArray,
     accepted: FloatArray,
+    fresh: BoolArray,
     use: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Spread a law over the path cells; write the use of the limits in ``fresh`` planner cells."""
     cells, n_axes, worst = len(s) - 1, left.shape[2], 0.0
     all_v, all_a = np.empty(cells + 1), np.empty(cells + 1)
     jerk, all_duration = np.empty(cells), np.empty(cells)
     spread_law(s, nodes, v, a, duration, all_v, all_a, jerk, all_duration)
-    all_use = np.empty((2, cells, 4, n_axes))
+    all_use, all_fresh = np.empty((2, cells, 4, n_axes)), np.empty(cells, dtype=np.bool_)
+    for i in range(len(nodes) - 1):
+        all_fresh[nodes[i] : nodes[i + 1]] = fresh[i]
     limit_use(
-        s[1:] - s[:-1], left, right, feed, all_v, all_a, jerk, all_duration, table, points, all_use
+        s[1:] - s[:-1],
+        left,
+        right,
+        feed,
+        all_v,
+        all_a,
+        jerk,
+        all_duration,
+        table,
+        ACCEPTED,
+        all_fresh,
+        all_use,
     )
     for i in range(len(nodes) - 1):
         for row in range(4):
@@ -228,8 +237,9 @@ def _spread(
                 for c in range(nodes[i] + 1, nodes[i + 1]):
                     most = np.maximum(most, all_use[0, c, row, k])
                 start, end = all_use[1, nodes[i], row, k], all_use[1, nodes[i + 1] - 1, row, k]
-                use[0, i, row, k], use[1, i, row, k] = most, np.maximum(start, end)
-                worst = np.maximum(worst, most / accepted[i, row])
+                if fresh[i]:
+                    use[0, i, row, k], use[1, i, row, k] = most, np.maximum(start, end)
+                worst = np.maximum(worst, use[0, i, row, k] / accepted[i, row])
     return all_v, all_a, jerk, all_duration, worst
 
 
@@ -261,9 +271,7 @@ class StretchProblem:
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
         curve = path.s, path.cell_left, path.cell_right
-        self.h, self.left, self.right, self.m, self.points = _cells(
-            *curve, nodes, grid.bounds, guess, options.points
-        )
+        self.h, self.left, self.right, self.m = _cells(*curve, nodes, grid.bounds, guess)
         n, n_axes, k = len(self.h), path.cell_left.shape[2], len(kept.ends)
         self.m[: len(kept.m)] = kept.m
         self.ends = np.array([start[0] ** 2, start[1], 0.0, 0.0])
@@ -308,7 +316,7 @@ class StretchProblem:
             tried, width = m.copy(), self.width.copy()
             if all(self._solve_cells(*span, tried, width, True) == SOLVED for span in spans):
                 m[:] = tried
-                return self.check(m, width), True
+                return self.check(m, width, spans), True
         width = self.reset_widths()
         status = self._solve_cells(0, len(m), m, width, warm)
         return (None if status == BROKEN else self.check(m, width)), status == SOLVED
@@ -353,20 +361,30 @@ class StretchProblem:
         self.changed |= less
         return replace(stretch, tool=part, tool_use=use), bool(less.any())
 
-    def check(self, m: FloatArray, width: FloatArray) -> Stretch | None:
-        """Turn coefficients and widths, which settle, into an exact law; None if there is none."""
+    def check(
+        self, m: FloatArray, width: FloatArray, spans: list[tuple[int, int]] | None = None
+    ) -> Stretch | None:
+        """Turn coefficients and widths, which settle, into an exact law; None if there is none.
+
+        With ``spans`` of cells, the law in all others is the last one.
+        """
         n = len(self.h)
         v, a, duration = np.empty(n + 1), np.empty(n + 1), np.empty(n)
         if not settle_widths(self.h, m, width, self.ends, v, a, duration) < 1e-13:
             return None
         self.width, self.v, self.a = width, v, a
-        return self.with_limit_use(v, a, duration)
+        fresh = np.full(n, spans is None)
+        for first, end in spans or ():
+            fresh[first:end] = True
+        return self.with_limit_use(v, a, duration, fresh)
 
-    def with_limit_use(self, v: FloatArray, a: FloatArray, duration: FloatArray) -> Stretch:
+    def with_limit_use(
+        self, v: FloatArray, a: FloatArray, duration: FloatArray, fresh: BoolArray
+    ) -> Stretch:
         path, nodes = self.grid.path, self.grid.nodes
         curve = path.s, path.cell_left, path.cell_right, path.cell_feed
         v, a, jerk, duration, worst = _spread(
-            *curve, nodes, v, a, duration, self.table, self.points, self.accepted, self.use
+            *curve, nodes, v, a, duration, self.table, self.accepted, fresh, self.use
         )
         return Stretch(path, v, a, jerk, duration, nodes, self.scale.copy(), worst)
 
@@ -410,12 +428,13 @@ class StretchProblem:
         nodes = self.grid.nodes
         v, a = stretch.v[nodes], stretch.a[nodes]
         duration = np.add.reduceat(stretch.duration, nodes[:-1])
-        self.with_limit_use(v, a, duration)
+        every = np.ones(len(duration), dtype=np.bool_)
+        self.with_limit_use(v, a, duration, every)
         worst = self.use[0].max(axis=(0, 2)) / ACCEPTED * (1 + 1e-9)
         # Viscous friction falls with the speed only.
         second = worst[1] if self.loaded else worst[1] ** 0.5
         factor = max(1.0, worst[0], second, worst[2] ** (1 / 3), worst[3])
-        return self.with_limit_use(v / factor, a / factor**2, duration * factor)
+        return self.with_limit_use(v / factor, a / factor**2, duration * factor, every)
 
 
 def _better(one: Stretch, other: Stretch) -> bool:

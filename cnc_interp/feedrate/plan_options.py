@@ -22,7 +22,6 @@ class PlanOptions:
     share: float = 1 / 64  #: Wanted cell time as a part of the duration of the stretch [-].
     bend: float = 0.0025  #: Largest nonlinearity of a limit inside a cell, over the limit [-].
     gap: float = 5e-5  #: Accepted gap to the optimum, relative to the time [-].
-    points: int = 7  #: Number of instants per cell at which the limits are checked.
     window_ratio: float = 2.5  #: Length of a window in horizons; one is committed later [-].
     window_cells: int = 4000  #: Largest number of path cells in one window.
     bound: bool = True  #: Whether the least time is computed; the law is the same.

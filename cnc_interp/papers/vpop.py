@@ -334,7 +334,8 @@ def plan(
         jerk[:-1],
         duration[:-1],
         table,
-        np.full(n, options.points),
+        ACCEPTED,
+        np.ones(n, dtype=np.bool_),
         use,
     )
     largest = float((use[0].max(axis=2) / ACCEPTED).max())

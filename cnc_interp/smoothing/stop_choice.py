@@ -58,9 +58,11 @@ Choice = Callable[[Sequence[Way], Sequence[Way]], bool]
 def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> BoolArray:
     """Tell at which vertices a rounded corner may be slower than a stop."""
     found = np.zeros(len(rows), dtype=np.bool_)
-    found[1:-1] = dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
-    found[1:-1] |= np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
+    found[1:-1] = np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
     found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
+    # The pieces of one programmed line are a smooth motion, and there may be thousands of them.
+    found[1:-1] &= np.diff(rows.blocks.line_number[1:]) != 0
+    found[1:-1] |= dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
     plain = _plain(rows)
     found[1:-1] &= plain[1:-1] & plain[2:]
     return found

@@ -155,12 +155,14 @@ class SkeletonBuilder:
         reversed_axis = dot(raw.axis[:-1], raw.axis[1:]) < -0.99
         words = np.isfinite(raw.rotary).all(axis=1)
         rotary = np.where(words[:, None], raw.rotary, 0.0)
-        spins = words[1:] & words[:-1] & (np.abs(np.diff(rotary, axis=0)).max(axis=1) > 1e-9)
+        spin = np.where(words[1:] & words[:-1], np.abs(np.diff(rotary, axis=0)).max(axis=1), 0.0)
         tolerance = raw.orientation_tolerance[1:]
+        # On the pole rotary axes turn, though the tool axis hardly does: such a turn is no rest.
+        spins = (spin > 1e-9) & ((turn < 1e-12) | (height * spin > tolerance))
         # A block that moves an extra axis stays a line: curves exist only where those axes rest.
         beside = (np.diff(raw.extra, axis=0) != 0.0).any(axis=1)
         resting = length < STANDSTILL
-        resting &= (height * turn > thinning.DROP * tolerance) | (spins & (turn < 1e-12)) | beside
+        resting &= (height * turn > thinning.DROP * tolerance) | spins | beside
         resting &= ~linear
         kind = np.full(len(raw), SHORT)
         narrow = np.minimum(raw.contour_tolerance, raw.orientation_tolerance)[1:]

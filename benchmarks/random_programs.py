@@ -3,6 +3,7 @@ Random programs whose meaning is known: what is emitted, against what was meant.
 
     python benchmarks/random_programs.py [--count 5000] [--first 0] [--proof 2] [--show SEED]
         [--periods 0.25 1 4] [--json FILE]
+    python benchmarks/random_programs.py --count 50 --laws
 
 A seed chooses machine, period, tolerances, place, units and the blocks: lines, rapids, arcs and
 helices in three planes, B-splines, tool-tip control on and off,
@@ -16,6 +17,8 @@ forward kinematics and nothing else. With ``--periods`` each program is planned 
 It prints what is doubtful with its seed, and a table at the end: how many plans were proven, how
 many ``check`` rejected though nothing else is doubtful, and how many exceed a limit. Shards of
 seeds run side by side: ``--first 0 --count 500`` and ``--first 500 --count 500``.
+``--laws``: the motion laws at three periods instead, evaluated every 10 us; it prints the largest
+use of each limit on each machine.
 """
 
 from __future__ import annotations
@@ -41,6 +44,8 @@ from scipy.spatial.transform import Rotation
 from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core import InterpError
+from cnc_interp.core.limits_by_position import limits_along
+from cnc_interp.feedrate.motion_law import axis_motion
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.machine_model.transform import Transform
@@ -53,6 +58,7 @@ from cnc_interp.settings.options import Settings
 Rows = NDArray[np.float64]
 MM, DEG = 1e-3, np.pi / 180.0
 PERIODS = 0.25, 0.5, 1.0, 2.0, 4.0  # [ms]
+LAW_PERIODS, LAW_STEP = (0.25e-3, 1e-3, 4e-3), 1e-5  #: Of ``--laws`` [s].
 SWITCHES = ('M428', 'M429'), ('M128', 'M129'), ('TRAORI', 'TRAFOOF')
 PLANES = {'G17': (0, 1, 2), 'G18': (2, 0, 1), 'G19': (1, 2, 0)}
 KINDS = 'line', 'rapid', 'arc', 'curve', 'stop', 'tolerance', 'feed', 'switch', 'plane', 'offset'
@@ -733,6 +739,43 @@ def tried(text: str, writer: Writer, proof: bool, folder: Path) -> Result:
     return result
 
 
+def law_use(plan: Plan) -> Rows:
+    """Return the largest use of velocity, acceleration, jerk and feed by a law at any instant."""
+    most = np.zeros(4)
+    for piece in plan.pieces:
+        law, instants = piece.law, np.arange(piece.law.time[0], piece.law.end_time, LAW_STEP)
+        for at in np.array_split(instants, len(instants) // 100_000 + 1):
+            q, *derivatives = axis_motion(piece.path, law, at)[:4]
+            limits = limits_along(plan.machine.limit_table, q)
+            for k, values in enumerate(derivatives):
+                most[k] = max(most[k], float((np.abs(values) / limits[k]).max(initial=0.0)))
+            feed = piece.path.cell_feed[law.cell[law.piece_at(at)]]
+            most[3] = max(most[3], float((law.evaluate(at)[1] / feed).max(initial=0.0)))
+    return most
+
+
+def laws(seeds: range, machines: list[str]) -> None:
+    """Print the largest use of each limit by the laws of random programs on each machine."""
+    most: dict[tuple[str, float], Rows] = {}
+    for seed in seeds:
+        text, writer = made(seed, machines)
+        for period in LAW_PERIODS:
+            settings = replace(writer.settings, interpolation_period=period)
+            try:
+                program = read_text(text, 'p.ngc', writer.transform, settings)
+                use = law_use(plan_program(program, writer.machine, settings))
+            except InterpError as problem:
+                print(f'{seed} {writer.machine.name}: {problem}')
+                continue
+            if (use > 1.0).any():
+                print(f'{seed} {writer.machine.name} {period * 1e3} ms is beyond a limit: {use}')
+            key = writer.machine.name, period
+            most[key] = np.maximum(most.get(key, np.zeros(4)), use)
+    print('machine            ms  velocity  acceleration  jerk      feed')
+    for (name, period), use in sorted(most.items()):
+        print(f'{name:16} {period * 1e3:4} ' + '  '.join(f'{value:.6f}' for value in use))
+
+
 def too_long(number: int, frame: FrameType | None) -> None:
     """End a program that takes too long."""
     raise TimeoutError(f'more than {PATIENCE} s of the processor')
@@ -747,12 +790,16 @@ def main() -> None:
     parser.add_argument('--show', type=int, help='print the program of a seed, and what it does')
     parser.add_argument('--periods', type=float, nargs='+', default=[], metavar='MS')
     parser.add_argument('--json', type=Path, help='write the table, to add up shards')
+    parser.add_argument('--laws', action='store_true', help='evaluate the motion laws instead')
     options = parser.parse_args()
     machines = sorted(path.stem for path in machines_directory().glob('*.yaml'))
     if options.show is not None:
         text, writer = made(options.show, machines)
         print(f'{writer.machine.name}, {writer.settings}\n{text}')
         options.first, options.count, options.proof = options.show, 1, 1
+    if options.laws:
+        laws(range(options.first, options.first + options.count), machines)
+        return
     counts: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
     signal.signal(signal.SIGPROF, too_long)

@@ -232,11 +232,13 @@ def _hull_use(
     law: tuple[float, float, float],
     begin: float,
     duration: float,
+    fixed: bool,
     work: FloatArray,
 ) -> tuple[float, float]:
     """Return the use of a limit in a part of a cell: the largest of its hull and of its values.
 
-    ``c``: the septic of the axis; ``law``: s_dot, s_ddot and s_dddot where the cell begins.
+    ``c``: the septic of the axis; ``law``: s_dot, s_ddot and s_dddot where the cell begins;
+    ``fixed``: whether the limit does not depend on the position.
     """
     v, a, j = law
     q, q_s, q_ss, q_sss, u, value, points, up = work
@@ -251,7 +253,7 @@ def _hull_use(
         value[i] = _value(row, q_s[i], q_ss[i], q_sss[i], *state, sign, friction)
     _to_points(value, points)
     most_up, most_down = _limits(table, row, k, q[0])
-    if row == TORQUE or table.shape[2] == 1:
+    if fixed:
         largest = max(points.max() / most_up, -points.min() / most_down)
         return largest, max(value.max() / most_up, -value.min() / most_down)
     for i in range(DEGREE + 1):
@@ -316,11 +318,12 @@ def limit_use(
                     ends = max(ends, x / up, -x / down)
                 bound = ends + bends[row] * t * t / 8
                 if bound > accepted[at] and bound - ends > CLOSE[at]:
+                    fixed = row == TORQUE or places[1, row, k] == 0.0
                     for parts in PARTS:
                         found, seen = ends, ends
                         for part in range(parts):
                             piece = t * part / parts, t / parts
-                            new = _hull_use(table, row, k, sign, c, h[i], law, *piece, work)
+                            new = _hull_use(table, row, k, sign, c, h[i], law, *piece, fixed, work)
                             found, seen = max(found, new[0]), max(seen, new[1])
                         bound = min(bound, found)
                         if bound <= accepted[at] or bound - seen <= CLOSE[at]:

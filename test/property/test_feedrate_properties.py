@@ -96,6 +96,31 @@ def test_samples_keep_every_limit_in_short_windows(problem, cells):
     assert_sound(piece, path, limits)
 
 
+def use_at_any_instant(piece: PlannedPiece, limits: Limits) -> float:
+    """Largest use of a limit by velocity, acceleration, jerk and feed, every 10 us."""
+    time = np.arange(0.0, piece.law.end_time, 1e-5)
+    at = piece.law.piece_at(time)
+    s, v, a, j = (x[:, None] for x in piece.law.evaluate(time, at))
+    cell = piece.law.cell[at]
+    _, q_s, q_ss, q_sss = evaluate(piece.path, s[:, 0], cell)
+    moved = (
+        (q_s * v, limits.max_velocity),
+        (q_ss * v**2 + q_s * a, limits.max_acceleration),
+        (q_sss * v**3 + 3 * q_ss * v * a + q_s * j, limits.max_jerk),
+        (v, piece.path.cell_feed[cell, None]),
+    )
+    return max(float((np.abs(value) / limit).max()) for value, limit in moved)
+
+
+@tried(10, 300)
+@given(problems(), st.sampled_from([50, 4000]))
+def test_no_limit_is_exceeded_between_the_instants_that_the_planner_looks_at(problem, cells):
+    path, limits, _ = problem
+    for law in ('optimal', 'vpop') if cells == 4000 and len(path.s) < 60 else ('optimal',):
+        piece = plan_path(path, limits, PlanOptions(window_cells=cells, law=law))
+        assert use_at_any_instant(piece, limits) <= 1.0 + 1e-9
+
+
 def rest_of(path: AxisPath, s: float) -> AxisPath:
     """Take the path from a position on."""
     fine = refine(path, np.array([s]))

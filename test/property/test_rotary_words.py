@@ -226,6 +226,37 @@ def test_check_finds_the_wrong_branch_and_the_wrong_turn(name, tcp):
         assert any('rotary word missed' in failure for failure in failures), failures
 
 
+def rests_on_the_pole(seed, inner):
+    """Lines that turn C at a resting tip on the pole or beside it by a digit, then leave it."""
+    rng = np.random.default_rng(seed)
+    turn, tip = rng.uniform(-180, 180), rng.uniform(-40, 40, 3)
+    poses = [(tip, 0.0, turn)]
+    for _ in range(rng.integers(1, 5)):
+        turn += rng.uniform(0.2, 1) * rng.choice([0.05, 3, 29, 120, -75])
+        poses.append((tip, rng.choice([0.0, 0.0, 0.0005, 0.001, 0.003]), turn))
+    if rng.random() < 0.7:
+        poses.append((tip + rng.uniform(-0.4, 0.4, 3), 0.0, turn))
+    for _ in range(2):
+        tip = tip + rng.uniform(-3, 3, 3)
+        turn += rng.uniform(-3, 3)
+        poses.append((tip, rng.uniform(0.2, 8), turn))
+    words = [f'X{x:.4f} Y{y:.4f} Z{z:.4f} {inner}{a:.4f} C{c:.4f}' for (x, y, z), a, c in poses]
+    return '\n'.join(['G21 G90', 'M128', *(f'G1 {line} F600' for line in words), 'M2', ''])
+
+
+@pytest.mark.parametrize('seed', range(examples(6, 200)))
+def test_lines_that_turn_on_the_pole_run_and_meet_their_words(seed):
+    """Where the tool axis hardly turns, C does; a run of them became a line, and C was lost."""
+    name, inner = (('xyzac', 'A'), ('xyzbc', 'B'))[seed % 2]
+    machine = Machine.load(name)
+    text = rests_on_the_pole(seed, inner)
+    plan = plan_program(read_text(text, 't.ngc', Transform.of(machine), Settings()), machine)
+    assert not verify(rotary_words.files_of(plan), machine).failures
+    last = np.degrees(plan.setpoints.position[-1, 3:5])
+    words = [float(word[1:]) for word in text.splitlines()[-2].split() if word[0] in inner + 'C']
+    np.testing.assert_allclose(last, words, atol=1e-3)
+
+
 @pytest.mark.parametrize('name', few_of(6, MACHINES))
 def test_check_finds_each_axis_beside_its_line(name):
     """With TCP off every axis is compared, also where the others hide it from the tool."""

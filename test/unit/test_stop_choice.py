@@ -14,6 +14,7 @@ from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program import read_text
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run import path_chain
 from cnc_interp.run.path_chain import PathChain, is_faster, segments_of, way_time
@@ -120,6 +121,16 @@ def test_trials_do_not_depend_on_how_the_blocks_arrive(make, batch):
     whole = segments_of(blocks, TRANSFORM, settings)
     assert (found.stop == whole.stop).all()
     np.testing.assert_array_equal(found.bottom, whole.bottom)
+
+
+def test_the_pieces_of_one_line_are_no_corners_to_try():
+    """C turns by two revolutions while the tip moves by 1 mm: 200 pieces, each with fast turns."""
+    text = 'G21 G90\nM128\nG1 X0 Y0 Z0 B-12.4 C-793 F6000\nG1 X0.646 Z0.8 B-6.2 C-73\nM2\n'
+    trt, settings, tried = Transform.of(Machine.load('xyzbc_trt')), Settings(), []
+    blocks = read_text(text, 'turn.ngc', trt, settings).blocks
+    smoother = LookAhead(settings, traits_of(trt), lambda *ways: bool(tried.append(ways)))
+    smoother.push(blocks), smoother.finish()
+    assert len(blocks) > 100 and len(tried) < 10
 
 
 def refuse_to_choose(_ways, _others):

@@ -27,6 +27,7 @@ from cnc_interp.machine.drives import (
     Drives,
     HomedDrives,
 )
+from cnc_interp.machine.run_figures import RunFigures
 from cnc_interp.machine.spindle import Spindle
 from cnc_interp.machine.switching import Act, ActsOfChunk, Switching
 from cnc_interp.machine_model.machine import Machine
@@ -102,7 +103,7 @@ class Reached(NamedTuple):
 
 
 class Playback:
-    """The machine's buffer, the state and the figures of the run; it starts when ``full``."""
+    """The machine's buffer and the state of the run; it starts when ``full``."""
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
@@ -130,7 +131,7 @@ class Playback:
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
         self.switching = Switching(machine.signals, drives, self.spindle)
-        self.state = RunState()
+        self.state, self.figures = RunState(), RunFigures(self.axes)
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
         self._follows = False  # the spindle, in what was read last
@@ -225,7 +226,7 @@ class Playback:
 
     def _forget_run(self, run_id: RunId) -> None:
         self.run_id = run_id
-        self.played = self.played_of_plan = self.approach_samples = self.starvations = 0
+        self.played = self.played_of_plan = 0
         self.switching.begin()
         self._finishing = False  # the last functions wait
         self._answered = False  # the probe
@@ -237,19 +238,13 @@ class Playback:
         #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
         self.away: FloatArray = np.zeros(0)
         self._empty()
-        self._forget_figures()
+        self.figures.begin()
 
     def _empty(self) -> None:
         self.buffer.clear(self.axes.setpoints[-1])
         #: The chunk that is being played, or whose tail is; and the row of it played last.
         self._current: BufferedChunk | None = None
         self._on_tail, self._row = False, -1
-
-    def _forget_figures(self) -> None:
-        self.axes.largest_use = np.zeros_like(self.axes.largest_use)
-        self.largest_following_error = np.zeros(len(self.axes.machine.axis_names))
-        self.largest_contour_error = 0.0
-        self.least_buffered = np.inf
 
     @property
     def busy(self) -> bool:
@@ -616,7 +611,7 @@ class Playback:
 
     def _starve(self) -> None:
         """Leave the plan: the next setpoints are late, or will never come."""
-        self.starvations += 1
+        self.figures.starvations += 1
         if self.state.refusal:
             reason, detail = Reason.STREAM_REFUSED, self.state.refusal
             self.state = self.state.after(Event.STOP, reason, detail)
@@ -719,14 +714,15 @@ class Playback:
         current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
         assert current is not None
         if samples.block[0] > 0 and (self.last is None or self.last.block == 0):
-            self._forget_figures()
+            self.figures.begin_motion()
         if not self._measure(samples, records):
             return
         if samples.block[-1] > 0:
             self.away = np.zeros(0)  # the machine is back on the path
         if not len(self.away):
             if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
-                self.least_buffered = min(self.least_buffered, self.buffer.count + left)
+                figures, waits = self.figures, self.buffer.count + left
+                figures.least_buffered = min(figures.least_buffered, waits)
             self.last = Reached.of(samples)
         for row, act in current.acts.tail if on_tail else current.acts.rows:
             if (
@@ -739,12 +735,8 @@ class Playback:
         actual = self.feedback.position
         self.executed.append(Executed(current.run_id, self.played, samples, actual, ends))
         self.played += len(samples)
-        self.approach_samples += int(np.sum(samples.block == 0))
         self.played_of_plan += 0 if on_tail or self.state.by_hand else len(samples)
-        error = np.abs(self.feedback.following_error).max(axis=0)
-        self.largest_following_error = np.maximum(self.largest_following_error, error)
-        contour_error = float(self.feedback.contour_error.max())
-        self.largest_contour_error = max(self.largest_contour_error, contour_error)
+        self.figures.add(samples, self.feedback)
 
 
 def _axis_rows(samples: Setpoints) -> AxisRows:

@@ -98,23 +98,24 @@ OF_RUN = (
     'start_wanted',
     'completed',
 )
-OF_PLAYBACK = (
-    'single_block',
-    'approach_samples',
-    'largest_contour_error',
-    'starvations',
-)
+OF_FIGURES = ('approach_samples', 'largest_contour_error', 'starvations')
 
 
 def machine_state(playback: Playback, period: float) -> msg.MachineState:
-    axes, run, feedback = playback.axes, playback.state, playback.feedback
+    axes, run, feedback, figures = (
+        playback.axes,
+        playback.state,
+        playback.feedback,
+        playback.figures,
+    )
     last = playback.last
-    least = playback.least_buffered
+    least = figures.least_buffered
     recent = axes.take_recent_use()
     speed, angle = playback.turning
     message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
-        **{name: getattr(playback, name) for name in OF_PLAYBACK},
+        **{name: getattr(figures, name) for name in OF_FIGURES},
+        single_block=playback.single_block,
         **vars(playback.run_id),
         functions=playback.switching.functions,
         state=NUMBERS[run.state],
@@ -129,7 +130,7 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
         tip=feedback.tip[-1],
         axis=feedback.axis[-1],
         following_error=feedback.following_error[-1].tolist(),
-        largest_following_error=playback.largest_following_error.tolist(),
+        largest_following_error=figures.largest_following_error.tolist(),
         contour_error=float(feedback.contour_error[-1]),
         velocity_use=axes.largest_use[0].tolist(),
         acceleration_use=axes.largest_use[1].tolist(),

@@ -94,7 +94,7 @@ def test_other_drives_get_every_setpoint_with_its_velocity_and_nothing_else():
         assert np.array_equal(told[: len(expected)], expected)
         held = TARGET if name == 'position' else np.zeros(5)
         assert (told[len(expected) :] == held).all()
-    assert not playback.largest_following_error.any()
+    assert not playback.figures.largest_following_error.any()
     assert np.array_equal(playback.feedback.position[-1], TARGET)
     playback.switch_off()
     assert not drives.on and playback.state.state is State.INACTIVE

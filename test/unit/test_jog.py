@@ -191,7 +191,7 @@ def test_a_jog_lives_on_beats_and_stops_by_itself():
     bench.rest()
     stop = len(bench.heard) - late
     assert bench.state is State.IDLE and stop * T < 1.2
-    assert bench.play.starvations == 0
+    assert bench.play.figures.starvations == 0
 
 
 def test_the_silence_that_ends_the_motion_of_a_held_key_is_told():
@@ -227,7 +227,7 @@ def test_no_beat_no_setpoint_thread_and_it_still_stops_on_its_tail():
     bench.run(0.6, X=1.0, Y=-1.0)
     bench.works = False
     bench.rest()
-    assert bench.play.starvations == 1 and bench.state is State.IDLE
+    assert bench.play.figures.starvations == 1 and bench.state is State.IDLE
     assert bench.play.state.text == ''
 
 

@@ -99,7 +99,7 @@ def test_the_controller_executes_the_setpoints_a_fixed_time_later(delay):
     assert bench.playback.state.completed
     assert np.array_equal(bench.axes, TARGET)
     assert bench.lag() < 2e-8
-    assert bench.playback.largest_following_error.max() < 2e-8
+    assert bench.playback.figures.largest_following_error.max() < 2e-8
     count = len(bench.sent)
     bench.step(300)
     assert len(bench.sent) == count  # nothing is sent at rest

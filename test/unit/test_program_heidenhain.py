@@ -253,3 +253,11 @@ def test_words_of_the_machine_and_rotary_words_move_their_axes_alone_on_a_plane(
     np.testing.assert_allclose(here[1, 2], here[0, 2], atol=1e-9)
     before = AC.linear(blocks.tip[4:5], blocks.rotary[3:4])
     np.testing.assert_allclose(q[2], before[0], atol=1e-9)
+
+
+@pytest.mark.parametrize('cycle', ['9.1 DWELL .', '9.1 DWELL 1.2.3', '32.1 T.'])
+def test_a_point_without_digits_in_an_old_cycle_is_refused(cycle):
+    """It ended in a ValueError of Python; mutated programs found it."""
+    text = f'0 BEGIN PGM A MM\n1 L X+0 FMAX\n2 CYCL DEF {cycle}\n3 L X+5 F500\n4 END PGM A MM\n'
+    with pytest.raises(ProgramError, match=r':3: .*not a number'):
+        read_text(text, 'dwell.h', Transform.of(Machine.load('xyzac')))

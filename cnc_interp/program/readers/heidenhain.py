@@ -133,6 +133,12 @@ class HeidenhainReader(ProgramReader):
     def _value(self, text: str) -> float:
         return formula(text, self.variables)
 
+    def _number(self, text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            raise self.fault('not a number; write digits with one point, as 0.5', text) from None
+
     def _assign(self, line: str) -> bool:
         if match := _SET.fullmatch(line):
             rapid = self.defining and match[2] in ('MAX', 'FMAX')
@@ -439,9 +445,9 @@ class HeidenhainReader(ProgramReader):
             if number == 9 and part != '0':
                 self.mover.targets.stop_here()
                 found = re.search(r'([\d.]+)\s*$', rest)
-                self.at.rest_for('CYCL DEF 9', float(found[1]) if found else 0.0)
+                self.at.rest_for('CYCL DEF 9', self._number(found[1]) if found else 0.0)
             elif number == 32 and (match := re.match(r'(?:T|TOL\w*)\s*([\d.]+)', rest)):
-                tolerances(self.at, 'CYCL DEF 32', float(match[1]) or None, None)
+                tolerances(self.at, 'CYCL DEF 32', self._number(match[1]) or None, None)
         elif number in _SETTING:
             self.defining = True
             self.notice(f'CYCL DEF {number}', _SETTING[number])

@@ -288,7 +288,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
         if row > 1:
             block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
             writer.figures.start = finder.place(block)
-        writer.figures.cut = run.cut
+        writer.figures.cut, writer.figures.waits_first = run.cut, None
         return writer.finish(run.name, {}, run.largest_override, run.setup)
 
 

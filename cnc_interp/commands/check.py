@@ -58,6 +58,7 @@ def check_command(options: Namespace) -> int:
             print(f'run {k} of {len(proofs)}: NOT judged: {proof}')
         elif proof.ok and k < len(proofs):
             short = f'{proof.blocks} blocks, {proof.cycle_time:.3f} s, proven'
+            short += f' as far as it goes: {proof.until}' * bool(proof.until)
             print(f'run {k} of {len(proofs)}: {short}')
         else:
             print((f'run {k} of {len(proofs)}:\n' if len(proofs) > 1 else '') + proof.text())

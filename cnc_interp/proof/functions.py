@@ -1,7 +1,8 @@
 """The functions of a program came out in order, and lines in step follow the spindle's angle."""
 
-import re
 from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,18 +11,14 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import AWAY, FOLLOWS, TOWARD, Signals
 from cnc_interp.proof.axis_limits import limits_of_differences
 from cnc_interp.proof.path_grid import ROUNDING
+from cnc_interp.proof.plain_reader import ReadCall
 from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered
 from cnc_interp.proof.program_shapes import SLACK
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger
 
 SHALLOW = 0.5  #: A tapped hole may be less deep by so many turns [rev].
 MISSING = -1  #: In place of the setpoint of a function that did not come out.
-_COMMENT = re.compile(r'\([^()]*\)|;.*')
-_WORD = re.compile(r'(?<![A-Z_])([SMT])\s*(\d+\.?\d*)|G\s*(0?4|31|38\.[2-5]|9[67])(?![\d.])')
-
-
-#: Functions of G codes that are not those of a probe toward the part.
-_OF_G = {'38.4': AWAY, '38.5': AWAY, '96': '', '97': '', '': '', '4': 'G4', '04': 'G4'}
+SAME_VALUE = 1e-9  #: Values of outputs that differ by less, in relation to their size, agree [-].
 
 
 def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
@@ -33,8 +30,14 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     ledger.require(known, 'functions.npz names steps that the machine does not have')
     if not known:
         return
-    counts = dict(Counter(word for _, word, _ in _words(found, signals)))
+    calls, broken = calls_of(found, signals)
+    ledger.require(not broken, broken)
+    counts = dict(Counter(call.word for call in calls))
     ledger.require(told == counts, f'summary.json says functions {told}, the plan has {counts}')
+    if plan.by_probe:
+        line = int(plan.blocks['line'][plan.block[count - 1]])
+        touched = any(call.word in (TOWARD, AWAY) and call.line == line for call in calls)
+        ledger.require(touched, f'{plan.cut}; but line {line}, where it ends, watches no probe')
 
     def demand(good: BoolArray, text: str) -> None:
         for k in np.flatnonzero(~np.asarray(good, dtype=np.bool_))[:1]:
@@ -43,7 +46,8 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
 
     demand(np.diff(block, prepend=0) >= 0, 'is out of order')
     came = sample != MISSING
-    demand(came | (block >= ledger.known_rows), 'did not come out')
+    unknown = (block >= ledger.known_rows) & bool(plan.cut)
+    demand(came | unknown, 'did not come out')
     demand(~came | (np.diff(sample, prepend=0) >= 0), 'came out of order')
     inside = np.clip(sample, 0, count - 1)
     here, before = gathered(plan.block, inside), gathered(plan.block, np.maximum(inside - 1, 0))
@@ -57,40 +61,75 @@ def prove_functions(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
     demand(~ahead | rests, 'is waited for, but the path does not rest there')
 
 
-def _words(found: Columns, signals: Signals) -> list[tuple[int, str, float]]:
-    first = {steps.start: word for word, steps in signals.words.items() if len(steps)}
-    rows = zip(found['line_number'], found['step'].tolist(), found['value'], strict=True)
-    return [
-        (int(line), first[k], float(value) if first[k] in 'ST' else 0.0)
-        for line, k, value in rows
-        if k in first
-    ]
+@dataclass(frozen=True)
+class Call:
+    """A function of the program: the steps of one word, at the begin of a block."""
+
+    word: str
+    line: int
+    block: int
+    values: tuple[float, ...]  #: What each of its steps sets.
 
 
-def compare_words(plan: PlanFiles, machine: Machine, text: str) -> list[str]:
-    read: Counter[tuple[int, str, float]] = Counter()
-    by_surface = False  # S is no speed of the spindle then (G96)
-    restoring = set()  # lines that set what M70 has saved, whatever that was
-    for number, line in enumerate(text.upper().splitlines(), start=1):
-        found = _WORD.findall(_COMMENT.sub(' ', line))
-        modes = [code for *_, code in found if code in ('96', '97')]
-        by_surface = modes[-1] == '96' if modes else by_surface
-        for letter, value, code in found:
-            word = f'M{float(value):g}' if letter == 'M' else letter
-            if code or (by_surface and letter == 'S'):
-                word = _OF_G.get(code, TOWARD)
-            if word == 'M72':
-                restoring.add(number)
-            if word in machine.signals.words:
-                read[number, word, float(value) if letter in ('S', 'T') else 0.0] += 1
-    planned = Counter(_words(plan.functions, machine.signals))
-    return [
-        f'line {line} of the program: {word} stands there {read[key]} times, in the plan '
-        f'{planned[key]} times'
-        for key in sorted({*read, *planned})
-        for line, word, _ in [key]
-        if read[key] != planned[key] and line not in restoring
+def calls_of(found: Columns, signals: Signals) -> tuple[list[Call], str]:
+    """Return the functions, and which one lacks a step, or sets another value than its step."""
+    starts = {steps.start: word for word, steps in signals.words.items() if len(steps)}
+    names = ('line_number', 'block', 'step')
+    places = np.stack([np.asarray(found[name], dtype=np.int64) for name in names], axis=1)
+    calls: list[Call] = []
+    k = 0
+    while k < len(places):
+        line, block, step = places[k].tolist()
+        word = starts.get(step, '')
+        steps = signals.words.get(word, range(0))
+        values = tuple(map(float, found['value'][k : k + len(steps)]))
+        whole = [[line, block, step] for step in steps]
+        if not whole or places[k : k + len(steps)].tolist() != whole:
+            name = word or 'a function of the machine'
+            return calls, f'line {line}: the steps from number {k} on are not those of {name}'
+        for number, value in zip(steps, values, strict=True):
+            fixed = signals.steps[number].value
+            if not isinstance(fixed, str) and value != fixed:
+                output = signals.text(signals.steps[number].output, value)
+                return calls, f'line {line}: {word} does not set {output}'
+        calls.append(Call(word, line, block, values))
+        k += len(steps)
+    return calls, ''
+
+
+def compare_calls(
+    plan: PlanFiles,
+    signals: Signals,
+    read: list[tuple[ReadCall, int]],
+    known: Collection[str] = (),
+) -> str:
+    """Compare functions with those of the text, each with its row; return the first difference.
+
+    A reader that knows only some words names them as ``known``.
+    """
+    planned = [
+        call for call in calls_of(plan.functions, signals)[0] if not known or call.word in known
     ]
+    wanted = [each for each in read if signals.words.get(each[0].word)]
+    for k in range(max(len(planned), len(wanted))):
+        if k == len(wanted):
+            return f'{planned[k].word} of line {planned[k].line} in the plan is not in the text'
+        (call, row), own = wanted[k], planned[k] if k < len(planned) else None
+        at = f'line {call.line}' if call.line else f'function {k + 1}, {call.word},'
+        same = own and own.word == call.word and call.line in (0, own.line)
+        if own is None or not same:
+            other = f'{own.word} of line {own.line}' if own else 'nothing'
+            return f'{at} of the program: {call.word} is due, the plan has {other}'
+        if own.block != row:
+            return f'{at} of the program: {call.word} acts before row {row}, not {own.block}'
+        for number, value in zip(signals.words[call.word], own.values, strict=True):
+            letter = signals.steps[number].value
+            meant = call.given.get(letter, ()) if isinstance(letter, str) else (value,)
+            if not np.isclose(value, meant, SAME_VALUE, 0.0).any():
+                told = ' or '.join(f'{each:.9g}' for each in meant) or 'no value'
+                text = f'the plan sets {signals.text(signals.steps[number].output, value)}'
+                return f'{at} of the program: {call.word} has {told}, {text}'
+    return ''
 
 
 def prove_followed(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:

@@ -24,7 +24,7 @@ from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.plain_reader import PLANES, TCP_OFF, TCP_ON, ReadMove
+from cnc_interp.proof.plain_reader import DWELL, PLANES, TCP_OFF, TCP_ON, ReadCall, ReadMove
 
 LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program.
 #: Processor time [s], also for each MB of the text; memory, and length of files written [bytes].
@@ -66,7 +66,7 @@ def read_by_linuxcnc(
     skip: bool,
     rows: int,
     setup: Setup | None = None,
-) -> Iterator[ReadMove]:
+) -> Iterator[ReadMove | ReadCall]:
     command = interpreter()
     if not command:
         raise LinuxCNCError("LinuxCNC's rs274 is not installed")
@@ -139,7 +139,9 @@ def _prepared(text: str, skip: bool, tool: int = 0) -> str:
     return _FIRST.sub(rf'\1G98\n{taken}', f'{text}\nM2\n', count=1)
 
 
-def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> Iterator[ReadMove]:
+def _moves(
+    printed: Iterable[str], axis_names: tuple[str, ...], most: int
+) -> Iterator[ReadMove | ReadCall]:
     columns = ['ABC'.index(name) for name in axis_names[3:]]
     state = _Printed()
     for number, line in enumerate(printed):
@@ -149,11 +151,25 @@ def _moves(printed: Iterable[str], axis_names: tuple[str, ...], most: int) -> It
         if call is None:
             continue
         move = state.take(call[1], call[2])
-        if move is not None:
+        if isinstance(move, ReadCall):
+            yield move
+        elif move is not None:
             unused = np.delete(state.here[3:], columns)
             if unused.any():
                 raise LinuxCNCError("LinuxCNC's rs274 turns an axis that is not there")
             yield replace(move, rotary=move.rotary[columns])
+
+
+#: Calls that it prints for functions, and the words whose functions it prints all.
+_CALLS = {
+    'SET_SPINDLE_SPEED': 'S',
+    'START_SPINDLE_CLOCKWISE': 'M3',
+    'START_SPINDLE_COUNTERCLOCKWISE': 'M4',
+    'DWELL': 'G4',
+    'PROGRAM_STOP': 'M0',
+    'OPTIONAL_PROGRAM_STOP': 'M1',
+}
+KNOWN_CALLS = ('S', 'M3', 'M4', 'G4')
 
 
 class _Printed:
@@ -169,8 +185,16 @@ class _Printed:
         self.tolerance, self.worded, self.lengthened = float('nan'), False, False
         self.number = float('nan')  # of the tolerance, as printed
 
-    def take(self, name: str, text: str) -> ReadMove | None:
+    def take(self, name: str, text: str) -> ReadMove | ReadCall | None:
         numbers = [float(word) for word in _NUMBER.findall(text)]
+        if name in _CALLS:
+            given: dict[str, tuple[float, ...]] = {}
+            if name == 'SET_SPINDLE_SPEED':
+                self.spindle = numbers[-1]
+                given = {'S': (self.spindle,)}
+            elif name == 'DWELL':
+                given = {DWELL: tuple(numbers)}
+            return ReadCall(0, _CALLS[name], given)
         if name in ('STRAIGHT_TRAVERSE', 'STRAIGHT_FEED', 'STRAIGHT_PROBE'):
             return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
         if name == 'ARC_FEED':
@@ -187,7 +211,7 @@ class _Printed:
         elif name in ('START_SPEED_FEED_SYNC', 'RIGID_TAP'):
             raise LinuxCNCError("threads of LinuxCNC's rs274 are not compared")
         elif name == 'SET_FEED_MODE':
-            self.mode = 'G95' if numbers[-1] else self.mode
+            self.mode = 'G95' if numbers[-1] else 'G94' if self.mode == 'G95' else self.mode
         elif name == 'COMMENT' and 'feed mode set to' in text:
             self.mode = 'G93' if 'inverse' in text else 'G94'
         elif name == 'COMMENT':
@@ -229,7 +253,7 @@ class _Printed:
         if not rapid and self.mode == 'G94':
             feed, unsure = self.feed, digit / 60.0 / self.feed
         elif not rapid and self.mode == 'G95':
-            raise LinuxCNCError("feeds per turn of LinuxCNC's rs274 are not compared")
+            feed, unsure = self.feed * self.spindle, digit / 60.0 / self.feed
         elif not rapid and not turns:
             # It prints length / duration: of the line of X Y Z, or of A B C in deg if that is 0.
             line = float(np.linalg.norm(end[:3] - before[:3]))
@@ -256,6 +280,7 @@ class _Printed:
             unsure,
             self.tolerance,
             self.tolerance,
+            turn_feed=self.feed / self.unit * DEG * (self.spindle if self.mode == 'G95' else 1.0),
             worded=self.worded,  # exact stops are not compared: canned cycles set and reset them
         )
 

@@ -4,8 +4,8 @@ What is not understood cannot be compared, so it is refused.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ IDLE_G = frozenset(
         '91.1',
         '93',
         '94',
+        '95',
         '97',
         '98',
         '99',
@@ -49,8 +50,11 @@ IDLE_G = frozenset(
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
 # Exact stops and their end; what rests at the end of the motion before; codes with their own P.
 EXACT, CONTINUOUS = ('G60', 'G61', 'G61.1'), ('G64', 'G641', 'G642', 'G643', 'G644')
-REFUSED_M = ('M17', 'M61', 'M98', 'M99', 'M198')
-RESTS, TAKE_P = {'M0', 'M1', 'M60'}, {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}
+REFUSED_M = ('M17', 'M61', 'M70', 'M71', 'M72', 'M73', 'M98', 'M99', 'M198')
+#: Words that wait for the operator, and M codes that act before the others of their block.
+STOPS, FIRST = ('M1', 'M0', 'M60'), {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
+DWELL, FIXED = 'dwell', 'fixed'  #: Names of the values of G4 [s], and of M50 and M51.
+TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}
 # Words of G-code after which a number follows and that move nothing.
 IDLE_LETTERS = frozenset('NMSTDHPQLE')
 PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
@@ -108,51 +112,67 @@ class ReadMove:
     #: (3,): Normal of the part, where ``end`` is the point at which the cutter touches it.
     normal: FloatArray | None = None
     cutter: tuple[float, float] = (0.0, 0.0)  #: Radius beyond its corner, and of the corner [m].
+    turn_feed: float = float('nan')  #: Its feed if only rotary axes turn [rad/s].
+
+
+@dataclass(frozen=True)
+class ReadCall:
+    """A function or a program stop of the text, between the motions where it acts."""
+
+    line: int  #: Line of the text; 0 where the reader does not know it.
+    word: str
+    #: Values of its letters (S, T, P, Q, ``DWELL``), each any of several that the text may mean.
+    given: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PlainSettings:
+    """What a text does not say about itself."""
+
+    feed: float | None = None  #: Feed of a program without F [m/s].
+    skip: bool = False  #: Whether lines that begin with a slash are left out.
+    #: Radius and corner radius of the tools, by their numbers [m].
+    tools: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    tool: int = 0  #: The tool in the spindle.
+    height: float = float('nan')  #: Flank height, at which an angle of tolerance counts [m].
+    after: Collection[str] = ('M2', 'M5', 'M9', 'M30')  #: Words that act after their motion.
+    dwells: tuple[float, ...] = (1.0,)  #: What P of a dwell without a point may count [s].
 
 
 def read_plainly(
-    text: str,
-    name: str,
-    axis_names: tuple[str, ...],
-    feed: float | None,
-    skip: bool,
-    tools: Mapping[int, tuple[float, float]] | None = None,
-    height: float = float('nan'),
-) -> list[ReadMove]:
-    """Read a program; an angle of tolerance (OTOL) counts at the flank height [m]."""
-    state = _State(name, axis_names, feed, tools or {}, height)
+    text: str, name: str, axis_names: tuple[str, ...], settings: PlainSettings | None = None
+) -> list[ReadMove | ReadCall]:
+    """Read motions, functions and program stops in the order in which they act."""
+    settings = settings or PlainSettings()
+    state = _State(name, axis_names, settings)
     cl_data = re.search(r'^\s*(GOTO|FEDRAT|PARTNO|UNITS)\b\s*/?', text, re.MULTILINE) is not None
     for number, line in enumerate(text.splitlines(), start=1):
         state.line = number
         if cl_data:
             state.statement(line.strip().upper())
-        elif not (skip and line.lstrip().startswith('/')):
+        elif not (settings.skip and line.lstrip().startswith('/')):
             state.block(line.upper())
         if state.ended:
             break
-    return state.moves
+    return state.read
 
 
 class _State:
-    def __init__(
-        self,
-        name: str,
-        axis_names: tuple[str, ...],
-        feed: float | None,
-        tools: Mapping[int, tuple[float, float]],
-        height: float,
-    ):
-        self.height, self.turns = height, 1
+    def __init__(self, name: str, axis_names: tuple[str, ...], settings: PlainSettings):
+        self.settings, self.height, self.turns = settings, settings.height, 1
         self.rests = self.rests_once = self.worded = self.on_circle = False
-        self.tools, self.cutter = tools, (0.0, 0.0)
+        self.tools, self.cutter = settings.tools, (0.0, 0.0)
         self.by_normals, self.normal = False, np.zeros(3)
         self.name, self.names, self.line = name, axis_names, 0
-        self.moves: list[ReadMove] = []
+        self.read: list[ReadMove | ReadCall] = []
+        self.last = -1  # the place of the last motion among them
+        self.speed, self.tool_number, self.per_turn = 0.0, float(settings.tool), False
         self.here = np.zeros(len(axis_names))  # in m and rad
         self.tool: FloatArray | None = None
         self.motion, self.plane, self.unit = '', PLANES['17'], MM
         self.absolute, self.inverse, self.tcp = True, False, False
-        self.feed = float('nan') if feed is None else feed
+        self.feed = float('nan') if settings.feed is None else settings.feed
+        self.turn_feed = self.feed / MM * DEG
         self.ended = False
         self.tolerance = self.orientation = float('nan')
         # Where the tool tip is in the words that hold after a switch, only the first reader knows.
@@ -195,9 +215,46 @@ class _State:
             else:
                 raise self.refuse(rest.split()[0])
             rest = rest[(named or word).end() :]  # type: ignore[union-attr]
+        was_per_turn = self.per_turn
         self.codes(codes)
+        self.speed = self.speed if 'G4' in codes else idle.get('S', self.speed)
+        self.tool_number = float(round(min(abs(idle.get('T', self.tool_number)), 1e6)))
+        functions = [('G95' if self.per_turn else 'G94')] * (self.per_turn != was_per_turn)
+        functions += [letter for letter in 'ST' if letter in idle and 'G4' not in codes]
+        found = [code for code in codes if code[0] == 'M' and code not in STOPS]
+        functions += sorted(found, key=lambda code: FIRST.get(code, 2))
+        fixed = float(idle.get('P', 1.0) == 0.0)
+        letters = {'S': self.speed, 'T': self.tool_number, FIXED: fixed}
+        letters |= {letter: idle[letter] for letter in 'PQ' if letter in idle}
+        given = {letter: (value,) for letter, value in letters.items()}
+        later = [each for each in functions if each in self.settings.after]
+        for each in functions:
+            if each not in later:
+                self.call(each, given)
+        self.act(line, codes, words, idle)
+        for each in later:
+            self.call(each, given)
+        for code in codes:
+            if code in STOPS:
+                self.rest()
+                self.call(code)
+
+    def call(self, word: str, given: Mapping[str, tuple[float, ...]] | None = None) -> None:
+        self.read.append(ReadCall(self.line, word, given or {}))
+
+    def dwell(self, line: str) -> None:
+        found = re.search(r'([PXFSU])\s*(\d*\.?\d*)', line)
+        letter, text = found.groups() if found else ('', '')
+        counts = self.settings.dwells if letter == 'P' and '.' not in text else (1.0,)
+        counts = (60.0 / max(self.speed, 1.0),) if letter == 'S' else counts
+        self.rest()
+        self.call('G4', {DWELL: tuple(float(text or 0.0) * count for count in counts)})
+
+    def act(
+        self, line: str, codes: list[str], words: dict[str, float], idle: dict[str, float]
+    ) -> None:
         if 'G4' in codes:
-            self.rest()
+            self.dwell(line)
             return
         if 'G5.1' in codes:
             words.pop('R', None)  # a grade of smoothing
@@ -213,6 +270,7 @@ class _State:
             given = np.array([words.pop(letter, 0.0) for letter in 'IJK'])
             self.normal = given / np.linalg.norm(given)
         if 'F' in words:
+            self.turn_feed = words['F'] * DEG / 60.0
             self.feed = words.pop('F') * (1.0 if self.inverse else self.unit / 60.0)
         self.turns = 1
         if not TAKE_P & set(codes):
@@ -223,12 +281,11 @@ class _State:
         if words:
             self.move(words)
         self.rests_once = False
-        if RESTS & set(codes):
-            self.rest()
 
     def rest(self) -> None:
-        if self.moves:
-            self.moves[-1] = replace(self.moves[-1], stop=True)
+        move = self.read[self.last] if self.last >= 0 else None
+        if isinstance(move, ReadMove):
+            self.read[self.last] = replace(move, stop=True)
 
     def take_cutter(self, line: str, words: dict[str, float]) -> None:
         found = {letter: re.search(rf'{letter}\s*(\d+\.?\d*)', line) for letter in 'DQP'}
@@ -258,10 +315,11 @@ class _State:
             self.rests_once = self.rests_once or code == 'G9'
             if code in ('G90', 'G91'):
                 self.absolute = code == 'G90'
-            if code in ('G93', 'G94'):
-                self.inverse = code == 'G93'
+            if code in ('G93', 'G94', 'G95'):
+                self.inverse, self.per_turn = code == 'G93', code == 'G95'
             if code in (*TCP_ON, *TCP_OFF):
-                switched = self.tcp is not (code in TCP_ON) and self.moves and self.here[3:].any()
+                changes = self.last >= 0 and self.tcp is not (code in TCP_ON)
+                switched = changes and self.here[3:].any()
                 self.unknown = set('XYZ') if switched else self.unknown
                 self.tcp = code in TCP_ON
             self.ended = self.ended or code in ('M2', 'M30')
@@ -307,6 +365,7 @@ class _State:
         text = text.split('$$')[0].strip()
         word, _, rest = (part.strip() for part in text.partition('/'))
         if not word or word.split()[0] in IDLE_CL:
+            self.switch(word, rest)
             self.ended = self.ended or word in ('FINI', 'END')
             return
         if text.endswith('$'):
@@ -333,12 +392,28 @@ class _State:
         else:
             raise self.refuse(text[:40])
 
+    def switch(self, word: str, rest: str) -> None:
+        """Read the functions of a statement of CL data."""
+        number, off = re.match(r'\d+\.?\d*', rest), rest == 'OFF'
+        value = (float(number[0]),) if number else ()
+        if word == 'SPINDL':
+            turns = 'M5' if off else 'M4' if 'CCLW' in rest else 'M3'
+            for each in (['S'] if value else []) + [turns]:
+                self.call(each, {'S': value})
+        elif word == 'COOLNT':
+            self.call('M9' if off else 'M7' if 'MIST' in rest else 'M8')
+        elif word == 'LOADTL' and value:
+            for each in 'T', 'M6':
+                self.call(each, {'T': value})
+
     def add(self, sweep: int, centre: FloatArray | None) -> None:
         rapid = self.motion == '0'
         rotary = sum(letter in 'ABC' for letter in self.names)
         tool = None if self.tool is None else self.tool / np.linalg.norm(self.tool)
         timed = self.inverse and not rapid
-        self.moves.append(
+        turn = self.speed if self.per_turn else 1.0
+        self.last = len(self.read)
+        self.read.append(
             ReadMove(
                 self.line,
                 rapid,
@@ -346,7 +421,7 @@ class _State:
                 self.here[3 : 3 + rotary].copy(),
                 tool,
                 self.here[3 + rotary :].copy(),
-                float('nan') if timed or rapid else self.feed,
+                float('nan') if timed or rapid else self.feed * turn,
                 60.0 / self.feed if timed else float('nan'),
                 self.tcp or tool is not None,
                 self.plane,
@@ -359,5 +434,6 @@ class _State:
                 worded=self.worded and not (self.on_circle and self.tcp),
                 normal=self.normal if self.by_normals else None,
                 cutter=self.cutter,
+                turn_feed=self.turn_feed * turn,
             )
         )

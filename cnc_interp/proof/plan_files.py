@@ -60,6 +60,7 @@ BLOCK_COLUMNS = {
     'extra_axes': Column(('k',), default=0.0),
     'interpolation': Column((), np.int64, default=0),
     'rotary_from': Column((2,), default=np.nan),
+    'program_stop': Column((), np.int64, default=0),
 }
 FUNCTION_COLUMNS = {
     'block': WHOLE,
@@ -297,6 +298,9 @@ def _nonsense(blocks: Columns) -> str:
         'the contour tolerance must be positive': blocks['contour_tolerance'] <= 0.0,
         'the orientation tolerance must be positive': blocks['orientation_tolerance'] <= 0.0,
         'the tool axis must be a unit vector': np.abs(size - 1.0) > UNIT,
+        'program_stop must be 0, 1 or 2': ~np.isin(blocks['program_stop'], (0, 1, 2)),
+        'a program stop needs an exact stop': (blocks['program_stop'] != 0)
+        & ~np.asarray(blocks['exact_stop'], dtype=np.bool_),
         'interpolation must be 0, 1 or 2': ~np.isin(blocks['interpolation'], (0, 1, 2)),
         'linear rotary axes need positions at both ends': (blocks['interpolation'] != 0)
         & ~np.isfinite(np.hstack([blocks['rotary'], blocks['rotary_from']])).all(axis=1),

@@ -1,7 +1,7 @@
 """The text read again, by LinuxCNC or as plain words: ends, arcs, feeds against `blocks.npz`."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,17 @@ from cnc_interp.core import (
 )
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 from cnc_interp.proof import linuxcnc_reader as second
-from cnc_interp.proof.functions import compare_words
+from cnc_interp.proof.functions import compare_calls
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError
-from cnc_interp.proof.plain_reader import ReadMove, read_plainly
+from cnc_interp.proof.plain_reader import (
+    STOPS,
+    PlainSettings,
+    ReadCall,
+    ReadMove,
+    read_plainly,
+)
 from cnc_interp.proof.plan_files import Columns, PlanFiles
 from cnc_interp.proof.verdict import Proof
 
@@ -33,6 +40,11 @@ ROUNDED = 0.75  #: An angle is printed within so many last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: curves become lines.
 CHORD = 0.11
 PARALLEL = 1e-6  #: Sine of the angle up to which a normal is parallel to the tool.
+Read = ReadMove | ReadCall
+WAITS = {GO_ON: 'no program stop', STOP: 'M0', OPTIONAL_STOP: 'M1'}
+STOP_LAST = 1 + max(WAITS)
+#: Words of a probe, and calls of subprograms, which may have them.
+_TOUCHES = re.compile(r'G\s*0?31|G\s*38\.[2-5]|MEAS|CALL|G\s*65|M\s*98|CYCLE9')
 UNKNOWN = (float('nan'), float('nan'))  #: Tolerances of settings that are not known [m].
 # Cycles that LinuxCNC ends otherwise than other controls.
 _OTHER_HOLES = re.compile(r'(?<![A-Z<_])G[ \t]*0*(?:74|84|89)(?![\d.])', re.IGNORECASE)
@@ -82,19 +94,24 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         raise ProgramError(f'cannot be opened: {problem.strerror}', str(program)) from None
     demand(len(text) <= LONGEST, f'longer than {LONGEST >> 20} MB; cannot be compared')
     feed, skip = settings.get('feedrate'), bool(settings.get('skip_blocks'))
+    cut = plan.blocks['line'][plan.block[len(plan.block) - 1]] if plan.by_probe else 0
+    lines = text.upper().splitlines()
+    touches = not cut or _TOUCHES.search(lines[cut - 1] if cut <= len(lines) else '')
+    unprobed = f'{plan.cut}; but line {cut} of the program has no word of a probe'
     names = machine.axis_names
     given = (settings.get(f'{name}_tolerance') for name in ('contour', 'orientation'))
     tolerances = [float(t) if isinstance(t, int | float) else float('nan') for t in given]
     found, readers = [], []
-    linuxcnc = settings.get('dialect') == 'linuxcnc' or program.suffix.lower() == '.ngc'
+    dialect = settings.get('dialect', 'auto')
+    linuxcnc = dialect == 'linuxcnc' or program.suffix.lower() == '.ngc'
     try:
         if not linuxcnc and _OTHER_HOLES.search(text):
             raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
-        moves: Iterable[ReadMove] = second.read_by_linuxcnc(
+        moves: Iterable[Read] = second.read_by_linuxcnc(
             text, names, skip, len(plan.blocks['tip']), setup
         )
-        moves = _as_planned(moves, settings)
-        found.append(compare_places(plan.blocks, machine, moves, tolerances))
+        by_places = _FollowPlaces(plan.blocks, machine, tolerances)
+        found.append(by_places.follow(_as_planned(moves, settings)))
         readers.append(f"read by LinuxCNC's rs274 to {second.LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
         readers.append(str(reason))
@@ -102,38 +119,47 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         tools = second.cutters_of(plan.summary.get('setup'))
         if tools is None:
             raise ProgramError('the reader of plain words knows no offsets and tool lengths')
-        default = float(feed) if isinstance(feed, int | float) else None
-        moves = read_plainly(text, str(program), names, default, skip, tools, plan.flank_height)
-        moves = _as_planned(moves, settings)
-        found.append(_Comparison(plan.blocks, machine, tolerances).follow(moves))
-        found.append(replace(found[-1], faults=tuple(compare_words(plan, machine, text))))
+        plain = PlainSettings(
+            float(feed) if isinstance(feed, int | float) else None,
+            skip,
+            tools,
+            setup.tool,
+            plan.flank_height,
+            machine.signals.after,
+            (1.0,) if linuxcnc else {'fanuc': (1e-3,)}.get(dialect, (1.0, 1e-3, 0.0)),
+        )
+        moves = read_plainly(text, str(program), names, plain)
+        by_lines = _Comparison(plan.blocks, machine, tolerances)
+        found.append(by_lines.follow(_as_planned(moves, settings)))
+        found.append(replace(found[-1], faults=by_lines.waits(plan)))
         readers.append('read by the second reader of plain words')
     except ProgramError as reason:
         readers.append(str(reason))
+        if found:
+            found.append(replace(found[-1], faults=by_places.waits(plan, second.KNOWN_CALLS)))
+            readers.append(f'of the functions {", ".join(second.KNOWN_CALLS)} are compared')
     if not found:
         raise InterpError('; '.join(reversed(readers)))
     return Agreement(
         found[-1].motions,
         found[-1].arcs,
-        tuple(fault for each in found for fault in each.faults),
+        (*([] if touches else [unprobed]), *(fault for each in found for fault in each.faults)),
         '; '.join(readers),
     )
 
 
-def _as_planned(moves: Iterable[ReadMove], settings: Mapping[str, Any]) -> Iterable[ReadMove]:
+def _as_planned(read: Iterable[Read], settings: Mapping[str, Any]) -> Iterator[Read]:
     nan = float('nan')
-    if settings.get('force_tolerances'):
-        moves = (replace(m, tolerance=nan, orientation=nan) for m in moves)
-    if settings.get('interpolation') == 'vector':
-        moves = (replace(m, worded=m.worded and not m.tcp) for m in moves)
-    return moves
+    for each in read:
+        if isinstance(each, ReadMove) and settings.get('force_tolerances'):
+            each = replace(each, tolerance=nan, orientation=nan)
+        if isinstance(each, ReadMove) and settings.get('interpolation') == 'vector':
+            each = replace(each, worded=each.worded and not each.tcp)
+        yield each
 
 
 def compare_places(
-    blocks: Columns,
-    machine: Machine,
-    moves: Iterable[ReadMove],
-    tolerances: Sequence[float] = UNKNOWN,
+    blocks: Columns, machine: Machine, moves: Iterable[Read], tolerances: Sequence[float] = UNKNOWN
 ) -> Agreement:
     return _FollowPlaces(blocks, machine, tolerances).follow(moves)
 
@@ -152,14 +178,42 @@ class _Comparison:
         self.zero[0, :3] -= self.transform.forward(self.zero)[0][0]
         self.before: ReadMove | None = None
         self.linear: FloatArray | None = None
+        self.calls: list[tuple[ReadCall, int]] = []  # and the row before which each acts
 
-    def follow(self, moves: Iterable[ReadMove]) -> Agreement:
+    def follow(self, moves: Iterable[Read]) -> Agreement:
         for move in moves:
-            if not self.take(move):
+            if isinstance(move, ReadCall):
+                self.calls.append((move, self.row_of_call()))
+            elif not self.take(move):
                 break
         else:
             self.end()
         return Agreement(self.motions, self.arcs, tuple(self.faults))
+
+    def row_of_call(self) -> int:
+        return self.row
+
+    def waits(self, plan: PlanFiles, known: Collection[str] = ()) -> tuple[str, ...]:
+        """Return what differs in functions and program stops."""
+        signals = self.machine.signals
+        waits = np.zeros(len(self.blocks['line']), dtype=np.int64)
+        waits_first, faults = False, []
+        for call, row in self.calls:
+            if call.word in STOPS and row <= 1:  # it waits before the motion begins
+                waits_first |= call.word != 'M1'
+            elif call.word in STOPS:
+                kinds = [OPTIONAL_STOP if call.word == 'M1' else STOP, waits[row - 1] or STOP_LAST]
+                waits[row - 1] = min(kinds)
+        for row in np.flatnonzero(waits != self.blocks['program_stop'])[:1]:
+            line, found = self.blocks['line'][row], int(self.blocks['program_stop'][row])
+            wanted = WAITS[int(waits[row])]
+            faults.append(f'line {line} of the program: {wanted} after it, not {WAITS[found]}')
+        stated = plan.summary.get('waits_first', waits_first)
+        if stated is not waits_first:
+            stated = 'waits' if stated else 'does not wait'
+            faults.append(f'the plan {stated} for the operator before the motion begins')
+        fault = compare_calls(plan, signals, self.calls, known)
+        return (*faults, *([fault] if fault else []))
 
     def fault(self, move: ReadMove, text: str) -> None:
         self.faults.append(f'line {move.line} of the program: {text}')
@@ -327,21 +381,63 @@ class _Comparison:
         if (self.blocks['rapid'][rows] != move.rapid).any():
             self.fault(move, f'is {"a" if move.rapid else "no"} rapid, its rows are not so')
             return
-        turns = np.abs(move.rotary - before.rotary).max(initial=0.0) > _angle(move)
         duration, feed = self.blocks['duration'][rows], self.blocks['feed'][rows]
-        if np.isfinite(move.duration):
-            spent = float(duration.sum())
-            if not abs(spent - move.duration) <= (SAME_FEED + move.unsure) * move.duration:
-                self.fault(move, f'lasts {move.duration:.6g} s, its rows {spent:.6g} s')
-        elif np.isfinite(move.feed) and (move.tcp or not turns) and np.isnan(duration).all():
-            moving = feed[np.isfinite(feed)]
-            if (np.abs(moving - move.feed) > (SAME_FEED + move.unsure) * move.feed).any():
-                worst = moving[np.argmax(np.abs(moving - move.feed))] / MM_PER_MIN
-                self.fault(
-                    move, f'has F {move.feed / MM_PER_MIN:.6g} mm/min, a row of it {worst:.6g}'
-                )
-        elif np.isnan(move.feed) and not move.rapid and np.isnan(duration).all():
-            self.fault(move, 'has no feed')
+        if move.rapid:
+            if np.isfinite(duration).any() or np.isfinite(feed).any():
+                self.fault(move, 'is a rapid, a row of it has a feed or a duration')
+            return
+        timed, wanted = np.isfinite(duration), self.lasts(move, before, rows)
+        if np.isnan(move.feed) and np.isnan(move.duration):
+            if not timed.all():
+                self.fault(move, 'has no feed')
+        elif timed.any() or np.isfinite(move.duration):
+            # The rows of a motion share its time evenly.
+            spent, share = float(duration.sum()), wanted / len(rows)
+            room = SAME_FEED * wanted + self.unsure_time(move, wanted, rows)
+            even = np.abs(duration - share).max() <= room
+            if not (even and abs(spent - wanted) <= room):
+                self.fault(move, f'lasts {wanted:.6g} s, its rows {spent:.6g} s')
+        else:
+            worst = feed[np.argmax(np.abs(feed - move.feed))]
+            if not abs(worst - move.feed) <= (SAME_FEED + move.unsure) * move.feed:
+                found = f'{move.feed / MM_PER_MIN:.6g} mm/min, a row of it'
+                self.fault(move, f'has F {found} {worst / MM_PER_MIN:.6g}')
+
+    def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:
+        """Return by how much the digits of the reader leave the time of a motion open [s]."""
+        unsure = move.unsure * wanted
+        if np.isnan(move.duration) and move.digit:
+            unsure += 2.0 * (DIGITS * move.digit + self.room(move)) / move.feed
+        return unsure
+
+    def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> float:
+        """Return the time of a motion [s]: as written, or at the feed of what moves.
+
+        X Y Z move, or the tip; or else extra axes; or else the rotary axes turn.
+        """
+        if np.isfinite(move.duration) or np.isnan(move.feed):
+            return move.duration
+        first, last = rows[0] - 1, rows[-1]
+        extra, direction = self.blocks['extra_axes'], self.machine.extra_direction
+        if move.tcp:
+            start, end = self.pose(before)[0], self.pose(move)[0]
+        else:
+            start, end = self.points(move)[first] - extra[first] @ direction, move.end
+        way = float(np.linalg.norm(end - start))
+        if move.sweep:
+            way = self.arc_length(move, start, end)
+        elif not move.tcp and np.abs(move.rotary - before.rotary).max(initial=0.0) <= SAME_PLACE:
+            aside = extra[last] - extra[first]
+            along = end - start + aside @ direction
+            way = max(float(np.linalg.norm(along)), float(np.linalg.norm(aside)))
+        if way > SAME_PLACE:
+            return way / move.feed
+        return float(np.linalg.norm(move.rotary - before.rotary)) / move.turn_feed
+
+    def arc_length(self, move: ReadMove, start: FloatArray, end: FloatArray) -> float:
+        arms = np.linalg.norm(_arms(move, np.stack([start, end])), axis=1)
+        across = float((end - start)[move.plane[2]])
+        return float(np.hypot(arms.mean() * self.turn_of(move, start), across))
 
     def end(self) -> None:
         if self.row < len(self.blocks['line']):
@@ -365,6 +461,11 @@ class _FollowPlaces(_Comparison):
     def fault(self, move: ReadMove, text: str) -> None:
         line = self.blocks['line'][min(self.row, len(self.blocks['line'])) - 1]
         self.faults.append(f'line {line} of the program, by LinuxCNC: {text}')
+
+    def row_of_call(self) -> int:
+        if self.before is not None:
+            self.pass_tiny(self.before)
+        return self.row
 
     def take(self, move: ReadMove) -> bool:
         if self.before is None and move.rapid and not self.near(move, 0, 1)[0]:

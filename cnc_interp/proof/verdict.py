@@ -54,7 +54,8 @@ class Proof:
     given: tuple[Given, ...] = ()  #: What is taken as given.
     program: str = ''  #: What was compared with the text of the program, or ''.
     beside: str = ''  #: What was executed beside the program, or ''.
-    until: str = ''  #: How far a cut record goes, which is a failure; or ''.
+    #: How far a cut record goes, or ''; a failure unless a probe of the program ended it.
+    until: str = ''
 
     @property
     def ok(self) -> bool:
@@ -93,14 +94,14 @@ class Proof:
                 value, limit = _with_units(finding)
                 lines.append(f'{finding.what:<22}{value:>17} of {limit:<17}{_place(finding)}')
         lines += [line for line in (self.beside, self.program) if line]
-        verdict = 'proven'
+        verdict = f'proven as far as it goes: {self.until}' if self.until else 'proven'
         if self.failures:
             # That a record is cut is no fault of what it holds.
             verdict = f'NOT proven, faults: {len(set(self.failures) - {self.until})}'
             if self.failures == (self.until,):
                 verdict = 'proven as far as the record goes, NOT to the end of the program'
         elif self.machine_file:
-            verdict = f'proven for the machine file {self.machine_file}, which is not bundled'
+            verdict += f' for the machine file {self.machine_file}, which is not bundled'
         return '\n'.join([*lines, *self.failures, verdict])
 
 
@@ -196,9 +197,9 @@ class Ledger:
             self.fail(fault)
 
     def close(self) -> Proof:
-        plan, machine, until = self.plan, self.machine, ''
-        if plan.cut and not plan.by_probe:
-            until = f'{plan.cut}; nothing is known after {self.known_samples * plan.period:.3f} s'
+        plan, machine, until = self.plan, self.machine, self.plan.cut
+        if until and not plan.by_probe:
+            until += f'; nothing is known after {self.known_samples * plan.period:.3f} s'
         return Proof(
             machine.name,
             machine.axis_names,
@@ -207,7 +208,7 @@ class Ledger:
             plan.period,
             (len(plan.position) - 1) * plan.period,
             tuple(self.findings),
-            (*self.failures, *([until] if until else [])),
+            (*self.failures, *([until] if until and not plan.by_probe else [])),
             machine.file,
             until=until,
         )

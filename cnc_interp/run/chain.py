@@ -136,6 +136,7 @@ def plan_to_files(
             chain.finish()
             stream.note(chain.path.notice)
             writer.functions = stream.functions
+            writer.figures.waits_first = stream.waits_first
             if start is not None:
                 writer.figures.start = start.found().after(writer.functions, machine.signals)
                 writer.functions = start.functions(writer.functions)

@@ -89,6 +89,7 @@ class PlanFigures:
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
         self.cut = ''  # where a record ends before the program does
+        self.waits_first: bool | None = False  # for the operator (M0); a record does not tell
         self.samples = self._segments = self._blocks = 0
         self._windows = dict.fromkeys(SOLVED_BY, 0)
         self._over_bound = 0.0  # of the windows that have not converged [s]
@@ -193,6 +194,7 @@ class PlanFigures:
             'largest_override': largest_override,
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
+            **({} if self.waits_first is None else {'waits_first': self.waits_first}),
             'functions': self.functions.counts(machine.signals),
             'standstill': float(stands.sum()),
             'samples': self.samples,

@@ -42,6 +42,7 @@ _AS_IN_BLOCKS = (
     'exact_stop',
     'top',
     'knot_interval',
+    'program_stop',
 )
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 SELDOM = 'functions', 'followed'  #: Files that only some plans have.

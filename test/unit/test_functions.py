@@ -16,8 +16,8 @@ from cnc_interp.program import read_text
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source
-from cnc_interp.proof.functions import compare_words
 from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
 from cnc_interp.run.chain import plan_to_files
 from cnc_interp.settings.options import Settings
@@ -353,8 +353,10 @@ def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None
         'M30': 1,
     }
     plan = read_plan(tmp_path)
-    assert verify(plan, MACHINE).ok and compare_words(plan, MACHINE, text) == []
-    assert len(compare_words(plan, MACHINE, text.replace('S9000', 'S9001'))) == 2
+    assert verify(plan, MACHINE).ok
+    for other, faults in ((text, 0), (text.replace('S9000', 'S9001'), 1)):
+        (tmp_path / 'part.ngc').write_text(other)
+        assert len(compare_with_text(plan, MACHINE, tmp_path / 'part.ngc').faults) == faults
     blocks, sample = plan.block, plan.functions['sample']
     m8 = MACHINE.signals.words['M8'].start
     at = int(np.argmax(sample > 0))

@@ -57,7 +57,7 @@ class AtOnce:
     def __init__(self, program):
         self.source, self.share, self.blocks = program.source, 1.0, program.blocks
         self.start, self.setup = StartLine(0, 0, program.source), ''
-        self.functions = Functions.none()
+        self.functions, self.waits_first = Functions.none(), False
 
     def __iter__(self):
         yield self.blocks

@@ -166,7 +166,7 @@ def test_rows_without_the_rotary_words_of_the_text_are_found(tmp_path, capsys):
 def test_an_arc_after_a_switch_is_not_compared(tmp_path, capsys):
     text = 'G0 X0 Y0 Z0 A10 C0\nTRAORI\nG3 X5 Y0 Z0 I2.5 J0 F900\n'
     with pytest.raises(ProgramError, match='an arc after a switch'):
-        read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'), None, skip=False)
+        read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'))
 
 
 @pytest.mark.parametrize('text', ['#1=5', 'G81 Z-2 R1', 'X[1+2]', 'M98 P5', 'G41 D1', 'G10 L2 P1'])
@@ -273,7 +273,7 @@ def test_a_hostile_program_is_one_line(text, tmp_path, capsys, monkeypatch):
 
 def test_words_of_a_plain_program():
     text = 'G0 X1\nG1 Y-2.5 A.5 F600\nG93 G1 X0 F2'
-    moves = read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'), None, skip=False)
+    moves = read_plainly(text, 'a.ngc', ('X', 'Y', 'Z', 'A', 'C'))
     assert [move.rapid for move in moves] == [True, False, False]
     np.testing.assert_allclose(moves[1].end, [1 * MM, -2.5 * MM, 0])
     assert moves[1].rotary[0] == pytest.approx(0.5 * DEG)

@@ -24,7 +24,7 @@ from cnc_interp.proof.verify import verify
 PROGRAMS = {
     'mill.ngc': (
         'vmc',
-        'G21 G90 G17 G64 P0.015\nT5 M6\nS8000 M3\nG0 X0 Y0 Z5\nM8\nG1 Z0 F1000\nS9000\nX6 M9\n'
+        'G21 G90 G17 G64 P0.03\nT5 M6\nS8000 M3\nG0 X0 Y0 Z5\nM8\nG1 Z0 F1000\nS9000\nX6 M9\n'
         'G4 P0.2\nY4 F600\nM0\nM4\nX0\nM1\nG2 X4 Y4 I2 J0\nG93 G1 X0 F60\nG95 X2 F0.1\n'
         'G94 F500 Y0\nM5 X1\nM7\nX2\nM30\n',
     ),
@@ -35,7 +35,7 @@ PROGRAMS = {
     ),
     'fanuc.nc': (
         'vmc',
-        'O1234\nG20 G90\nM0\nS900 M4\nG0 X0 Y0 Z0.2\nG1 Z0 F20 M8\nG4 P500\nX0.2\nG4 X0.25\n'
+        'O1234\nG20 G90\nM0\nS900 M4\nG0 X0 Y0.05 Z0.2\nG1 Z0 F20 M8\nG4 P500\nX0.2\nG4 X0.25\n'
         'T7 M6\nM3\nG91 Y0.1\nG90 G3 X0.1 Y0.2 R0.1\nM9\nM30\n',
     ),
 }
@@ -133,7 +133,8 @@ def changed_rows(plan):
         one, feed, duration = rows == k, blocks['feed'], blocks['duration']
         rapid, timed = blocks['rapid'][k], np.isfinite(duration[k])
         yield f'row {k}: program stop', {'program_stop': (blocks['program_stop'] + one) % 3}
-        if blocks['program_stop'][k] or not blocks['exact_stop'][k]:
+        rests = np.linalg.norm(plan.path['tip'][plan.path['stop']] - blocks['tip'][k], axis=1)
+        if blocks['program_stop'][k] or rests.min() > 1e-6:  # else the motion rests anyway
             yield f'row {k}: exact stop', {'exact_stop': blocks['exact_stop'] ^ one}
         yield f'row {k}: rapid', {'rapid': blocks['rapid'] ^ one}
         yield f'row {k}: line', {'line': blocks['line'] + one}

@@ -27,6 +27,9 @@ class LengthUnit:
         digits = self.digits if letter in LINEAR else 4
         return f'{value / self.of(letter):z.{digits}f}'
 
+    def suffix(self, letter: str) -> str:
+        return self.name if letter in LINEAR else '°' if letter in 'ABCR' else ''
+
     def length(self, value: float) -> str:
         return self.shown('X', value)
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from cnc_interp_msgs.msg import SetupTable
 
 from cnc_interp.client.hand_move import connected
-from cnc_interp.client.length_unit import MILLIMETRES
+from cnc_interp.client.length_unit import MILLIMETRES, LengthUnit
 from cnc_interp.client.operator_client import Answer, MachineState, OperatorClient
 from cnc_interp.core import FloatArray
 from cnc_interp.nodes.qos import LOADED
@@ -22,6 +23,26 @@ from cnc_interp.program.job import ROTATION
 from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 
 
+@dataclass(frozen=True)
+class OffsetChange:
+    """A change of an offset: the values that it had and has, and those that count [m, rad]."""
+
+    name: str
+    had: dict[str, float]
+    counted: dict[str, float]
+    counts: dict[str, float]
+
+    def text(self, unit: LengthUnit) -> str:
+        """Return the values that changed, as ``G54 X -5.000 → 32.500 mm``."""
+        words = [
+            f'{letter} {unit.shown(letter, self.counted.get(letter, 0.0))} → '
+            f'{unit.shown(letter, value)} {unit.suffix(letter)}'
+            for letter, value in self.counts.items()
+            if self.counted.get(letter, 0.0) != value
+        ]
+        return f'{self.name} {", ".join(words)}'
+
+
 class SetupClient:
     """Hears the table of offsets and tools; ``who``: its name in the log of what it changes."""
 
@@ -29,10 +50,37 @@ class SetupClient:
         self._nodes, self._who = nodes, f'{who} of {os.environ.get("USER") or os.getuid()}'
         self.table: SetupTable | None = None  #: The table as it was told last; None before.
         self.setup = JobSetup()
+        #: The last change of offsets, by whomever; empty before there was one.
+        self.changes: tuple[OffsetChange, ...] = ()
         nodes.node.create_subscription(SetupTable, 'setup_table', self._see, LOADED)
 
     def _see(self, table: SetupTable) -> None:
-        self.table, self.setup = table, JobSetup.of_text(table.text)
+        before, self.setup = self.setup, JobSetup.of_text(table.text)
+        known, self.table = self.table is not None, table
+        changed = {
+            name
+            for name in ('G92', *before.work_offsets, *self.setup.work_offsets)
+            if position_of(before, name) != position_of(self.setup, name)
+        }
+        if known and changed:
+            self.changes = tuple(
+                OffsetChange(
+                    name,
+                    dict(position_of(before, name)),
+                    offset_row(table, before, name),
+                    offset_row(table, self.setup, name),
+                )
+                for name in sorted(changed)
+            )
+
+    def undo(self, changes: tuple[OffsetChange, ...]) -> list[Future[Answer]]:
+        """Give offsets the values back that they had before changes; newer changes win."""
+        if changes != self.changes:
+            return []
+        return [
+            self.ask('set_offset', offset=one.name, clear=True, **of_axes(one.had))
+            for one in changes
+        ]
 
     def ask(self, service: str, **request: Any) -> Future[Answer]:
         return self._nodes.ask(service, client=self._who, **request)
@@ -42,8 +90,18 @@ def of_axes(values: dict[str, float]) -> dict[str, Any]:
     return {'axes': list(values), 'values': list(values.values())}
 
 
+def position_of(setup: JobSetup, name: str) -> Mapping[str, float]:
+    """Return the values of a work offset or of G92 that are set [m, rad]."""
+    return setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
+
+
 def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float]:
-    """Return a work offset with its rotation R [m, rad]; what has no value is that of the file."""
+    """Return the values of an offset that count [m, rad], a work offset with its rotation R.
+
+    A work offset has those of the machine file where it is not set, G92 has 0.
+    """
+    if name == 'G92':
+        return dict.fromkeys(table.axes, 0.0) | dict(setup.g92)
     zero = dict(zip(table.axes, table.zero, strict=True))
     return zero | {ROTATION: 0.0} | dict(setup.work_offsets.get(name, {}))
 
@@ -121,8 +179,7 @@ class SetupConsole:
             for name in sorted({setup.offset, *setup.work_offsets})
         ]
         if setup.g92:
-            amounts = dict.fromkeys(table.axes, 0.0) | dict(setup.g92)
-            rows.append(('G92' if setup.g92_on else 'G92 off', amounts))
+            rows.append(('G92' if setup.g92_on else 'G92 off', offset_row(table, setup, 'G92')))
         letters = [*table.axes]
         if any(setup.rotation(name) for name in setup.work_offsets):
             letters.append(ROTATION)

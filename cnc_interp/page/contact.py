@@ -13,6 +13,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterable
 from concurrent.futures import Future
+from functools import partial
 from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
@@ -31,6 +32,12 @@ Command = Callable[[Act], Awaitable[None]]
 INTERRUPTED = 'the connection was interrupted'
 AGAIN = f'{INTERRUPTED}: look at the machine, then press again'
 VIEW_ONLY = 'view only: press "take over" first'  #: What a page says that does not command.
+#: What a page says that was opened with another token than that of its server.
+WRONG_TOKEN = (
+    'the token in the address is not that of this server, which may have been started again: '
+    'open the address that it printed at start'
+)
+NO_TOKEN = 'to command, open the page with the address that was printed at start'
 #: Time between beats, and age of the last one answered up to which a page sees what happens [s].
 BEAT, LATE = 0.5, 5.0
 #: A page whose last answer is older lags: it is shown nothing until it has caught up [s].
@@ -117,11 +124,19 @@ def act_on_shown(
     element.on(kind, acted, js_handler='() => emit(shown())')
 
 
+#: Headers by which a browser shows the page in no frame of another.
+UNFRAMED = (
+    (b'x-frame-options', b'DENY'),
+    (b'content-security-policy', b"frame-ancestors 'none'"),
+)
 FORM = 1 << 16  #: Room for what a form adds to a file [bytes].
 
 
 class Gate:
-    """Lets requests through that name this computer and whose bodies are short enough."""
+    """Lets requests through that name this computer and whose bodies are short enough.
+
+    A page of another origin can send none, by a websocket neither, and can frame nothing.
+    """
 
     def __init__(self, app: Any, host: str, longest: int):
         self._app, self._host, self._longest = app, host, longest + FORM
@@ -132,17 +147,26 @@ class Gate:
             if refusal is not None:
                 await refusal(scope, receive, send)
                 return
-        await self._app(scope, receive, send)
+        await self._app(scope, receive, partial(send_unframed, send))
 
     def _refusal(self, headers: Headers) -> PlainTextResponse | None:
         if not names_this_host(headers.get('host', ''), self._host):
             return PlainTextResponse('this page is not served under that name', 400)
+        origin = headers.get('origin')
+        if origin is not None and urlsplit(origin).netloc.lower() != headers['host'].lower():
+            return PlainTextResponse('a page of another server may not use this one', 403)
         if 'transfer-encoding' in headers:
             return PlainTextResponse('a request must tell its length', 411)
         length = headers.get('content-length', '0')
         if not length.isdigit() or int(length) > self._longest:
             return PlainTextResponse('the file is too long', 413)
         return None
+
+
+async def send_unframed(send: Any, message: Any) -> None:
+    if message['type'] == 'http.response.start':
+        message = {**message, 'headers': [*message['headers'], *UNFRAMED]}
+    await send(message)
 
 
 def names_this_host(header: str, host: str) -> bool:

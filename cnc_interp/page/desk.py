@@ -15,7 +15,13 @@ from cnc_interp_msgs.msg import LoadedProgram, ModalState
 
 from cnc_interp.client.hand_move import LineHistory
 from cnc_interp.client.operator_client import SWITCHES, Answer, MachineState, OperatorClient
-from cnc_interp.client.setup_client import SetupClient, of_axes, work_coordinates, zero_here
+from cnc_interp.client.setup_client import (
+    OffsetChange,
+    SetupClient,
+    of_axes,
+    work_coordinates,
+    zero_here,
+)
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -387,6 +393,14 @@ class Desk:
         values = zero_here(table, setup, name, reads, letter)
         asked = self.setup.ask('set_offset', offset=name, **of_axes(values))
         return await asyncio.wrap_future(asked)
+
+    async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
+        answer = Answer(False, 'the offsets were changed again: look at the last change')
+        for asked in self.setup.undo(changes):
+            answer = await asyncio.wrap_future(asked)
+            if not answer.ok:
+                break
+        return answer
 
     async def trigger(self, name: str) -> Answer:
         answer = await asyncio.wrap_future(self.nodes.ask(name))

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.client.setup_client import SetupClient, of_axes
+from cnc_interp.client.setup_client import SetupClient, of_axes, position_of
 from cnc_interp.core import InterpError, SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.readings import ShownUnit
@@ -34,7 +34,7 @@ KEYBOARD = (
     ('o', 'O', 'optional stop', 'optional stop (M1) on or off'),
     ('b', 'B', 'block delete', 'block delete on or off: leaves out lines that begin with a slash'),
     ('j', 'J', 'jog', 'show or hide the keys that move an axis'),
-    ('p', 'P', 'pose', 'show or hide the fields of a tool pose'),
+    ('p', 'P', 'pose', 'show or hide where to go: a tool pose, or the zero of an axis'),
     ('?', '?', 'keyboard', 'show or hide this list'),
 )
 MARKS = {name: mark for name, _, mark, _ in KEYBOARD}
@@ -52,7 +52,7 @@ def keyboard_list() -> Any:
             ui.html('<kbd>Enter ↑ ↓</kbd>', sanitize=False)
             ui.label('in the MDI field: execute the line; show the lines before')
         ui.label(
-            'Space and Enter never press a key that moves the machine. '
+            'Space and Enter never press a key that moves the machine or changes an offset. '
             'Enter executes the line in the MDI field.'
         ).classes('small')
     return dialog
@@ -115,6 +115,7 @@ class SetupDialog:
         self._dialog = ui.dialog()
         self._fields: dict[str, Any] = {}
         self._known: dict[str, tuple[str, float]] = {}  # text of a field, and its value in SI
+        unit.follow(lambda _: self.open() if self._dialog.value else None)
 
     def open(self) -> None:
         table = self._setup.table
@@ -143,10 +144,11 @@ class SetupDialog:
             place = table.file or 'program_node only, until it ends'
             ui.label(f'kept in {place}').classes('small')
             if table.change:
-                told = ui.label(f'last change by {table.changed_by}: {table.change}')
+                told = ui.label(f'last change by {table.changed_by} [mm, deg]: {table.change}')
                 told.classes('small').props('data-mark="setup change"')
             with ui.element('div').classes('ends'):
-                key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
+                empty = key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
+                empty.classes('changes')
                 key('close', 'close setup', self._dialog.close)
         self._dialog.open()
 
@@ -162,11 +164,12 @@ class SetupDialog:
             self._known[mark] = text, value
 
     def _reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
-        act_on_shown(key(text, mark), 'click', self._fields.values(), act)
+        made = key(text, mark).classes('changes')
+        act_on_shown(made, 'click', self._fields.values(), act)
 
     def _offset_row(self, name: str, axes: list[str]) -> None:
         setup = self._setup.setup
-        position = setup.g92 if name == 'G92' else setup.work_offsets.get(name, {})
+        position = position_of(setup, name)
         active = name == setup.offset or (name == 'G92' and setup.g92_on)
         ui.label(f'{name} ●' if active else name).classes('value')
         letters = axes if name == 'G92' else [*axes, ROTATION]
@@ -178,11 +181,11 @@ class SetupDialog:
             ui.label('')
         self._reading_key('set', f'set {name}', partial(self._set_offset, name, letters))
         ask = partial(self._ask, 'set_offset', offset=name)
-        key('clear', f'clear {name}', partial(ask, clear=True))
+        key('clear', f'clear {name}', partial(ask, clear=True)).classes('changes')
         if name == 'G92':
             ui.label('')
         else:
-            key('use', f'use {name}', partial(ask, activate=True))
+            key('use', f'use {name}', partial(ask, activate=True)).classes('changes')
 
     def _tool_row(self, number: int | None) -> None:
         setup = self._setup.setup
@@ -200,8 +203,12 @@ class SetupDialog:
         self._reading_key('set', f'set {mark}', partial(self._set_tool, mark, number))
         if number is None:
             return
-        key('remove', f'remove {mark}', partial(self._ask, 'set_tool', number=number, remove=True))
-        key('in the spindle', f'load {mark}', partial(self._load, number))
+        remove = partial(self._ask, 'set_tool', number=number, remove=True)
+        for text, name, act in (
+            ('remove', f'remove {mark}', remove),
+            ('in the spindle', f'load {mark}', partial(self._load, number)),
+        ):
+            key(text, name, act).classes('changes')
 
     # Commands -----------------------------------------------------------------------------------
 
@@ -215,7 +222,7 @@ class SetupDialog:
                     break
                 await asyncio.sleep(0.05)
             if answer.ok:
-                ui.notify(answer.message.partition(': ')[2])
+                ui.notify(f'[mm, deg] {answer.message.partition(": ")[2]}')
                 self.open()
             return answer
 
@@ -328,7 +335,7 @@ class ProbeDialog:
                     self._fields[told.name] = field
             with ui.element('div').classes('ends'):
                 key('close', 'close probe', self._dialog.close, 'primary')
-                start = key('start', 'start probe', colour='primary')
+                start = key('start', 'start probe', colour='primary').classes('moves')
                 fields = [self._fields[told.name] for told in cycle.parameters]
                 act_on_shown(start, 'click', fields, lambda: self._run(cycle))
         self._dialog.open()

@@ -7,6 +7,7 @@ window.jog = {
   OLD: STALE, // silence of the server after which a held key must be pressed again [ms]
   GONE: LOST, // what is said where neither the user nor the contact ended it
   KEYS: ARROWS,
+  FILLS: FILLED, // for so long a key that starts a rapid must be held [ms]
   timer: 0,
   key: null, // the key that a pointer holds
 
@@ -24,10 +25,13 @@ window.jog = {
     else this.say(`this page is busy: the key moves ${(late / 1000).toFixed(1)} s after the press`);
   },
   release(why) {
+    const filling = this.key?.matches('.filling');
+    this.key?.classList.remove('filling');
     this.key = null;
     if (!this.timer) return;
     clearInterval(this.timer);
     this.timer = 0;
+    if (filling) return this.say(EARLY);
     if (contact.connected()) emitEvent('jog', { name: '', sign: 0, heard: contact.beat });
     if (why) this.say(why);
   },
@@ -41,8 +45,24 @@ window.jog = {
   press(event, name, sign) {
     if (!this.pad() || !event.isPrimary || event.button) return;
     this.hold(name, sign, event.timeStamp);
+    this.take(event);
+  },
+  take(event) {
     this.key = event.currentTarget;
     this.key.setPointerCapture(event.pointerId); // else nothing is heard of a pointer outside the window
+  },
+  fill(event, name) {
+    if (!event.isPrimary || event.button) return;
+    this.release();
+    this.take(event);
+    this.key.classList.add('filling');
+    this.timer = setTimeout(() => {
+      this.timer = 0;
+      this.release();
+      if (contact.connected() && performance.now() - contact.heard < this.OLD)
+        emitEvent('go_to_zero', { name, heard: contact.beat });
+      else this.say(AGAIN);
+    }, this.FILLS);
   },
   slide(event) {
     const box = this.key?.getBoundingClientRect();
@@ -66,4 +86,4 @@ window.addEventListener('pointermove', (event) => jog.slide(event), true);
 // Without capture: the blur of an element is none of the window.
 window.addEventListener('blur', () => jog.release(jog.GONE));
 // A finger that rests on a key asks for no menu.
-document.addEventListener('contextmenu', (event) => event.target.closest('.jog') && event.preventDefault());
+document.addEventListener('contextmenu', (event) => event.target.closest('.jog, .held') && event.preventDefault());

@@ -44,9 +44,11 @@ TOOL = 'tool'  #: Name of the motion along the tool among the axes.
 HOLD = 'hold'  #: In the place of a step: the axis moves while its key is held.
 SPEED = 1  #: The speed at first, counted from the slowest.
 AT_END = 1e-6  #: An axis nearer than this to the end of its travel is there [m, rad].
+FILLS = 0.7  #: Time for which a key that starts a rapid must be held [s].
 STALE = 1.2  #: A beat that names an older beat of the server was on its way for too long [s].
 ALARMS = 'machine_node: jog'  #: Where messages of motion by hand come from.
 #: What the page says where a held key was let go by something else than its user.
+EARLY = 'nothing moves yet: hold the key until it is filled'
 LOST = 'the window or the pointer was lost: look at the machine, then press again'
 
 
@@ -217,11 +219,24 @@ class NumberFields:
             unit.label(title).classes('small wide')
             self._fields = {name: self._field(name, mark) for name in names}
         self._box.set_visibility(False)
+        unit.follow(self._convert)
 
-    @staticmethod
-    def _field(name: str, mark: str) -> Any:
+    def _field(self, name: str, mark: str) -> Any:
         field = ui.input().props('dense outlined inputmode=decimal autocomplete=off')
-        return field.props(f'prefix={name} data-mark="{mark} {name}"')
+        suffix = self._unit.now.suffix(name)
+        return field.props(f'prefix={name} data-mark="{mark} {name}" suffix="{suffix}"')
+
+    def _convert(self, unit: LengthUnit) -> None:
+        """Keep the lengths that are typed: 12.5 mm become 0.492126 in. What is no number goes."""
+        for name, field in self._fields.items():
+            text = self._unit.texts.get(field.props['data-mark'], '').replace(',', '.')
+            ratio = self._unit.before.of(name) / unit.of(name)
+            try:
+                text = text and f'{float(text) * ratio:.7g}'
+            except ValueError:
+                text = ''
+            field.set_value(text)
+            field.props(f'suffix="{unit.suffix(name)}"').update()
 
     def _reading_key(self, text: str, act: Callable[[dict[str, float]], Awaitable[None]]) -> Any:
         async def read() -> None:
@@ -254,8 +269,15 @@ def numbers(texts: dict[str, str | None]) -> dict[str, float]:
 
 
 class PoseField(NumberFields):
+    """Where to go: a pose, or the zero of an axis, as a rapid, by a key that must be held."""
+
     def __init__(
-        self, nodes: OperatorClient, speed: Callable[[], float], unit: ShownUnit, command: Command
+        self,
+        nodes: OperatorClient,
+        speed: Callable[[], float],
+        axes: Iterable[str],
+        unit: ShownUnit,
+        command: Command,
     ):
         title = 'go to a pose: tool tip in the workpiece, mm; tool axis'
         super().__init__(title, 'pose', POSE, unit, command)
@@ -263,6 +285,20 @@ class PoseField(NumberFields):
         with self._box:
             key('here', act=self._take_here)
         self._reading_key('go there', self._go).classes('moves')
+        self._axes = tuple(axes)
+        with self._box, ui.element('div').classes('zeros wide'):
+            ui.label('go to zero, as a rapid: hold').classes('small')
+            for name in sorted(self._axes, key='Z'.__eq__):  # Z stands apart
+                made = key(f'{name} 0', f'go to zero {name}').classes(f'moves held {name.lower()}')
+                made.on(
+                    'pointerdown', js_handler=f'(event) => jog.fill(event, {json.dumps(name)})'
+                )
+        ui.on('go_to_zero', self._go_to_zero)
+
+    async def _go_to_zero(self, event: events.GenericEventArguments) -> None:
+        name, heard = event.args['name'], event.args['heard']
+        if name in self._axes and time.monotonic() - float(heard) <= STALE:
+            await self._command(asked(self._nodes.give_line, f'G90 G0 {name}0'))
 
     def _take_here(self) -> None:
         if (state := self._nodes.state) is not None:
@@ -281,7 +317,7 @@ class TouchOffField(NumberFields):
         title = 'touch off: here reads, in the active offset, mm or °'
         super().__init__(title, 'here', axes, unit, command)
         self._setup = setup
-        self._reading_key('touch off', self._touch_off).classes('wide')
+        self._reading_key('touch off', self._touch_off).classes('wide changes')
 
     async def _touch_off(self, values: dict[str, float]) -> None:
         """Set the active offset; what is empty stays as it is."""
@@ -290,7 +326,7 @@ class TouchOffField(NumberFields):
         async def touched() -> Answer:
             answer = await asyncio.wrap_future(self._setup.ask('touch_off', **of_axes(found)))
             if answer.ok:
-                ui.notify(answer.message.partition(': ')[2])
+                ui.notify('touched off: the change stands below the coordinates')
             return answer
 
         await self._command(touched)

@@ -207,10 +207,10 @@ class Keys:
         with ui.element('div').classes('stops'):  # above every dialog
             self._stop = large('EMERGENCY STOP', colour='negative')
             self._stop.on(**pressing('emergency_stop'))
-            hold = large('feed hold', colour='warning').on(**pressing('feed_hold'))
+            self._hold = large('feed hold', colour='warning').on(**pressing('feed_hold'))
         start = large('cycle start', '', partial(in_sight, desk.cycle_start), 'positive')
         reset = partial(in_sight, partial(desk.trigger, 'reset'))
-        keys = start.classes('moves'), hold, large('reset', '', reset, 'blue-grey-7')
+        keys = start.classes('moves'), large('reset', '', reset, 'blue-grey-7')
         self._switches = [
             *(self._switch(name) for name in SWITCHES),
             Switch('block delete', lambda: desk.settings.skip_blocks, self._skip_blocks),
@@ -233,10 +233,11 @@ class Keys:
         await self._use(replace(self._desk.settings, skip_blocks=on))
 
     def allow(self, in_charge: bool, trusted: bool) -> None:
-        """Enable the keys of a page in charge; with the token it may always stop the machine."""
+        """Enable the keys of a page in charge; with the token it may always stop or hold."""
         for element in self._elements:
             element.set_enabled(in_charge)
-        self._stop.set_enabled(trusted)
+        for element in (self._stop, self._hold):
+            element.set_enabled(trusted)
 
     def show(self) -> None:
         for switch in self._switches:

@@ -9,7 +9,7 @@ from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.setup_client import work_zero
 from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
-from cnc_interp.page.contact import AGAIN, LATE, VIEW_ONLY, Access, Act, Contact, asked, key
+from cnc_interp.page.contact import AGAIN, LATE, NO_TOKEN, VIEW_ONLY, Access, Act, Contact, key
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
 from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
@@ -32,7 +32,8 @@ def marked(element: Any, name: str) -> Any:
 
 
 class Page:
-    def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool):
+    def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool, why: str = ''):
+        self._why = why  # the page may not command; empty if it may
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
         assert desk.machine is not None  # a page is made once it is known
         self._machine = desk.machine
@@ -65,11 +66,15 @@ class Page:
         self._settings = SettingsDialog(self._use)
         self._setup = SetupDialog(desk.setup, self._unit, self._command_in_sight)
         self._keyboard = keyboard_list()
-        ui.on('inch', lambda event: self._unit.use(INCHES if event.args else MILLIMETRES))
+        ui.on('inch', self._use_unit)
         ui.on('pick_point', self._pick_point)
         ui.run_javascript('preferences.apply()')
         ui.timer(PACE, self._show)
         ui.context.client.on_connect(self._listing.show_again)
+
+    def _use_unit(self, event: events.GenericEventArguments) -> None:
+        is_inch, texts = event.args
+        self._unit.use(INCHES if is_inch else MILLIMETRES, texts)
 
     # Building -----------------------------------------------------------------------------------
 
@@ -83,6 +88,7 @@ class Page:
             self._label('state', 'state')
             self._label('why', 'grow')
             marked(ui.element('div').classes('contact'), 'contact')
+            marked(ui.label(self._why).classes('refused'), 'refused')
             keyboard = outlined('?', 'keyboard', lambda: self._keyboard.open())
             keyboard.tooltip('keyboard')
             for mark in ('inch', 'light'):
@@ -100,7 +106,12 @@ class Page:
                 self._label(f'work {axis.name}').tooltip('in the program, mm or °')
                 self._label(f'axis {axis.name}', 'at').tooltip('of the machine, mm or °')
                 if axis.name not in EXTRA_LETTERS:  # which have no work offset
-                    self._zero_keys(axis.name)
+                    self._zero_key(axis.name)
+        with ui.element('div').classes('change') as self._change:
+            self._label('offset change', 'grow small')
+            undo = key('undo', 'undo offset', self._undo).classes('changes')
+            self._zeros.append(undo)
+        self._change.set_visibility(False)
         for title, mark, letters in (
             ('tool tip in the workpiece, mm', 'tip', 'XYZ'),
             ('tool axis', 'tool', 'IJK'),
@@ -134,20 +145,22 @@ class Page:
             self._pair('without compensation', 'uncompensated', '')
         self._compensation.set_visibility(False)
 
-    def _zero_keys(self, letter: str) -> None:
-        desk = self._desk
-        for text, mark, act, hint in (
-            ('0', f'zero {letter}', lambda: desk.zero(letter), 'reads 0 here from now on'),
-            (
-                '→0',
-                f'go to zero {letter}',
-                asked(desk.nodes.give_line, f'G90 G0 {letter}0'),
-                'moves there at once, as a rapid',
-            ),
-        ):
-            made = key(text, mark, partial(self._command_in_sight, act), 'primary', 'dense flat')
-            made.tooltip(f'{mark}: {hint}').classes('moves' if 'go' in mark else '')
-            self._zeros.append(made)
+    def _zero_key(self, letter: str) -> None:
+        act = partial(self._command_in_sight, partial(self._desk.zero, letter))
+        made = key('0', f'zero {letter}', act, 'primary', 'dense flat').classes('changes')
+        made.tooltip(f'zero {letter}: reads 0 here from now on')
+        self._zeros.append(made)
+
+    async def _undo(self) -> None:
+        await self._command_in_sight(partial(self._desk.undo, self._shown.get('changes', ())))
+
+    def _show_change(self) -> None:
+        changes = self._desk.setup.changes
+        news = self._changed('changes', changes)
+        if self._changed('change unit', self._unit.now) or news:
+            told = '; '.join(one.text(self._unit.now) for one in changes)
+            self._labels['offset change'].set_text(told)
+            self._change.set_visibility(bool(changes))
 
     def _pair(self, title: str, name: str, unit: str, kind: str = 'pair') -> None:
         with ui.element('div').classes(kind if ' ' in kind else 'pair'):
@@ -175,12 +188,12 @@ class Page:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
         pad = JogPad(self._machine, nodes, lambda: self._in_charge, self._unit, command)
         self._pad = pad
-        pose = PoseField(nodes, lambda: pad.speed, self._unit, command)
         axes = [name for name in self._machine.axis_names if name not in EXTRA_LETTERS]
+        pose = PoseField(nodes, lambda: pad.speed, axes, self._unit, command)
         touch = TouchOffField(setup, axes, self._unit, command)
         with self._over:
             key('jog', 'jog', pad.toggle, 'blue-grey-9')
-            key('pose', 'pose', partial(pose.toggle, touch), 'blue-grey-9')
+            key('go to', 'pose', partial(pose.toggle, touch), 'blue-grey-9')
             key('touch off', 'show touch off', partial(touch.toggle, pose), 'blue-grey-9')
             key('offsets', 'offsets', lambda: self._setup.open(), 'blue-grey-9')
             if TOWARD in self._machine.signals.words:
@@ -235,9 +248,8 @@ class Page:
         return True
 
     async def _stop_with(self, name: str) -> None:
-        """Stop, however late it was heard; the token is enough in an emergency."""
-        urgent = name == 'emergency_stop' and self._trusted
-        if urgent or self._allowed():
+        """Stop or hold, however late it was heard; the token is enough."""
+        if self._trusted or self._allowed():
             await self._do(partial(self._desk.trigger, name))
 
     @staticmethod
@@ -248,7 +260,7 @@ class Page:
 
     def _allowed(self) -> bool:
         if not self._in_charge:
-            ui.notify(VIEW_ONLY, type='warning')
+            ui.notify(VIEW_ONLY if self._trusted else self._why or NO_TOKEN, type='warning')
         return self._in_charge
 
     def _pick(self, waits: bool) -> None:
@@ -268,10 +280,7 @@ class Page:
         if self._trusted:
             self._access.take_over(self._tab)
         else:
-            ui.notify(
-                'to take over, open the page with the address that was printed at start',
-                type='warning',
-            )
+            ui.notify(self._why or NO_TOKEN, type='warning')
 
     def _pick_point(self, event: events.GenericEventArguments) -> None:
         if line := self._desk.drawn_line(int(event.args['point'])):
@@ -310,6 +319,7 @@ class Page:
         if self._changed('some wait', bool(desk.nodes.waiting)):
             self._next.set_visibility(bool(desk.nodes.waiting))
         self._show_rights()
+        self._show_change()
         self._show_lists()
         if state is not None:
             self._view.show(dict(zip(self._machine.axis_names, state.positions, strict=False)))

@@ -10,6 +10,6 @@ window.preferences = {
       if (key) key.ariaPressed = localStorage.getItem(name) === 'on';
     }
     document.documentElement.classList.toggle('light', localStorage.getItem('light') === 'on');
-    emitEvent('inch', localStorage.getItem('inch') === 'on');
+    emitEvent('inch', localStorage.getItem('inch') === 'on', shown());
   },
 };

@@ -185,7 +185,9 @@ class Messages:
 
 class ShownUnit:
     def __init__(self) -> None:
-        self.now = MILLIMETRES
+        self.now = self.before = MILLIMETRES
+        #: The texts that stood in the fields of the page when it was chosen, by their marks.
+        self.texts: dict[str, str] = {}
         self._followers: list[Callable[[LengthUnit], None]] = []
 
     def follow(self, act: Callable[[LengthUnit], None]) -> None:
@@ -196,9 +198,9 @@ class ShownUnit:
         self.follow(lambda unit: label.set_text(unit.named(text)))
         return label
 
-    def use(self, unit: LengthUnit) -> None:
+    def use(self, unit: LengthUnit, texts: dict[str, str]) -> None:
         if unit is not self.now:
-            self.now = unit
+            self.before, self.now, self.texts = self.now, unit, texts
             for act in self._followers:
                 act(unit)
 

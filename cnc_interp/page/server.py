@@ -20,10 +20,10 @@ from nicegui import app, ui
 
 from cnc_interp.core import InterpError
 from cnc_interp.page.command import PARENT, Revive
-from cnc_interp.page.contact import AGAIN, Access, Gate
+from cnc_interp.page.contact import AGAIN, WRONG_TOKEN, Access, Gate
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
-from cnc_interp.page.hand_motion import ARROWS, LOST, STALE
+from cnc_interp.page.hand_motion import ARROWS, EARLY, FILLS, LOST, STALE
 from cnc_interp.page.operator_page import Page
 from cnc_interp.processes.stop_signals import stops_later
 
@@ -33,7 +33,14 @@ SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},
     'shortcuts': {'MARKS': MARKS},
-    'hand_motion': {'ARROWS': ARROWS, 'STALE': 1e3 * STALE, 'AGAIN': AGAIN, 'LOST': LOST},
+    'hand_motion': {
+        'ARROWS': ARROWS,
+        'STALE': 1e3 * STALE,
+        'FILLED': 1e3 * FILLS,
+        'AGAIN': AGAIN,
+        'LOST': LOST,
+        'EARLY': EARLY,
+    },
     'scene': {},
     'preferences': {},
 }
@@ -44,7 +51,7 @@ def scripts() -> str:
     for name, values in SCRIPTS.items():
         text = Path(__file__).with_name(f'{name}.js').read_text(encoding='utf-8')
         for word, value in values.items():
-            text = text.replace(word, json.dumps(value), 1)
+            text = text.replace(word, json.dumps(value))
         found.append(f'<script>{text}</script>')
     return ''.join(found)
 
@@ -110,7 +117,7 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
         await shown_when_known(desk)
         client, tab = ui.context.client, ui.context.client.tab_id or ''
         client.on_delete(lambda: access.leave(tab))
-        Page(desk, access, tab, trusted)
+        Page(desk, access, tab, trusted, WRONG_TOKEN if token and not trusted else '')
 
     @app.get('/path/{number}.glb')
     def path(number: int) -> Response:

@@ -1,11 +1,11 @@
-// Keys of the keyboard that press a key of the page: what KEYBOARD in dialogs.py lists. One that moves the machine is never pressed by
-// space or Enter, which act on whatever was pressed last.
+// Keys of the keyboard that press a key of the page: what KEYBOARD in dialogs.py lists. Space and Enter never press one that moves
+// the machine or changes an offset, and no key of the page keeps the focus after a pointer has pressed it.
 window.keyboard = {
   names: MARKS,
   typing: (element) => element.closest('input, textarea, select, [contenteditable], .q-dialog'),
   press(event) {
     const space = event.key === ' ' || event.key === 'Enter';
-    if (space && event.target.closest?.('.moves')) {
+    if (space && event.target.closest?.('.moves, .changes')) {
       event.preventDefault();
       event.stopImmediatePropagation();
       return;
@@ -20,3 +20,8 @@ window.keyboard = {
 };
 for (const kind of ['keydown', 'keyup', 'keypress'])
   document.addEventListener(kind, (event) => window.keyboard.press(event), true);
+document.addEventListener('mousedown', (event) => {
+  if (!event.target.closest?.('button')) return;
+  event.preventDefault();
+  document.activeElement?.blur();
+}, true);

@@ -22,6 +22,7 @@ PATIENCE = 120.0  # [s]; a bound for slow and busy computers, not a timing
 IN_CONTACT = '!!(window.contact?.connected() && contact.age() < 2500)'
 #: Codes of keys of the keyboard that have no character, or are told by their code, too.
 CODES = {
+    'Tab': 9,
     'Enter': 13,
     'Escape': 27,
     ' ': 32,

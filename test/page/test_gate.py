@@ -49,6 +49,10 @@ def answered(**headers):
         ({'content_length': '1e9'}, 413),
         ({'transfer_encoding': 'chunked'}, 411),  # it would end when the disk is full
         ({'host': 'attacker.example'}, 400),
+        ({'origin': 'http://127.0.0.1:8650'}, 200),
+        ({'origin': 'http://127.0.0.1:8651'}, 403),
+        ({'origin': 'http://attacker.example'}, 403),
+        ({'origin': 'null'}, 403),
     ],
 )
 def test_a_refused_request_is_not_read(headers, status):

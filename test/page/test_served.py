@@ -4,6 +4,7 @@ import http.client
 import re
 import subprocess
 import sys
+import urllib.request
 
 import pytest
 
@@ -13,6 +14,7 @@ pytest.importorskip(
 )
 
 from nodes_under_test import clean_environment
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 
@@ -60,9 +62,27 @@ def test_it_is_served_under_its_address_and_not_to_who_guesses(served):
     assert status(place, f'/?token={place[3]}') == 200
     assert status(place, '/', host='attacker.example') == 400
     assert status(place, '/', content_length=str(1 << 30)) == 413
+    assert status(place, '/', origin=f'http://{place[1]}:{place[2]}') == 200
+    assert status(place, '/', origin='http://attacker.example') == 403
     for k in range(20):  # whoever guesses shuts nobody out
         assert status(place, f'/?token=guess{k}') == 200
     assert status(place, f'/?token={place[3]}') == status(place, '/') == 200
+
+
+def socket_of(place):
+    return f'ws://{place[1]}:{place[2]}/_nicegui_ws/socket.io/?EIO=4&transport=websocket'
+
+
+def test_no_page_of_another_server_opens_the_websocket_or_frames_the_page(served):
+    _, place = served
+    with pytest.raises(InvalidStatus), connect(socket_of(place), origin='http://attacker.example'):
+        pass
+    own = f'http://{place[1]}:{place[2]}'
+    with connect(socket_of(place), origin=own) as page:
+        assert page.recv().startswith('0')
+    with urllib.request.urlopen(f'{own}/') as answer:
+        assert answer.headers['x-frame-options'] == 'DENY'
+        assert "frame-ancestors 'none'" in answer.headers['content-security-policy']
 
 
 #: Socket.IO messages that no page sends.
@@ -75,8 +95,7 @@ NONSENSE = [
 
 def test_nonsense_is_told_once_and_hurts_nobody(served):
     page, place = served
-    socket = f'ws://{place[1]}:{place[2]}/_nicegui_ws/socket.io/?EIO=4&transport=websocket'
-    with connect(socket) as stranger:
+    with connect(socket_of(place)) as stranger:
         stranger.recv()
         for message in ('40', *(50 * NONSENSE)):
             stranger.send(message)

@@ -1,0 +1,154 @@
+"""What must not mislead an operator: keys pressed by accident, units, rapids, who may stop."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import MachineState
+
+from cnc_interp.page.contact import NO_TOKEN, WRONG_TOKEN
+from cnc_interp.page.hand_motion import EARLY, FILLS
+
+LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F300\nG1 X0\n' * 20 + 'M30\n'
+FOCUS = 'document.activeElement?.closest("[data-mark]")?.dataset.mark ?? ""'
+
+
+def here(panel):
+    panel.until(MachineState.IDLE)
+    return np.array(panel.next_state().commanded_positions)
+
+
+def hold_key(tab, name, seconds, device='mouse'):
+    """Hold a key with a pointer for a time [s]."""
+    at = tab.centre(name)
+    if device == 'mouse':
+        tab.pointer('move', *at)
+    tab.pointer('press', *at, device)
+    time.sleep(seconds)
+    tab.pointer('release', *at, device)
+
+
+def zero_of_x(panel):
+    return panel.setup.work_offsets.get('G54', {}).get('X')
+
+
+def test_no_key_of_the_keyboard_changes_an_offset_and_a_zero_is_undone(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('work X') not in (None, '–') and tab.text('state') == 'idle')
+    before, stood = zero_of_x(panel), here(panel)[0]
+    tab.click_with_mouse('zero X')
+    panel.spin_until(lambda: zero_of_x(panel) == pytest.approx(stood, abs=1e-7))
+    # The old and the new value, with their unit.
+    told = f'→ {1e3 * stood:z.3f} mm'
+    tab.wait(
+        lambda: (
+            tab.text('offset change').startswith('G54 X ') and told in tab.text('offset change')
+        )
+    )
+    # The axis moves on by an arrow key; then space and Enter, which used to press 0 once more.
+    tab.click_with_mouse('jog')
+    tab.wait(lambda: tab.run('!!jog.pad()'))
+    for kind in ('keyDown', 'keyUp'):
+        tab.send('Input.dispatchKeyEvent', type=kind, key='ArrowRight', windowsVirtualKeyCode=39)
+        if kind == 'keyDown':
+            panel.spin_until(lambda: panel.peers.state.positions[0] > stood + 1e-3)
+    moved, tables = here(panel), len(panel.told)
+    for key in (' ', 'Enter'):
+        tab.type_key(key)
+    # Nor where its key has the focus by the keyboard.
+    tab.wait(lambda: tab.type_key('Tab') or tab.run(FOCUS) == 'zero X')
+    for key in (' ', 'Enter'):
+        tab.type_key(key)
+    tab.wait(lambda: tab.run('contact.connected()'))
+    time.sleep(1.0)
+    assert (here(panel) == moved).all() and len(panel.told) == tables
+    tab.click_with_mouse('undo offset')
+    panel.spin_until(lambda: zero_of_x(panel) == before)
+    tab.wait(lambda: tab.text('offset change').startswith(f'G54 X {1e3 * stood:z.3f} → '))
+    tab.click_with_mouse('jog')
+
+
+def write(tab, name, text):
+    """Type into a field key by key, as its user does."""
+    tab.click_with_mouse(name)
+    for character in text:
+        tab.type_key(character)
+
+
+def test_what_is_typed_keeps_its_length_when_the_unit_changes(panel):
+    tab = panel.open_in_charge()
+    tab.wait(lambda: tab.text('work Z') not in (None, '–') and tab.text('state') == 'idle')
+    tab.click_with_mouse('show touch off')
+    write(tab, 'here Z', '12.5')
+    write(tab, 'here A', '12.5')
+    write(tab, 'here X', '1..')
+    unit = 'document.querySelector(`[data-mark="here Z"]`).closest(".q-field").textContent'
+    assert 'mm' in tab.run(unit)
+    tab.click_with_mouse('inch')
+    tab.wait(lambda: tab.value('here X') == '' and 'in' in tab.run(unit))
+    assert float(tab.value('here Z')) == pytest.approx(12.5 / 25.4, abs=1e-6)
+    assert float(tab.value('here A')) == 12.5
+    tab.click_with_mouse('touch off')
+    tab.wait(lambda: tab.text('work Z') == f'{12.5 / 25.4:.4f}')
+    tab.wait(lambda: ' in' in tab.text('offset change'))
+    tab.click_with_mouse('inch')
+    tab.wait(lambda: tab.text('work Z') == '12.500' and ' mm' in tab.text('offset change'))
+    tab.click_with_mouse('undo offset')
+    tab.click_with_mouse('show touch off')
+
+
+@pytest.mark.parametrize('phone', [False, True])
+def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
+    device = 'touch' if phone else 'mouse'
+    size = (390, 844, True) if phone else (1366, 768)
+    tab = panel.open_in_charge(**dict(zip(('width', 'height', 'mobile'), size, strict=False)))
+    tab.wait(lambda: tab.text('work X') not in (None, '–') and tab.text('state') == 'idle')
+    tab.click_with_mouse('zero X')
+    tab.wait(lambda: tab.text('work X') == '0.000')
+    panel.give(tab, 'G91 G1 X3 F2000')
+    tab.wait(lambda: tab.text('work X') == '3.000' and tab.text('state') == 'idle')
+    before = here(panel)
+    tab.click_with_mouse('pose')
+    tab.centre('go to zero X')
+    boxes = tab.run(
+        'Object.fromEntries([...document.querySelectorAll(`[data-mark^="go to zero"]`)].map('
+        'key => [key.dataset.mark.at(-1), key.getBoundingClientRect().toJSON()]))'
+    )
+    assert all(min(box['width'], box['height']) >= 44 for box in boxes.values())
+    others = [box['right'] for name, box in boxes.items() if name != 'Z']
+    assert boxes['Z']['left'] - max(others) > 40
+    hold_key(tab, 'go to zero X', 0.0, device)
+    tab.wait(lambda: tab.run(f'document.body.textContent.includes("{EARLY}")'))
+    time.sleep(FILLS + 0.5)
+    assert (here(panel) == before).all()
+    hold_key(tab, 'go to zero X', 2 * FILLS, device)
+    tab.wait(lambda: tab.text('work X') == '0.000')
+    assert here(panel) - before == pytest.approx([-3e-3, 0, 0, 0, 0], abs=1e-9)
+    panel.give(tab, 'G90')
+
+
+def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):
+    program = tmp_path / 'looked_at.ngc'
+    program.write_text(LONG)
+    first = panel.open_in_charge()
+    panel.load(first, program)
+    panel.begin(first)
+    viewer = panel.open()
+    assert viewer.text('rights') == 'view only' and viewer.text('refused') == ''
+    viewer.show()
+    viewer.click_with_mouse('feed hold')
+    panel.until(MachineState.HELD)
+    stranger = panel.open('wrong')
+    stranger.show()
+    assert stranger.text('refused') == WRONG_TOKEN
+    stranger.click_with_mouse('take over')
+    stranger.wait(lambda: WRONG_TOKEN in stranger.text('refused'))
+    guest = panel.open('')
+    guest.show()
+    guest.click_with_mouse('take over')
+    guest.wait(lambda: guest.run(f'document.body.textContent.includes("{NO_TOKEN}")'))
+    first.show()
+    panel.reset(first)

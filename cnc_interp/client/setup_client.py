@@ -20,7 +20,6 @@ from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.job import ROTATION
-from cnc_interp.program.setup_table import work_coordinates as coordinates_of
 
 
 @dataclass(frozen=True)
@@ -106,29 +105,6 @@ def offset_row(table: SetupTable, setup: JobSetup, name: str) -> dict[str, float
     return zero | {ROTATION: 0.0} | dict(setup.work_offsets.get(name, {}))
 
 
-def work_coordinates(
-    table: SetupTable, setup: JobSetup, positions: Any, name: str = '', tip: Any = None
-) -> dict[str, float]:
-    """Return what coordinates read with an offset, G92 and tool; with TCP by ``tip`` in W."""
-    machine = dict(zip(table.axes, positions, strict=False))
-    zero = dict(zip(table.axes, table.zero, strict=True))
-    if tip is not None:
-        machine |= {letter: zero[letter] + x for letter, x in zip('XYZ', tip, strict=True)}
-    return coordinates_of(setup, name, machine, zero)
-
-
-def zero_here(
-    table: SetupTable, setup: JobSetup, name: str, reads: dict[str, float], letter: str
-) -> dict[str, float]:
-    """Return the values of a work offset with which one coordinate reads 0 [m, rad]."""
-    row = offset_row(table, setup, name)
-    change = {letter: reads[letter]}
-    if letter in 'XY' and row[ROTATION]:
-        x, y = rotation(2, row[ROTATION])[:2, 'XY'.index(letter)] * reads[letter]
-        change = {'X': float(x), 'Y': float(y)}
-    return {each: row[each] + value for each, value in change.items()}
-
-
 def work_zero(table: SetupTable, setup: JobSetup, name: str) -> tuple[FloatArray, float]:
     """Return where X0 Y0 Z0 of a work offset with G92 lies in W [m], and its rotation [rad]."""
     row = offset_row(table, setup, name)
@@ -173,7 +149,7 @@ class SetupConsole:
     def offsets_text(self) -> str:
         table, setup, state = self._now
         machine = dict(zip(table.axes, state.positions, strict=False))
-        rows = [('machine', machine), (f'work {setup.offset}', self._work())]
+        rows = [('machine', machine), ('program', self._work())]
         rows += [
             (f'{name}{" *" if name == setup.offset else ""}', offset_row(table, setup, name))
             for name in sorted({setup.offset, *setup.work_offsets})
@@ -188,7 +164,8 @@ class SetupConsole:
             texts = {k: MILLIMETRES.shown(k, value) for k, value in position.items()}
             values = ''.join(f'{texts.get(k, ""):>12}' for k in letters)
             lines.append(f'{name:<10}{values}'.rstrip())
-        return '\n'.join([*lines, self._file_text()])
+        counts = f'program: {self._now[2].coordinates}'
+        return '\n'.join([*lines, counts, self._file_text()])
 
     def tools_text(self) -> str:
         setup = self._setup.setup
@@ -223,8 +200,8 @@ class SetupConsole:
         }
 
     def _work(self) -> dict[str, float]:
-        table, setup, state = self._now
-        return work_coordinates(table, setup, state.positions)
+        table, _, state = self._now
+        return dict(zip(table.axes, state.program_positions, strict=False))
 
     def _file_text(self) -> str:
         return f'kept in {self._now[0].file or "program_node only, until it ends"}'

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from copy import deepcopy
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,12 @@ from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import Uncompensated
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.node_main import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM
 from cnc_interp.wire import machine_messages as messages
+from cnc_interp.wire.run_messages import coordinates_from, in_program
 
 EXECUTED_RATE = 10.0  #: Rate of reports of what was executed [Hz].
 EARLY = 2e-3  #: A message may come so much before its time, rather than a period late [s].
@@ -62,6 +65,13 @@ class MachineTopics:
         self._contacts = node.create_publisher(msg.ProbeContact, 'probe_contact', CONTACTS)
         self._followed = node.create_publisher(msg.FollowedSpindle, 'followed_spindle', STREAM)
         self._feedback = node.create_publisher(msg.AxisFeedback, 'axis_feedback', STREAM)
+        #: The modal states of the program and of the lines by hand that were told last.
+        self._modes: dict[str, msg.ModalState] = {}
+        for topic in ('active_modes', 'modal_state'):
+            take = partial(self._modes.__setitem__, topic)
+            node.create_subscription(msg.ModalState, topic, take, LOADED)
+        transform = Transform.of(playback.axes.machine)
+        self._zero = transform.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         self._rates = (
             Rate(EXECUTED_RATE, self.publish_executed),
             Rate(values['joint_state_rate'], self._publish_joints),
@@ -86,7 +96,16 @@ class MachineTopics:
         message.homed, message.must_home = self._homing.homed, self._homing.must_home
         if self._homing.active and message.state == msg.MachineState.IDLE:
             message.state = msg.MachineState.JOGGING  # between two groups all axes rest
+        self._add_program_positions(message)
         self._states.publish(message)
+
+    def _add_program_positions(self, message: msg.MachineState) -> None:
+        modes = self._modes.get('active_modes' if in_program(message) else 'modal_state')
+        if modes is None or modes.program_id not in ('', message.program_id):
+            return
+        positions, tip, axis = map(np.array, (message.positions, message.tip, message.axis))
+        found = coordinates_from(modes).of_place(positions, tip, axis, self._zero)
+        message.coordinates, message.program_positions = modes.coordinates, found.tolist()
 
     def tell_signals(self) -> None:
         drives, signals = self._playback.drives, self._playback.axes.machine.signals

@@ -36,6 +36,7 @@ from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, an
 from cnc_interp.nodes.qos import CONTACTS, LOADED
 from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.reading import MDI, MdiReader
 from cnc_interp.program.setup_table import SetupTable
@@ -63,6 +64,10 @@ class Mdi:
         if (setup := self._of_machine()) is not self._told:
             self._told = setup
             self._publisher.publish(modal_state(self._reader.modes(setup)))
+
+    def coordinates(self, setup: JobSetup) -> ProgramCoordinates:
+        """Return those of the next line, with these offsets and tools."""
+        return self._reader.modes(setup).frame
 
     def refusal(self, run: ProgramRun, peers: Peers, missing: str, busy: bool) -> Outcome | None:
         """Return why a line cannot start now; else store in its run where the machine stands."""
@@ -130,7 +135,9 @@ class ProgramNode(Node):
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='prepare')
         self._diagnostics = Diagnostics(self)
         self._peers = Peers(self, len(self._transform.machine.axis_names), self._diagnostics)
-        self._setup = SetupServices(self, self._table, self._transform, self._peers)
+        self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
+        services = self._table, self._transform, self._peers, self._mdi.coordinates
+        self._setup = SetupServices(self, *services)
         self._signals = self._transform.machine.signals
         self._feed = BlockFeed(self._signals)
         self._switch = self.create_client(SwitchOutputs, 'switch_outputs')
@@ -149,7 +156,6 @@ class ProgramNode(Node):
         self._queue = ProgramQueue()
         self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
         self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, CONTACTS)
-        self._mdi = Mdi(self, self._transform, self._settings, lambda: self._table.setup)
         self._modes = ActiveModesTopic(self)
         self._buttons = {k: self.create_client(Trigger, k) for k in ('feed_hold', 'reset')}
         self._server = ActionServer(

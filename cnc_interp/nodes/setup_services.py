@@ -15,7 +15,8 @@ from cnc_interp.nodes.node_main import answering
 from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import setup_table as tables
-from cnc_interp.program.job import ROTATION, SetupChange
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 from cnc_interp.wire.run_messages import setup_table
 
 FRESH = 1.0  #: The machine's last word must not be older for a touch-off [s].
@@ -25,7 +26,15 @@ RUNNING = frozenset(('active offset', 'spindle'))
 
 
 class SetupServices:
-    def __init__(self, node: Any, table: tables.SetupTable, transform: Transform, peers: Peers):
+    def __init__(
+        self,
+        node: Any,
+        table: tables.SetupTable,
+        transform: Transform,
+        peers: Peers,
+        coordinates: Callable[[JobSetup], ProgramCoordinates],
+    ):
+        self._transform, self._coordinates = transform, coordinates
         self._table, self._peers, self._node = table, peers, node
         machine = transform.machine
         own = len(machine.axis_names) - len(machine.extra_names)
@@ -107,13 +116,23 @@ class SetupServices:
             raise InterpError('machine_node does not answer; start it, then touch off')
         if not self._peers.at_rest:
             raise InterpError('the axes move; touch off when they rest')
-        machine = dict(zip(self._zero, state.commanded_positions, strict=False))
-        turned = [letter for letter in list(self._zero)[3:] if abs(machine[letter]) > AT_ZERO]
+        setup, q = self._table.setup, np.array(state.commanded_positions)
+        name = request.offset or setup.offset
+        frame = self._coordinates(
+            setup.changed(SetupChange('active', name)) if name in WORK_OFFSETS else setup
+        )
+        tip, axis = self._transform.forward(q[None])
+        zero = np.array([self._zero[letter] for letter in 'XYZ'])
+        here = frame.of_place(q, tip[0], axis[0], zero).tolist()
+        reads = dict(zip(self._zero, here, strict=False))
+        turned = [
+            k for k, x in zip(self._zero, q, strict=False) if k not in 'XYZ' and abs(x) > AT_ZERO
+        ]
         note = ''
-        if turned and set(values) & set('XYZ'):
+        if turned and set(values) & set('XYZ') and not frame.of_tip:
             note = (
                 f'; {" and ".join(turned)} not at 0: right for axis positions, with TCP touch off '
                 'at 0'
             )
-        setup = self._table.setup
-        return tables.touch_off_changes(setup, request.offset, values, machine, self._zero), note
+        changes = tables.touch_off_changes(setup, request.offset, values, reads, frame, self._zero)
+        return changes, note

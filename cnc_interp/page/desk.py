@@ -19,8 +19,6 @@ from cnc_interp.client.setup_client import (
     OffsetChange,
     SetupClient,
     of_axes,
-    work_coordinates,
-    zero_here,
 )
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
@@ -31,20 +29,12 @@ from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.settings.options import Settings, changed, texts_of
-from cnc_interp.wire.run_messages import goal_of, settings_from
+from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
 
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
 REST = 1.0  #: After so long at rest the charts stand, so that they show the last motion [s].
 KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
-TIP_CODE = 'TRAORI'  #: The code of tool-tip programming (TCP) in the modal state.
 LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
-
-
-def in_program(state: MachineState | None) -> bool:
-    if state is None:
-        return False
-    away = len(state.resume_positions) > 0  # by hand, from a hold
-    return bool(state.state == MachineState.RUNNING or state.may_resume or away)
 
 
 def is_text(text: str) -> bool:
@@ -376,23 +366,10 @@ class Desk:
         named = [code for code in self.codes() if code in WORK_OFFSETS]
         return named[0] if named else self.setup.setup.offset
 
-    def program_coordinates(self, state: MachineState) -> dict[str, float]:
-        table, setup = self.setup.table, self.setup.setup
-        if table is None:
-            return {}
-        tip = state.tip if TIP_CODE in self.codes() else None
-        return work_coordinates(table, setup, state.positions, self.offset(), tip)
-
     async def zero(self, letter: str) -> Answer:
-        table, setup, state = self.setup.table, self.setup.setup, self.nodes.state
-        if table is None or state is None:
+        if self.setup.table is None:
             return Answer(False, 'the nodes do not answer yet: wait, then press again')
-        if not state.resting:
-            return Answer(False, f'zero {letter}: the axes still move; press again when they rest')
-        reads, name = self.program_coordinates(state), self.offset()
-        values = zero_here(table, setup, name, reads, letter)
-        asked = self.setup.ask('set_offset', offset=name, **of_axes(values))
-        return await asyncio.wrap_future(asked)
+        return await asyncio.wrap_future(self.setup.ask('touch_off', **of_axes({letter: 0.0})))
 
     async def undo(self, changes: tuple[OffsetChange, ...]) -> Answer:
         answer = Answer(False, 'the offsets were changed again: look at the last change')

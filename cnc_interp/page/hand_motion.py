@@ -279,7 +279,7 @@ class PoseField(NumberFields):
         unit: ShownUnit,
         command: Command,
     ):
-        title = 'go to a pose: tool tip in the workpiece, mm; tool axis'
+        title = 'go to a pose: tip from the machine file’s zero, no offsets, mm; tool axis'
         super().__init__(title, 'pose', POSE, unit, command)
         self._nodes, self._speed = nodes, speed
         with self._box:
@@ -314,7 +314,7 @@ class PoseField(NumberFields):
 
 class TouchOffField(NumberFields):
     def __init__(self, setup: SetupClient, axes: Iterable[str], unit: ShownUnit, command: Command):
-        title = 'touch off: here reads, in the active offset, mm or °'
+        title = 'touch off: here reads, in the coordinates of the program, mm or °'
         super().__init__(title, 'here', axes, unit, command)
         self._setup = setup
         self._reading_key('touch off', self._touch_off).classes('wide changes')

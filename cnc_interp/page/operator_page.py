@@ -10,7 +10,7 @@ from cnc_interp.client.setup_client import work_zero
 from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
 from cnc_interp.page.contact import AGAIN, LATE, NO_TOKEN, VIEW_ONLY, Access, Act, Contact, key
-from cnc_interp.page.desk import LONGEST_PROGRAM, Desk, in_program
+from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
@@ -19,6 +19,7 @@ from cnc_interp.page.readings import NOTHING, Charts, Messages, ShownUnit, progr
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
+from cnc_interp.wire.run_messages import in_program
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it, at rest [s].
 PACE, CHART_EVERY, AT_REST = 0.1, 4, 20
@@ -113,7 +114,7 @@ class Page:
             self._zeros.append(undo)
         self._change.set_visibility(False)
         for title, mark, letters in (
-            ('tool tip in the workpiece, mm', 'tip', 'XYZ'),
+            ('tip from the machine file’s zero, mm', 'tip', 'XYZ'),
             ('tool axis', 'tool', 'IJK'),
         ):
             self._unit.label(title).classes('heading')

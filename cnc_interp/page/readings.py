@@ -15,13 +15,12 @@ from cnc_interp.client.operator_client import MachineState
 from cnc_interp.core import MS, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.page.contact import key
-from cnc_interp.page.desk import KINDS, SPAN, TIP_CODE, Desk, Moment
+from cnc_interp.page.desk import KINDS, SPAN, Desk, Moment
 from cnc_interp.page.preview import Preview
+from cnc_interp.program.job import JobSetup
 from cnc_interp.wire.run_messages import state_of
 
 NOTHING = '–'
-#: Shifts and turns of the program, whose amounts no node tells.
-NOT_SHOWN = ('G52', 'TRANS', 'ROT', 'G68', 'G68.2', 'CYCLE800')
 
 
 def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
@@ -30,7 +29,7 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
     words = {'state': 'no machine', 'why': f'waiting for {silent}' if silent else ''}
     if state is None or machine is None:
         return words
-    words |= axis_words(state, machine, unit) | work_words(desk, state, unit)
+    words |= axis_words(state, machine, unit) | work_words(state, machine, desk.setup.setup, unit)
     words |= feed_words(desk, state, unit)
     job = desk.job
     if job is not None and not desk.shows_run(state):
@@ -39,7 +38,7 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
         plan, start = desk.plan_of(state), desk.start_position()
         words |= progress_words(state, plan, desk.nodes.override, start, unit)
     words['state'] = 'no answer' if silent else state_of(state).value
-    words['why'] = f'{silent} does not answer' if silent else state.message or desk.nodes.waits_for
+    words['why'] = f'{silent} does not answer' if silent else why_text(desk, state, unit)
     words['buffer'] = f'{state.buffered_time / MS:.0f} ms'
     least = state.least_buffered_time
     words['least'] = NOTHING if math.isnan(least) else f'{least / MS:.0f} ms'
@@ -49,6 +48,18 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
     without = desk.nodes.uncompensated
     words['uncompensated'] = NOTHING if without is None else f'{without / UM:.1f} µm'
     return words
+
+
+def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
+    """Return why the machine is in its state; after a single block also where it rests."""
+    modes = desk.modes()[1]
+    if state.reason != MachineState.REASON_SINGLE_BLOCK or modes is None:
+        return str(state.message or desk.nodes.waits_for)
+    beside = f'{unit.length(modes.contour_tolerance)} {unit.name}'
+    return (
+        f'single block: rests after line {state.line_number}, where its corner is rounded up to '
+        f'{beside} beside its end. Cycle start executes the next line'
+    )
 
 
 def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[str, str]:
@@ -62,14 +73,17 @@ def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[
     return words
 
 
-def work_words(desk: Desk, state: MachineState, unit: LengthUnit) -> dict[str, str]:
-    reads, setup = desk.program_coordinates(state), desk.setup.setup
-    words = {f'work {letter}': unit.shown(letter, value) for letter, value in reads.items()}
-    codes = desk.codes()
-    parts = [desk.offset(), *(['G92'] if setup.g92_on and setup.g92 else [])]
-    parts += [f'without {code}' for code in codes if code in NOT_SHOWN]
+def work_words(
+    state: MachineState, machine: Machine, setup: JobSetup, unit: LengthUnit
+) -> dict[str, str]:
+    """Return what the coordinates of the program read, and their name."""
+    reads = list(state.program_positions) or [math.nan] * len(machine.axis_names)
+    words = {
+        f'work {name}': unit.shown(name, value) if math.isfinite(value) else NOTHING
+        for name, value in zip(machine.axis_names, reads, strict=False)
+    }
     tool = f'tool {setup.tool}' if setup.tool else 'no tool'
-    words['setup'] = f'{" + ".join(parts)}, {tool}{", tip" if TIP_CODE in codes else ""}'
+    words['setup'] = f'{state.coordinates}, {tool}' if state.coordinates else NOTHING
     return words
 
 

@@ -12,7 +12,7 @@ from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartLine
 from cnc_interp.program.blocks.targets import ProgramChange
 from cnc_interp.program.execution.context import Execution
-from cnc_interp.program.job import JobSetup
+from cnc_interp.program.job import JobSetup, Tool
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import NAMED_ALONE, Notices
 from cnc_interp.program.readers.cl_data import ClReader
@@ -209,8 +209,7 @@ class MdiReader:
         if len(text.splitlines()) != 1:
             raise ProgramError('give one line at a time; a program is run with run_program', MDI)
         notices = Notices()
-        reader = self._reader(text, notices, setup)
-        reader.at.follow(self._last.at)
+        reader = self._following(text, notices, setup)
         reader.at.stand_at(stands)
         reader.at.waits_at_probes = True
         return MdiLine(reader, notices)
@@ -228,4 +227,19 @@ class MdiReader:
         return GcodeReader(at)
 
     def modes(self, setup: JobSetup) -> ActiveModes:
-        return self._last.active_modes(setup.offset, setup.tool)
+        reader = self._following('', Notices(), setup)
+        reader.at.mover.aim()
+        return reader.active_modes(setup.offset, setup.tool)
+
+    def _following(self, text: str, notices: Notices, setup: JobSetup) -> GcodeReader:
+        """Return a reader that goes on.
+
+        Until G43 or G49 says otherwise, the length of the tool in the spindle counts; with
+        tool-tip programming that of the machine file.
+        """
+        reader = self._reader(text, notices, setup)
+        reader.at.follow(self._last.at)
+        mover, tool = reader.at.mover, setup.tools.get(setup.tool, Tool())
+        if not mover.frames.names_length and mover.dialect is not profiles.LINUXCNC:
+            mover.frames.length = 0.0 if mover.tcp else tool.length
+        return reader

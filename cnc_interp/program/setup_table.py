@@ -9,11 +9,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TextIO
 
-import numpy as np
-
-from cnc_interp.core import MM, FloatArray, InterpError
+from cnc_interp.core import MM, InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, write_whole
-from cnc_interp.program.geometry.frames import Frames
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import MOST_TOOL, WORK_OFFSETS, JobSetup, Position, SetupChange, Tool
 
 LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
@@ -162,41 +160,28 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
 
 
 def touch_off_changes(
-    setup: JobSetup, name: str, values: Position, machine: Position, zero: Position
+    setup: JobSetup,
+    name: str,
+    values: Position,
+    reads: Position,
+    frame: ProgramCoordinates,
+    zero: Position,
 ) -> list[SetupChange]:
     """Return the change of a work offset after which coordinates read given values here.
 
-    ``values``: what they shall read; ``machine``: where the axes stand; ``zero``: workpiece zero
-    of the machine file [m, rad]. In a rotated offset the zeros of X and Y both change.
+    ``values``: what they shall read; ``reads``: what they read now in ``frame``, all in its
+    order; ``zero``: workpiece zero of the machine file [m, rad]. On a turned plane several zeros
+    change for one coordinate.
     """
     if name == 'G92':
         raise InterpError('touch-off sets a work offset; name G54 to G59.3, or none')
-    frames, here = _frames(setup, name, machine, zero)
-    letters = list(machine)
-    words = {letters.index(letter): value for letter, value in values.items()}
-    found = frames.origin_of(name or setup.offset, words, here)
-    origin = {letters[i]: value for i, value in found.items()}
+    letters = list(reads)
+    less = {letters.index(k): reads[k] - value for k, value in values.items()}
+    moved = dict(zip(letters, frame.change_of_zero(less).tolist(), strict=False))
+    before = setup.work_offsets.get(name or setup.offset, {})
+    origin = {
+        letter: before.get(letter, zero[letter]) + value
+        for letter, value in moved.items()
+        if value or letter in values
+    }
     return offset_changes(setup, name, origin, clear=False, activate=False)
-
-
-def work_coordinates(
-    setup: JobSetup, name: str, machine: Position, zero: Position
-) -> dict[str, float]:
-    """Return what the coordinates read with G92 and the tool in the spindle [m, rad]."""
-    frames, here = _frames(setup, name, machine, zero)
-    reads = [*frames.program(here[:3]), *(here[3:] - frames.rotary_origin)]
-    return {letter: float(value) for letter, value in zip(machine, reads, strict=False)}
-
-
-def _frames(
-    setup: JobSetup, name: str, machine: Position, zero: Position
-) -> tuple[Frames, FloatArray]:
-    letters = list(machine)
-    origin = np.array([zero[letter] for letter in letters[:3]])
-    used = setup.changed(SetupChange('active', name or setup.offset))
-    frames = Frames(used, origin, tuple(letters[3:5]))
-    frames.length = setup.tools.get(setup.tool, Tool()).length
-    frames.update()
-    here = np.zeros(5)
-    here[: len(letters)] = [machine[letter] - zero[letter] for letter in letters]
-    return frames, here

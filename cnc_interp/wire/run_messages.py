@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import KeyValue
 
 from cnc_interp.core import SettingsError
 from cnc_interp.program.blocks.block_modes import ActiveModes
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import JobSetup, Position
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId, State
@@ -56,8 +57,23 @@ def run_feedback(state: msg.MachineState, path_length: float) -> RunProgram.Feed
     )
 
 
+def in_program(state: msg.MachineState | None) -> bool:
+    """Tell whether a program or a line is executed, or held, even where axes were moved away."""
+    if state is None:
+        return False
+    away = len(state.resume_positions) > 0
+    return bool(state.state == msg.MachineState.RUNNING or state.may_resume or away)
+
+
 def modal_state(modes: ActiveModes, program_id: str = '') -> msg.ModalState:
-    return msg.ModalState(**asdict(modes), program_id=program_id)
+    fields = asdict(modes)
+    return msg.ModalState(**fields.pop('frame'), **fields, program_id=program_id)
+
+
+def coordinates_from(modes: msg.ModalState) -> ProgramCoordinates:
+    return ProgramCoordinates(
+        modes.coordinates, modes.of_tip, tuple(modes.origin), tuple(modes.turn), modes.length
+    )
 
 
 def run_id_of(message: Any) -> RunId:

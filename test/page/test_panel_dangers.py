@@ -111,6 +111,7 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     panel.give(tab, 'G91 G1 X3 F2000')
     tab.wait(lambda: tab.text('work X') == '3.000' and tab.text('state') == 'idle')
     before = here(panel)
+    tab.run('document.querySelector(`[data-mark="pose"]`).scrollIntoView({block: "center"})')
     tab.click_with_mouse('pose')
     tab.centre('go to zero X')
     boxes = tab.run(

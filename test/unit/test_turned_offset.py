@@ -8,11 +8,11 @@ from cnc_interp.core import DEG, MM, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program.reading import MdiReader
 from cnc_interp.program.setup_table import (
     offset_changes,
     touch_off_changes,
     values_by_axis,
-    work_coordinates,
 )
 from cnc_interp.proof.linuxcnc_reader import setup_of
 from cnc_interp.settings.options import Settings
@@ -114,10 +114,17 @@ def test_touch_off_and_readout_agree_with_programs(angle):
     )
     machine = dict(zip('XYZAC', [0.3, -0.1, 0.2, 0.1, -0.2], strict=True))
     zero = {**AT_ZERO, 'A': 0.0, 'C': 0.0}
-    before = work_coordinates(setup, '', machine, zero)
-    for change in touch_off_changes(setup, '', {'X': 0.012, 'Z': 0.001}, machine, zero):
+    lines = MdiReader(Transform.of(Machine.load('xyzac')), Settings())
+
+    def reads():
+        q, frame = np.array(list(machine.values())), lines.modes(setup).frame
+        found = frame.of_place(q, np.zeros(3), np.zeros(3), ZERO)
+        return dict(zip(machine, found.tolist(), strict=True)), frame
+
+    before, frame = reads()
+    for change in touch_off_changes(setup, '', {'X': 0.012, 'Z': 0.001}, before, frame, zero):
         setup = setup.changed(change)
-    after = work_coordinates(setup, '', machine, zero)
+    after, _ = reads()
     wanted = {**before, 'X': 0.012, 'Z': 0.001}
     assert after == pytest.approx(wanted, abs=1e-12)
     words = ' '.join(f'{letter}{after[letter] / MM:.9f}' for letter in 'XYZ')

@@ -5,12 +5,13 @@ from __future__ import annotations
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import nan
 
 import numpy as np
 
 from cnc_interp.core import MINUTE, FloatArray
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 
 NONE = -1.0  #: In place of a motion code, a feed or a state: there is none.
 #: More states, or more changes of state, motion code and feed, are not kept.
@@ -27,6 +28,7 @@ class ActiveModes:
     tool: int = 0  #: Number of the active tool; 0 where none is chosen.
     feedrate: float = nan  #: Feedrate [m/s], with G95 [m/rev]; NaN where none is set.
     duration: float = nan  #: Duration of a block with G93 [s]; NaN where none is set.
+    frame: ProgramCoordinates = field(default_factory=ProgramCoordinates)
 
     def moving(self, motion: float, feed: float) -> ActiveModes:
         codes = self.codes if motion == NONE else (f'G{motion:.0f}', *self.codes)

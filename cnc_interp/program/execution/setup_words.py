@@ -56,7 +56,8 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
     tools = mover.setup.tools
     if mover.tcp in codes.TCP_BY_LENGTH and code not in codes.TCP_ON:
         mover.switch_tcp('')
-    length = frames.length if code in codes.TCP_ON and named is None else 0.0
+    keeps = code in codes.TCP_ON and named is None
+    length = frames.length if keeps and frames.names_length else 0.0
     if code == 'G43.1':
         length = words.values.pop('Z', 0.0) * mover.unit
     elif code in ('G43', 'G44') or (code in codes.TCP_ON and named is not None):
@@ -68,7 +69,7 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
             mover.used.add(f'tool {number}')
             length = tools[number].length * (-1.0 if code == 'G44' else 1.0)
     # The axes do not move. The same position now has other program coordinates.
-    frames.length = length
+    frames.length, frames.names_length = length, frames.names_length or not keeps
     if code in codes.TCP_ON:
         switch_tcp(at, code, words)
     if mover.tcp:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
 from cnc_interp.program.job import ROTATION, WORK_OFFSETS, JobSetup, SetupChange
 
 Vector = FloatArray
@@ -24,6 +25,7 @@ class Frames:
         self.named = ''  #: The work offset that the program has named last; empty before.
         self.local = np.zeros(5)
         self.length = 0.0
+        self.names_length = False  #: Whether a word has named or cancelled the tool length.
         self.along = np.array([0.0, 0.0, 1.0])  #: Direction of the tool length.
         #: Shift and rotation that the program has set, in the frame of the work offset.
         self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
@@ -46,7 +48,8 @@ class Frames:
         return offset
 
     def follow(self, before: Frames) -> None:
-        for name in ('named', 'length', 'shift', 'programmed_turn', 'along', 'tilt_code'):
+        names = 'named', 'length', 'names_length', 'shift', 'programmed_turn', 'along', 'tilt_code'
+        for name in names:
             setattr(self, name, getattr(before, name))
         self.local = before.local.copy()
         self.update()
@@ -96,8 +99,19 @@ class Frames:
             'TRANS': self.shift.any(),
             self.tilt_code or 'ROT': turned,
         }
+        #: Changes whenever other coordinates count.
+        self.counts = (added.tobytes(), self.turn.tobytes(), self.shift.tobytes(), self.length)
         #: Codes of the shifts beside the work offset that are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
+
+    def coordinates(self, offset: str, of_tip: bool, rotary: int) -> ProgramCoordinates:
+        """Return the coordinates that count, with as many rotary axes."""
+        name = ' + '.join((offset, *self.shifts)) + (', tool tip' if of_tip else '')
+        origin = self.origin - self.length * self.along, self.rotary_origin[:rotary]
+        turn = tuple(self.turn.ravel().tolist())
+        return ProgramCoordinates(
+            name, of_tip, tuple(np.concatenate(origin).tolist()), turn, self.length
+        )
 
     def point(self, program: Vector) -> Vector:
         """Convert program coordinates to points, (3,) or (n, 3) [m]."""

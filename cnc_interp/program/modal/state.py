@@ -168,7 +168,7 @@ class ModalState(ModalValues):
     def recorded_values(self) -> tuple[object, ...]:
         frames = self.frames
         values = (getattr(self, name) for name in _RECORDED)
-        return (*values, self.radius_code, self.setup.offset, bool(frames.length), *frames.shifts)
+        return (*values, self.radius_code, self.setup.offset, *frames.shifts, frames.counts)
 
     def active_modes(
         self, cycle: str, offset: str, tool: int, outputs: Mapping[str, str]
@@ -180,7 +180,9 @@ class ModalState(ModalValues):
         before = cycle, self.radius_code, *codes.values(), offset, *self.frames.shifts
         found = (*before, length, polar, turning, *outputs.values())
         shown = tuple(code for code in found if code)
-        return ActiveModes(shown, self.contour, self.orientation, self.spindle_speed, tool)
+        numbers = self.contour, self.orientation, self.spindle_speed, tool
+        frame = self.frames.coordinates(offset, bool(self.tcp), len(self.rotary_letters))
+        return ActiveModes(shown, *numbers, frame=frame)
 
     @property
     def feed_word(self) -> float:

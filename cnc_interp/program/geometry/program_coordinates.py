@@ -1,0 +1,69 @@
+"""The coordinates of the program: the one system in which places are shown to people.
+
+They are what X Y Z A C would be written in the next line, or are written in the line that is
+executed, for the axes to stand where they stand, with everything that counts there:
+
+    program = turn^T (point - origin - length * along)
+
+With tool-tip programming, ``point`` is the tool tip in the workpiece and ``along`` the tool axis;
+without it, they are the machine coordinates X Y Z less the workpiece zero, and Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.core import FloatArray
+
+
+@dataclass(frozen=True)
+class ProgramCoordinates:
+    coordinates: str = ''  #: What counts in them, as ``G54 + G92 + TRANS``; empty if not known.
+    of_tip: bool = False  #: Whether X Y Z are those of the tool tip.
+    #: Zero of X Y Z, and of the rotary axes of the machine [m, rad].
+    origin: tuple[float, ...] = ()
+    turn: tuple[float, ...] = ()  #: Rotation from the coordinates to points, row by row.
+    length: float = 0.0  #: Tool length that counts [m].
+
+    def of_place(
+        self, positions: FloatArray, tip: FloatArray, axis: FloatArray, zero: FloatArray
+    ) -> FloatArray:
+        """Convert a place of the machine.
+
+        Parameters
+        ----------
+        positions : ndarray, shape (n_axes,)
+            Axis positions [m, rad].
+        tip, axis : ndarray, shape (3,)
+            Tool tip [m] and unit tool axis [-] there, in the workpiece frame.
+        zero : ndarray, shape (3,)
+            Workpiece zero of the machine file [m].
+
+        Returns
+        -------
+        ndarray, shape (n_axes,)
+            X Y Z, rotary axes, and extra axes, which have no offset [m, rad]; empty if unknown.
+
+        """
+        if not self.coordinates:
+            return np.zeros(0)
+        found = np.array(positions, dtype=float)
+        point, along = (tip, axis) if self.of_tip else (found[:3] - zero, np.array([0, 0, 1.0]))
+        found[:3] = self._turn.T @ (point - self.length * along - np.array(self.origin[:3]))
+        found[3 : len(self.origin)] -= self.origin[3:]
+        return found
+
+    def change_of_zero(self, change: Mapping[int, float]) -> FloatArray:
+        """Return how far a work offset moves for coordinates to read so much less [m, rad]."""
+        less = np.zeros(max(3, len(self.origin)))
+        for index, value in change.items():
+            less[index] = value
+        less[:3] = self._turn @ less[:3]
+        return less
+
+    @property
+    def _turn(self) -> FloatArray:
+        return np.reshape(self.turn, (3, 3))

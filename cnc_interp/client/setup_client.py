@@ -149,7 +149,7 @@ class SetupConsole:
     def offsets_text(self) -> str:
         table, setup, state = self._now
         machine = dict(zip(table.axes, state.positions, strict=False))
-        rows = [('machine', machine), ('program', self._work())]
+        rows = [('machine', machine), (f'work {setup.offset}', self._work())]
         rows += [
             (f'{name}{" *" if name == setup.offset else ""}', offset_row(table, setup, name))
             for name in sorted({setup.offset, *setup.work_offsets})

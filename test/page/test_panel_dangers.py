@@ -12,7 +12,7 @@ from cnc_interp_msgs.msg import MachineState
 from cnc_interp.page.contact import NO_TOKEN, WRONG_TOKEN
 from cnc_interp.page.hand_motion import EARLY, FILLS
 
-LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F300\nG1 X0\n' * 20 + 'M30\n'
+LONG = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A0 C0\n' + 'G1 X30 F300\nG1 X0\n' * 200 + 'M30\n'
 FOCUS = 'document.activeElement?.closest("[data-mark]")?.dataset.mark ?? ""'
 
 
@@ -134,11 +134,12 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
 def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):
     program = tmp_path / 'looked_at.ngc'
     program.write_text(LONG)
-    first = panel.open_in_charge()
+    viewer, first = panel.open(), panel.open_in_charge()
+    viewer.wait(lambda: viewer.text('rights') == 'view only')
+    assert viewer.text('refused') == ''
+    first.show()
     panel.load(first, program)
     panel.begin(first)
-    viewer = panel.open()
-    assert viewer.text('rights') == 'view only' and viewer.text('refused') == ''
     viewer.show()
     viewer.click_with_mouse('feed hold')
     panel.until(MachineState.HELD)

@@ -114,7 +114,7 @@ class Page:
             self._zeros.append(undo)
         self._change.set_visibility(False)
         for title, mark, letters in (
-            ('tip from the machine file’s zero, mm', 'tip', 'XYZ'),
+            ('tip without offsets, mm', 'tip', 'XYZ'),
             ('tool axis', 'tool', 'IJK'),
         ):
             self._unit.label(title).classes('heading')

@@ -134,11 +134,11 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
 def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):
     program = tmp_path / 'looked_at.ngc'
     program.write_text(LONG)
-    viewer, first = panel.open(), panel.open_in_charge()
-    viewer.wait(lambda: viewer.text('rights') == 'view only')
-    assert viewer.text('refused') == ''
-    first.show()
+    first = panel.open_in_charge()
     panel.load(first, program)
+    viewer = panel.open()
+    assert (viewer.text('rights'), viewer.text('refused')) == ('view only', '')
+    first.show()
     panel.begin(first)
     viewer.show()
     viewer.click_with_mouse('feed hold')

@@ -81,7 +81,6 @@ setup(
         'ruckig>=0.9,<1',
         'scipy>=1.11,<2',
         'shtab>=1.7,<2',
-        'toppra>=0.6,<0.7',
     ],
     # LGPL-2.1 with an exception (OpenCASCADE); its bindings are Apache-2.0.
     extras_require={
@@ -101,7 +100,7 @@ setup(
     entry_points={
         'console_scripts': [
             'cnc-interp = cnc_interp.__main__:main',
-            *(f'{node}_node = cnc_interp.nodes.{node}_node:main' for node in NODES),
+            *(f'{node}_node = cnc_interp.__main__:run_node' for node in NODES),
         ]
     },
 )

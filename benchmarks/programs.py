@@ -32,7 +32,6 @@ from linuxcnc_oracle import judged
 from whole_plans import plan_program, summary_of, write_plan
 
 from cnc_interp.core import MM_PER_MIN, InterpError, ProgramError
-from cnc_interp.kernel_cache import LOCATORS
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
@@ -250,7 +249,6 @@ def timed(file: Path, arguments: list[str], checkout: Path) -> list[float]:
         if (checkout / 'cnc_interp' / 'commands').exists():  # else it is older than the option
             command += ['--workers', '1']
         environment = os.environ | {'PYTHONPATH': str(checkout)}
-        del environment[LOCATORS]  # of this state of the code
         if checkout != ROOT:
             environment['NUMBA_CACHE_DIR'] = str(checkout / 'kernels')
         quiet = subprocess.DEVNULL

@@ -4,11 +4,8 @@ The names below are the library: in SI units, without ROS, files or state. Each 
 is first asked for, so that no command waits for it.
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-from cnc_interp import kernel_cache
 
 if TYPE_CHECKING:
     from cnc_interp.cam.cutter import Cutter
@@ -70,10 +67,6 @@ _HOMES = {
     'program.reading': 'Program read_program read_text',
     'settings.options': 'Settings',
 }
-
-kernel_cache.register(os.environ)
-# Its matrices are small: threads for them would only wait, and take the processor meanwhile.
-os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 
 if not TYPE_CHECKING:  # else any name would be one

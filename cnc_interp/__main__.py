@@ -5,14 +5,18 @@ import signal
 import sys
 import threading
 import time
+from importlib import import_module
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
+THREADS = 'OPENBLAS_NUM_THREADS'  #: Read by OpenBLAS when it is loaded.
 AGAIN = 0.01  #: After such times it is looked whether a lost interrupt can come again [s].
 
 
 def main() -> int:
     """Load the commands, which takes a second, and run one; Ctrl-C ends that, too."""
+    use_one_thread()
     heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if heeded:
         signal.signal(signal.SIGINT, leave)
@@ -23,6 +27,18 @@ def main() -> int:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.unraisablehook = interrupt_again
     return cli.main()
+
+
+def use_one_thread() -> None:
+    """Let OpenBLAS start no threads: for our small matrices they would only wait, and busily."""
+    os.environ.setdefault(THREADS, '1')
+
+
+def run_node() -> int:
+    """Run the node after which the command is named, as `ros2 run` starts it."""
+    use_one_thread()
+    node = import_module(f'{__package__}.nodes.{Path(sys.argv[0]).stem}')
+    return int(node.main() or 0)
 
 
 def leave(_number: int, _frame: FrameType | None) -> None:

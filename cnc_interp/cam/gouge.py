@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.cam.cutter import Cutter, Postures
 from cnc_interp.cam.guiding import GuidingCurve
@@ -15,6 +14,7 @@ from cnc_interp.cam.passes import Angles, runs
 from cnc_interp.cam.scallop import resting
 from cnc_interp.cam.surface import Surface, SurfaceError, place
 from cnc_interp.core import DEG, MM, UM, BoolArray, FloatArray, IntArray, unit
+from cnc_interp.core.kernels import njit
 
 #: Rays on which the bottom of the mill is tested, and its circles as shares of R.
 RAYS, CIRCLES = 48, (0.4, 0.7, 1.0)

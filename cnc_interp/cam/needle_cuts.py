@@ -8,9 +8,8 @@ literal that is overwritten in a loop.
 
 from math import sqrt
 
-from numba import njit
-
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 
 #: Depth at which needles begin below the surface, and height at which they end above it [m].
 DEPTH, TOP = 2.0 * MM, 1.0 * MM

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.interpolate import NdBSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
 from cnc_interp.cam.surface import Surface, SurfaceError
 from cnc_interp.core import MM, BoolArray, FloatArray, norm
+from cnc_interp.core.kernels import njit
 from cnc_interp.program.geometry.subdivide import ragged
 
 

@@ -11,10 +11,10 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray, norm
 from cnc_interp.core.jet import Jet
+from cnc_interp.core.kernels import njit
 
 
 def bezier_values(values: FloatArray, t: FloatArray | float) -> FloatArray:

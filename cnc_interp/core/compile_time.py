@@ -4,10 +4,10 @@ import mmap
 import multiprocessing
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
-
-from numba.core.event import Listener, register
 
 #: Compiling that takes longer is told [s].
 PATIENCE = 1.0
@@ -15,15 +15,8 @@ COMPILING = 'compiling numeric kernels, once; it takes seconds to minutes'
 
 
 @cache
-def compile_less() -> None:
-    """Leave out what no kernel needs and what takes a quarter of the time of set-up.
-
-    That is an entry for C into each kernel; and where an array is assigned to a part of another
-    one, an error message with both shapes.
-    """
-    from numba.core.cpu import CPUTargetOptions
+def _short_refusal() -> Any:
     from numba.core.extending import overload
-    from numba.np import arrayobj
 
     def refuse(source: Any, target: Any) -> None: ...
 
@@ -34,17 +27,10 @@ def compile_less() -> None:
 
         return refused
 
-    arrayobj.raise_with_shape_context = refuse
-    finalize = CPUTargetOptions.finalize
-
-    def finalize_without_entry(options: Any, flags: Any, given: Any) -> None:
-        finalize(options, flags, given)
-        flags.no_cfunc_wrapper = True  # ``cfunc`` sets it back
-
-    CPUTargetOptions.finalize = finalize_without_entry
+    return refuse
 
 
-class CompileTime(Listener):  # type: ignore[misc]
+class CompileTime:
     """Adds up the time in which this process, or one forked from it, compiles."""
 
     def __init__(self) -> None:
@@ -58,8 +44,7 @@ class CompileTime(Listener):  # type: ignore[misc]
         total, since, count, _ = self._shared
         return total + (time.monotonic() - since if count else 0.0)
 
-    def on_start(self, event: Any) -> None:
-        compile_less()
+    def start(self) -> None:
         self._depth += 1
         with self._lock:
             if self._depth == 1:
@@ -71,7 +56,7 @@ class CompileTime(Listener):  # type: ignore[misc]
         if tells:
             print(COMPILING, file=sys.stderr, flush=True)
 
-    def on_end(self, event: Any) -> None:
+    def end(self) -> None:
         self._depth -= 1
         if not self._depth:
             with self._lock:
@@ -81,7 +66,25 @@ class CompileTime(Listener):  # type: ignore[misc]
 
 
 COMPILE_TIME = CompileTime()
-register('numba:compile', COMPILE_TIME)
+
+
+@contextmanager
+def compiling() -> Iterator[None]:
+    """Compile a kernel of ours; numba's own lock, which the caller holds, keeps others out.
+
+    Where an array is assigned to a part of another one, numba compiles an error message with both
+    shapes, which takes much of the time of set-up: meanwhile it is shorter.
+    """
+    from numba.np import arrayobj
+
+    usual = arrayobj.raise_with_shape_context
+    arrayobj.raise_with_shape_context = _short_refusal()
+    COMPILE_TIME.start()
+    try:
+        yield
+    finally:
+        COMPILE_TIME.end()
+        arrayobj.raise_with_shape_context = usual
 
 
 def working_time() -> float:

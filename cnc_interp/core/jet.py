@@ -6,7 +6,7 @@ evaluated with jets gives exact derivatives. A vector jet is a tuple of three je
 
 from math import atan2, cos, sin, sqrt
 
-from numba import njit
+from cnc_interp.core.kernels import njit
 
 Jet = tuple[float, float, float, float]
 VectorJet = tuple[Jet, Jet, Jet]

@@ -15,10 +15,10 @@ Divided by J, rows ``DRIVE``, ``COULOMB`` and ``VISCOUS`` hold T/J, C/J and B/J 
 the same, 1/s]. ``DRIVE`` is infinite where the axis has no such limit.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.kernels import njit
 
 VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 
@@ -56,7 +56,7 @@ def has_loads(table: FloatArray) -> bool:
     return bool(np.isfinite(table[DRIVE]).any())
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float) -> float:
     """Return the use of the torque that friction leaves to an axis; negative against the motion.
 
@@ -73,7 +73,7 @@ def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float)
     return float(along / (drive - friction) if along > 0.0 else along / (drive + friction))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def acceleration_room(
     table: FloatArray, axis: int, q: float, velocity: float
 ) -> tuple[float, float]:
@@ -86,7 +86,7 @@ def acceleration_room(
     return min(most, drive - friction), min(most, drive + friction)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def limit_at(table: FloatArray, row: int, axis: int, q: float) -> float:
     """Return one limit of an axis at a position [m or rad]."""
     last = table.shape[2] - 1
@@ -109,7 +109,7 @@ def limits_along(table: FloatArray, q: FloatArray) -> FloatArray:
     return _along(table, np.ascontiguousarray(q))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _along(table: FloatArray, q: FloatArray) -> FloatArray:
     out = np.empty((3, q.shape[0], q.shape[1]))
     for row in range(3):
@@ -119,7 +119,7 @@ def _along(table: FloatArray, q: FloatArray) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def largest_between(table: FloatArray, row: int, axis: int, low: float, high: float) -> float:
     largest = limit_at(table, row, axis, low)
     if table.shape[2] > 1:

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.extending import intrinsic
 
 from cnc_interp.core import IntArray
+from cnc_interp.core.kernels import njit
 
 #: ``CLOCK_MONOTONIC`` and ``TIMER_ABSTIME`` of <time.h>.
 MONOTONIC, ABSOLUTE = 1, 1

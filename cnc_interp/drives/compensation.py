@@ -22,9 +22,10 @@ those of that program, bit for bit. After any other setpoint the added part fade
 import math
 
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 
 from cnc_interp.core import FloatArray, IntArray, MachineError
+from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine

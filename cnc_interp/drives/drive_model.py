@@ -24,9 +24,10 @@ period is divided: within a step the loops and the mode are exact, friction is i
 import math
 
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import pointer
 from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
 from cnc_interp.machine_model.machine import Machine

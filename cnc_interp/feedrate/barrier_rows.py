@@ -28,10 +28,10 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
     dm            (n + 2,)           step of m, likewise; both ends are zero
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 

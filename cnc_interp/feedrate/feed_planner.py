@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
+from cnc_interp.core import kernels as numba
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
 from cnc_interp.feedrate.limit_use import AxisLimits

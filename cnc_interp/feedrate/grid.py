@@ -8,10 +8,10 @@ line; cells too short for double precision always do.
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     DRIVE,

@@ -12,10 +12,10 @@ are small before the rows hold leave no way to move.
 ``barrier_rows.py`` describes the rows, the arrays and their shapes.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate import barrier_rows as barrier
 from cnc_interp.feedrate import jerk_rows

@@ -25,10 +25,10 @@ has a constant. Only the terms depend on the unknowns, and each one on m_{i-1}, 
 Thus the Newton matrix is pentadiagonal, and one axis costs three multiplications per row.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     COULOMB,

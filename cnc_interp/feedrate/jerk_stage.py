@@ -18,10 +18,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.limits_by_position import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve

@@ -15,10 +15,10 @@ axis are polynomials x(t) of degree 21 at most. Two bounds hold at every instant
 from math import comb, perm
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from cnc_interp.core import MS, BoolArray, FloatArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS
 from cnc_interp.core.native import DistinctArrays

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states
 from cnc_interp.kinematics.axis_path import AxisPath, cut, septic_coefficients, septic_jet
 

@@ -25,7 +25,7 @@ class PlanOptions:
     window_ratio: float = 2.5  #: Length of a window in horizons; one is committed later [-].
     window_cells: int = 4000  #: Largest number of path cells in one window.
     bound: bool = True  #: Whether the least time is computed; the law is the same.
-    below_ceiling: bool = False  #: Whether the jerk stage starts below toppra's ceiling.
+    below_ceiling: bool = False  #: Whether the jerk stage starts below the ceiling.
     reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
     law: str = 'optimal'  #: 'optimal' for the jerk stage, else a module of ``papers``: 'vpop'.
     step: float = 1e-3  #: Longest step of 'vpop' [s].

@@ -5,10 +5,10 @@ v = J t^2/2 give v^(3/2) = 3 sqrt(J/2) s. The guess grows at half that slope. It
 purposes: it shows where time is spent, and it is the starting point of the interior point method.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 

@@ -14,10 +14,10 @@ and the torque are kept, too. If an axis cannot follow, the release is tried ear
 then less braking. If none keeps the limits, the motion goes on as planned until there is a stop.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
+from cnc_interp.core import kernels as numba
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core import kernels as numba
 
 UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
 

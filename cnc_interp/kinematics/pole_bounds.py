@@ -27,9 +27,9 @@ Between samples du apart, |g| <= G = largest sample + |v'| du / 2, and then the 
 from math import atan2, ceil, pi, sqrt, tan
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray, bspline, norm
+from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.machine_model.transform_kernels import guided_gap, outer_and_inner
 from cnc_interp.program.blocks import POSES

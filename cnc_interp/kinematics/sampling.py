@@ -5,9 +5,9 @@ break where the third derivative may jump: at joins and at u = 0.5 of corners.
 """
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks

@@ -3,11 +3,11 @@
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, jet
 from cnc_interp.core.bspline import corner_spline_jet, quintic_jet
 from cnc_interp.core.jet import Jet, VectorJet
+from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_jet
 from cnc_interp.machine_model import transform_kernels as kernel
 from cnc_interp.smoothing import segments as kinds

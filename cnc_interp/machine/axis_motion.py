@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, StreamError
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import has_loads
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import NANOSECONDS, call_drives, fence, pointer, sleep_until, time_now
 from cnc_interp.machine import spindle as spin
 from cnc_interp.machine.realtime import note_catching_up, note_lateness

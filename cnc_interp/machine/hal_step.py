@@ -9,9 +9,10 @@ is shifted a little until the wanted number waits; at rest a row is repeated or 
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import NANOSECONDS, call_c, pointer, publish, time_now
 from cnc_interp.machine.hal_file import BITS
 

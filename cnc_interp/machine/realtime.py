@@ -5,9 +5,9 @@ import os
 import resource
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import UM, IntArray
+from cnc_interp.core.kernels import njit
 
 #: Flags of `mlockall` in <sys/mman.h>: present and future pages, each once it is used.
 LOCK_CURRENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4

@@ -1,9 +1,10 @@
 """Simulated drives behind the port of ``drives.py``, and a whole motion of them at once."""
 
 import numpy as np
-from numba import carray, cfunc, types
+from numba import carray, types
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.kernels import cfunc
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.drives.compensation import Compensation, compensate_all, compensate_once
 from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of, words_of

@@ -21,9 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import carray, cfunc, njit, types
+from numba import carray, types
 
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
+from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import call_drives, pointer
 from cnc_interp.core.small_files import UnreadableError, read_yaml
 from cnc_interp.machine.simulated_drives import SimulatedDrives

@@ -24,9 +24,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import STATES, SURFACE, THREAD
 

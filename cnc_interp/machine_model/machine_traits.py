@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import DEG, FloatArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.machine_model.transform_kernels import linear_jets, rotary_jets

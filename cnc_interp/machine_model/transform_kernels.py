@@ -3,10 +3,10 @@
 from math import atan2, cos, floor, pi, sin, sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, jet
 from cnc_interp.core.jet import Jet, Vector, VectorJet
+from cnc_interp.core.kernels import njit
 
 #: Places of the vectors in the packed geometry: directions of both rotary axes [-], then m, d, e
 #: and both arms of the tool [m]; see ``Transform.of``.

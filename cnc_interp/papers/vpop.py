@@ -5,10 +5,10 @@ brakes, and goes on; if none passes, it holds a constant speed until the place i
 end j is the lowest one until v = a^2 / (2 j), and stays constant from there on.
 """
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.jerk_stage import ACCEPTED
 from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.motion_law import Stretch
@@ -43,13 +43,13 @@ RELEASES = (0.995, 0.97, 0.93, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
 LANDED = 1e-13  #: Largest accepted distance between the rest and the end of the path [m].
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _from(state: FloatArray, rows: FloatArray) -> FloatArray:
     rows[0] = state
     return rows
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _touch(
     curve: Curve, state: FloatArray, passed: float, down: FloatArray, up: FloatArray
 ) -> tuple[float, int, bool]:
@@ -73,7 +73,7 @@ def _touch(
     return speed, found, too_early
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _hold(
     curve: Curve, state: FloatArray, fastest: float, passed: float, rows: FloatArray
 ) -> float:
@@ -90,7 +90,7 @@ def _hold(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _go_back(
     curve: Curve, rows: FloatArray, k: int, passed: float, trial: FloatArray, faster: FloatArray
 ) -> tuple[int, int]:
@@ -124,7 +124,7 @@ def _go_back(
     return k, end
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _pass_held(
     curve: Curve, rows: FloatArray, k: int, passed: float, trial: FloatArray, faster: FloatArray
 ) -> tuple[int, int]:
@@ -168,7 +168,7 @@ def _pass_held(
     return begin + high + count, end
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
     curve: Curve, step: FloatArray, part: float, release: float, out: FloatArray
 ) -> tuple[int, float]:
@@ -185,7 +185,7 @@ def _brake(
     return (count, curve[0][-1] - out[count, S]) if end == RESTS else (count, -1.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _come_to_rest(
     curve: Curve, rows: FloatArray, k: int, release: float, out: FloatArray
 ) -> tuple[int, int]:
@@ -221,7 +221,7 @@ def _come_to_rest(
     return (begin, count) if 0.0 <= left <= LANDED else (-1, 0)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _arrive_slower(curve: Curve, rows: FloatArray, k: int, trial: FloatArray) -> int:
     """Change the last steps so that the motion comes to the end of the path at half the speed."""
     back, speed = 1, 0.5 * rows[k, V]
@@ -236,7 +236,7 @@ def _arrive_slower(curve: Curve, rows: FloatArray, k: int, trial: FloatArray) ->
         back *= 2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _difficult_until(curve: Curve, state: FloatArray, steady: FloatArray) -> float:
     """Return the end of the cells from a state on in which its speed could not stay constant."""
     grid, cell = curve[0], int(state[CELL])
@@ -249,7 +249,7 @@ def _difficult_until(curve: Curve, state: FloatArray, steady: FloatArray) -> flo
     return float(place)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _drive(
     curve: Curve, start: tuple[float, float], steady: FloatArray, releases: FloatArray
 ) -> FloatArray:
@@ -286,7 +286,7 @@ def _drive(
     return rows[:0].copy()
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _all_septics(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     out = np.empty((len(h), left.shape[2], 8))
     for i in range(len(h)):

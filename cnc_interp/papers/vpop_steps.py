@@ -11,10 +11,10 @@ period or to the border of a path cell; before a speed limit a is zero when v ge
 
 from typing import TypeAlias
 
-import numba
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.motion_law import time_at
 from cnc_interp.kinematics.axis_path import septic_jet
@@ -32,7 +32,7 @@ S, V, A, J, D, CELL = 0, 1, 2, 3, 4, 5  # columns of a step: state at its start,
 PASSED, FAILED, AT_END, RESTS, FULL, BACKWARDS = 0, 1, 2, 3, 4, 5
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _leave(
     septics: FloatArray, u: float, h: float, v: float, a: float, table: FloatArray, out: FloatArray
 ) -> None:
@@ -60,7 +60,7 @@ def _leave(
         out[5] = min(out[5], (1 - SLACK_SPEED) * limit_at(table, VELOCITY, i, q) / q_s)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _step_time(longest: float, ahead: float, v: float, a: float, j: float) -> tuple[float, bool]:
     """Return the time of a step and whether it ends at the border; no short rest is left."""
     for factor in (1.2, 2.0):
@@ -71,13 +71,13 @@ def _step_time(longest: float, ahead: float, v: float, a: float, j: float) -> tu
     return longest, False
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _last_a(room: float, jerk: float, t: float, otherwise: float) -> float:
     """Return the a from which a = 0 can be reached before v has changed by ``room``."""
     return jerk * (np.sqrt(t * t / 4 + 2 * room / jerk) - t / 2) if room >= 0.0 else otherwise
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def go_forward(
     curve: Curve, rows: FloatArray, target: float, release: float, passed: float, margin: float
 ) -> tuple[int, int]:
@@ -180,7 +180,7 @@ def go_forward(
             return RESTS, k
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _release_time(
     septics: FloatArray,
     along: float,

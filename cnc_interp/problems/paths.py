@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM, FloatArray, InterpError
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.drives.tool_error import HEIGHT, on_chord
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.proof.plan_files import Stored, held, spans
 from cnc_interp.proof.program_shapes import ProgramShapes
 from cnc_interp.proof.programmed_path import peaks

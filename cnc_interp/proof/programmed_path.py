@@ -12,11 +12,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
+from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_between
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import axis_motion

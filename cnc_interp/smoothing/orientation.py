@@ -3,9 +3,9 @@
 from math import atan2, cos, sin, sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, cross, dot, norm
+from cnc_interp.core.kernels import njit
 
 # Beside the pole, see ``pole.py``.
 #: Part of the tolerance that can move a path onto the pole [-].

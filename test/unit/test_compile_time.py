@@ -3,24 +3,24 @@
 import os
 import time
 
-import numba
 import numpy as np
 import pytest
-from numba.core.event import install_listener, install_recorder, register, unregister
+from numba.core.event import install_recorder
 
 from cnc_interp.core import compile_time
 from cnc_interp.core.compile_time import CompileTime, working_time
+from cnc_interp.core.kernels import njit
 from cnc_interp.run.path_chain import Stopwatch
 
 
 def compile_two():
     """Compile a kernel, and another one that it calls."""
 
-    @numba.njit
+    @njit()
     def inner(x):
         return x + 1.0
 
-    @numba.njit
+    @njit()
     def outer(x):
         return inner(x) * 2.0
 
@@ -30,12 +30,8 @@ def compile_two():
 @pytest.fixture
 def heard(monkeypatch):
     monkeypatch.setattr(compile_time, 'PATIENCE', 0.0)
-    usual, fresh = compile_time.COMPILE_TIME, CompileTime()
-    monkeypatch.setattr(compile_time, 'COMPILE_TIME', fresh)
-    unregister('numba:compile', usual)
-    with install_listener('numba:compile', fresh):
-        yield fresh
-    register('numba:compile', usual)
+    monkeypatch.setattr(compile_time, 'COMPILE_TIME', CompileTime())
+    return compile_time.COMPILE_TIME
 
 
 def test_kernels_that_call_others_count_once_and_are_told_once(heard, capsys):
@@ -65,7 +61,7 @@ def test_what_a_forked_process_compiles_counts_here(heard):
 
 
 def test_neither_text_of_errors_nor_an_entry_for_c_is_compiled():
-    @numba.njit
+    @njit()
     def put(part, into):
         into[1:4] = part
         return into

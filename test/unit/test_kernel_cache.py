@@ -1,7 +1,6 @@
 """Compiled kernels never outlive a change of what they call or read, and outlive all others."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,14 +11,13 @@ from cnc_interp import kernel_cache
 
 CONSTANT = 'VALUE = {value}\n'
 INNER = (
-    'from numba import njit\nfrom pack.limits import VALUE\n\n'
+    'from pack.core.kernels import njit\nfrom pack.limits import VALUE\n\n'
     '@njit(cache=True)\ndef inner():\n    return VALUE\n'
 )
 OUTER = (
-    'from numba import njit\nfrom pack.inner import inner\n\n'
+    'from pack.core.kernels import njit\nfrom pack.inner import inner\n\n'
     '@njit(cache=True)\ndef outer():\n    return inner()\n'
 )
-START = 'import os\nfrom pack import kernel_cache\nkernel_cache.register(os.environ)\n'
 ASK = 'from pack.outer import outer; print(outer(), sum(outer.stats.cache_hits.values()))'
 
 
@@ -27,10 +25,13 @@ ASK = 'from pack.outer import outer; print(outer(), sum(outer.stats.cache_hits.v
 def package(tmp_path):
     """A package with our cache: one kernel calls another, which reads a constant."""
     folder = tmp_path / 'pack'
-    folder.mkdir()
-    shutil.copy(kernel_cache.__file__, folder)
+    (folder / 'core').mkdir(parents=True)
+    for name in ('kernel_cache', 'core/kernels', 'core/compile_time'):
+        text = (kernel_cache.PACKAGE / f'{name}.py').read_text()
+        (folder / f'{name}.py').write_text(text.replace(kernel_cache.PACKAGE.name, 'pack'))
     for name, text in (
-        ('__init__', START),
+        ('__init__', ''),
+        ('core/__init__', ''),
         ('limits', CONSTANT.format(value=1)),
         ('inner', INNER),
         ('outer', OUTER),
@@ -40,9 +41,10 @@ def package(tmp_path):
     return folder
 
 
-TWICE = 'from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return x + x\n'
+IMPORT = 'from pack.core.kernels import njit\n\n'
+TWICE = IMPORT + '@njit(cache=True)\ndef twice(x):\n    return x + x\n'
 #: Its code holds a function of numba's, which raises.
-LARGEST = 'from numba import njit\n\n@njit(cache=True)\ndef largest(x):\n    return x.max()\n'
+LARGEST = IMPORT + '@njit(cache=True)\ndef largest(x):\n    return x.max()\n'
 #: Compiles one form of a kernel; between reading numba's index and writing it time passes.
 SLOWLY = (
     'import time\nfrom numba.core.caching import IndexDataCacheFile as Files\n'
@@ -59,8 +61,7 @@ def environment(package):
         'PYTHONPATH': str(package.parent),
         'PYTHONDONTWRITEBYTECODE': '1',  # Python itself misses a change within the same second
     }
-    for name in (kernel_cache.LOCATORS, kernel_cache.FOLDER):
-        found.pop(name, None)
+    found.pop(kernel_cache.FOLDER, None)
     return found
 
 
@@ -183,4 +184,3 @@ def test_the_users_folder_wins(monkeypatch):
     monkeypatch.setenv(kernel_cache.FOLDER, 'mine')
     locator = kernel_cache.KernelLocator(kernel_cache.PACKAGE / 'core' / 'jet.py')
     assert Path(locator.get_cache_path()) == Path('mine/core')
-    assert kernel_cache.KernelLocator.from_function(test_the_users_folder_wins, __file__) is None

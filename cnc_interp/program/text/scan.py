@@ -5,10 +5,10 @@ A line with anything but an optional N, one of G0 to G3, and numbers after lette
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 
 #: Kinds of lines: without effect, plain, and those for the general reader.
 EMPTY, PLAIN, RARE = 0, 1, 2

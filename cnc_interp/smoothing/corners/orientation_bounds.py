@@ -17,10 +17,10 @@ largest error at any Chebyshev point of the corner.
 from math import comb, cos, expm1, sin, sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.bspline import corner_spline_jet
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.corners.connection import Curves
 from cnc_interp.smoothing.segments import corner_breaks, span_at
 

@@ -10,10 +10,10 @@ the same u, too.
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.bspline import quintic_part
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense.polyline import Polyline
 
 HALVINGS = 3  #: Largest number of times that a part is halved if the hull is too wide.

@@ -4,9 +4,9 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, bspline
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense import knots as spacing
 from cnc_interp.smoothing.dense.certificate import certify
 from cnc_interp.smoothing.dense.polyline import Polyline, pieces

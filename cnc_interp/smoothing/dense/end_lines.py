@@ -4,9 +4,9 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 from cnc_interp.smoothing.dense.polyline import (
     Polyline,

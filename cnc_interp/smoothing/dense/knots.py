@@ -8,9 +8,9 @@ also grows where the tip is slow and the tool turns.
 from math import ceil, sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense.polyline import Polyline
 
 LONGEST, FINEST = 100.0, 2.0  #: Longest and shortest spacing of knots, in tolerances.

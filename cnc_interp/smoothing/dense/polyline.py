@@ -6,10 +6,10 @@ from math import ceil, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.bspline import quintic_part
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.orientation import rotation_between, turn_axis
 
 #: Largest turn between two vertices [rad]; on so short an arc, chord and great circle agree.

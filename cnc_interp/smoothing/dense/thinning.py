@@ -11,9 +11,9 @@ from math import acos, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 
 #: Shortest step of the skeleton, and largest distance of a dropped vertex, in tolerances.

@@ -11,10 +11,10 @@ weights for Chebyshev approximation work in the same way.
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.bspline import quintic_basis, quintic_end_coefficients
+from cnc_interp.core.kernels import njit
 
 #: Output of ``knots.sample_points``.
 Samples = tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]

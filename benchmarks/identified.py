@@ -18,7 +18,8 @@ import numpy as np
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import recorded_feedback
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.drives.identification import excitation, identify_axis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.report.identified import values_of

@@ -21,7 +21,8 @@ import numpy as np
 from controller_stand_in import StandIn
 from test_trajectories import place_of
 
-from cnc_interp.client.session import RunRequest, RunResult, chosen_domain, run_session
+from cnc_interp.client.run_request import RunRequest, RunResult
+from cnc_interp.client.session import chosen_domain, run_session
 
 
 def run(program: Path, delay: float, robot: StandIn) -> tuple[str, RunResult]:

@@ -10,7 +10,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-THREADS = 'OPENBLAS_NUM_THREADS'  #: Read by OpenBLAS when it is loaded.
+from cnc_interp.processes.one_thread import use_one_thread
+
 AGAIN = 0.01  #: After such times it is looked whether a lost interrupt can come again [s].
 
 
@@ -27,11 +28,6 @@ def main() -> int:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.unraisablehook = interrupt_again
     return cli.main()
-
-
-def use_one_thread() -> None:
-    """Let OpenBLAS start no threads: for our small matrices they would only wait, and busily."""
-    os.environ.setdefault(THREADS, '1')
 
 
 def run_node() -> int:

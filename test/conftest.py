@@ -10,12 +10,12 @@ import pytest
 import tiers
 from hypothesis import HealthCheck, settings
 
-from cnc_interp.__main__ import THREADS
+from cnc_interp.processes.one_thread import use_one_thread
 
 #: Thorough tests run in so many turns; a prime, so that no rhythm of pushing leaves one out.
 TURNS = 7
 ROOT = Path(__file__).parents[1]
-os.environ.setdefault(THREADS, '1')  # before NumPy is loaded
+use_one_thread()  # before NumPy is loaded
 #: Tests that start nodes or a browser: one lane, in which a second process helps at the end.
 LIVE = 'test/ros/', 'test/page/', 'test/replay/test_bags.py'
 #: Files that name one of them run one after the other: one set of nodes, one session of HAL.

@@ -25,7 +25,7 @@ from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.question import SentProgram
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.recorder import NEEDED, Recorder
-from cnc_interp.client.session import RunRequest, RunResult
+from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.feedrate.plan_options import tool_warnings

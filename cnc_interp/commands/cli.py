@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 
 import cnc_interp
-from cnc_interp.commands import identify
+from cnc_interp.commands import convert, identify, machine_files
 from cnc_interp.commands.batch import add_batch_commands, add_sweep_command
 from cnc_interp.commands.cam import add_cam_commands
 from cnc_interp.commands.check import add_bag_commands, add_check_commands, add_problems_command
@@ -110,11 +110,11 @@ def parser() -> argparse.ArgumentParser:
         add_plan_command,
         add_batch_commands,
         partial(add_sweep_command, main=main),
-        identify.add_convert_command,
+        convert.add_convert_command,
         add_check_commands,
         add_panel_command,
         add_operate_commands,
-        identify.add_machine_commands,
+        machine_files.add_machine_commands,
         add_bag_commands,
         identify.add_identify_commands,
         add_cam_commands,

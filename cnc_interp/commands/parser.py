@@ -147,3 +147,11 @@ def count(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f'must be a whole number, 1 or more, not {text!r}')
     return value
+
+
+def write(text: str, file: Path | None) -> None:
+    """Write what a command makes to a file, or to the terminal."""
+    if file is None:
+        print(text, end='')
+    else:
+        file.write_text(text, encoding='utf-8')

@@ -204,7 +204,8 @@ def run_command(options: argparse.Namespace) -> int:
     from cnc_interp.processes.node_processes import load_nodes, process_start
 
     load_nodes()  # in another process, while this one imports the rest
-    from cnc_interp.client.session import RunRequest, run_session
+    from cnc_interp.client.run_request import RunRequest
+    from cnc_interp.client.session import run_session
 
     beside = None
     if options.panel:

@@ -11,7 +11,6 @@ from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, Ma
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
-#: Every value of an axis: key in the file -> (unit in SI, for linear and for rotary axes).
 #: Keys of ``rotary``: the rows of ``Machine.offsets`` and ``Machine.tool_offset``.
 GEOMETRY = (
     'workpiece_offset_mm',
@@ -20,6 +19,7 @@ GEOMETRY = (
     'tip_to_secondary_pivot_mm',
     'secondary_to_primary_pivot_mm',
 )
+#: Every value of a linear axis, and of a rotary one: key in the file -> its unit in SI.
 LINEAR_KEYS = {
     'velocity_m_per_min': M_PER_MIN,
     'acceleration_m_per_s2': 1.0,

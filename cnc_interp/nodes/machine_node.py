@@ -7,7 +7,7 @@ import numpy as np
 from cnc_interp_msgs.msg import SetpointChunk
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
-from cnc_interp.core import Refusal, StreamError
+from cnc_interp.core import InterpError, Refusal, StreamError
 from cnc_interp.machine.cycle import MachineClock
 from cnc_interp.machine.drive_kinds import drives_of
 from cnc_interp.machine.playback import Playback
@@ -51,6 +51,10 @@ class MachineNode(LifecycleNode):
 
     def _configure(self) -> None:
         values = self._values
+        window = round(values['buffer_time'] / self._period)
+        if window < 1:
+            text = f'{values["buffer_time"]:g} s is less than the period, {self._period:g} s'
+            raise InterpError(f'buffer_time: {text}; give at least one period')
         machine = Machine.load(values['machine'])
         warm_machine(values['machine'], self._period)
         priority = values['realtime_priority']
@@ -58,7 +62,6 @@ class MachineNode(LifecycleNode):
         ask_for_priority(max(priority - 1, min(priority, 1)))
         self._memory = lock_memory() if values['lock_memory'] else 'memory may be paged out'
         drives = drives_of(machine, self._period, values, self._link)
-        window = round(values['buffer_time'] / self._period)
         self._playback = Playback(machine, self._period, drives, window)
         self._clock_of_drives = MachineClock(self._playback.cycle, priority)
         self._diagnostics = node_main.Diagnostics(self)

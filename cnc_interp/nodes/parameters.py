@@ -1,6 +1,7 @@
 """Parameters of the nodes: one scalar each, SI, with description and range."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
+from functools import partial
 from typing import Any
 
 from rcl_interfaces import msg
@@ -107,7 +108,8 @@ def declare(node: Any, parameters: tuple[Declared, ...]) -> dict[str, Any]:
         except Exception as problem:
             raise InterpError(f'parameter {parameter.name}: {problem}') from None
         values[parameter.name] = found.value
-    node.add_on_set_parameters_callback(check_change)
+    names = {parameter.name for parameter in parameters}
+    node.add_on_set_parameters_callback(partial(check_change, names))
     return values
 
 
@@ -132,11 +134,10 @@ def descriptor_of(parameter: Declared) -> msg.ParameterDescriptor:
     return descriptor
 
 
-def check_change(changes: list[Any]) -> msg.SetParametersResult:
+def check_change(declared: Set[str], changes: list[Any]) -> msg.SetParametersResult:
     """Refuse changes while the node runs: buffers, windows and plans depend on the values."""
-    known = {parameter.name for table in (*NODES.values(), MARKERS) for parameter in table}
     for change in changes:
-        if change.name in known:
+        if change.name in declared:
             return msg.SetParametersResult(
                 successful=False,
                 reason=f'{change.name} is read at start; start the node again with another value',

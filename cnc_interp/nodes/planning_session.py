@@ -10,17 +10,39 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from cnc_interp.core import InterpError, Refusal
+from cnc_interp.core import FloatArray, InterpError, Refusal
+from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
 from cnc_interp.run.run_phase import LEFT, MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Wait
+from cnc_interp.smoothing.segments import PathSegments
 
 if TYPE_CHECKING:
-    from cnc_interp.nodes.feedrate_node import FeedrateNode
+    from cnc_interp_msgs.msg import PathSegment
+
+    from cnc_interp.nodes.streams import Outlet
+
+
+class Port(Protocol):
+    """What the session asks of the node around it."""
+
+    outlet: Outlet
+
+    def make_planner(
+        self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
+    ) -> RunPlanner: ...
+
+    def read(
+        self, segments: list[PathSegment]
+    ) -> tuple[PathSegments, dict[int, Wait], Functions]: ...
+
+    def consumed(self, count: int) -> None: ...
+
+    def refuse(self, kind: Refusal, reason: str) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -103,7 +125,7 @@ class Kept:
 class PlanningSession:
     """``port``: whose setpoints are sent, and segments read; the node, or what stands for it."""
 
-    def __init__(self, port: FeedrateNode, period: float, plan_ahead: float):
+    def __init__(self, port: Port, period: float, plan_ahead: float):
         self._port, self._period, self._plan_ahead = port, period, plan_ahead
         self.settings = OperatorSettings()
         self.activity = Activity.NONE

@@ -10,23 +10,21 @@ import subprocess
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cnc_interp.client import session
+from cnc_interp.client.run_request import RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.page.origin import PARENT, Revive
 from cnc_interp.processes.node_processes import NODES, Children
 
 if TYPE_CHECKING:
     from cnc_interp.page.server import Served
 
-Revive = Callable[[], dict[str, str]]  #: Starts lost nodes again; returns why, by name.
-#: Environment variable with the process of the run; the page ends when that process ends.
-PARENT = 'CNC_INTERP_PARENT'
 #: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
 SHORTEST_TOKEN = 16
 LONGEST_TOKEN = 1000  #: Longest one [bytes].
@@ -124,7 +122,7 @@ class PanelBeside:
             start_new_session=True,  # Ctrl-C is for the run, which ends the page
         )
 
-    def finish(self, result: session.RunResult) -> None:
+    def finish(self, result: RunResult) -> None:
         process = self._process
         if process is None:
             return

@@ -19,12 +19,12 @@ from fastapi import Response
 from nicegui import app, ui
 
 from cnc_interp.core import InterpError
-from cnc_interp.page.command import PARENT, Revive
 from cnc_interp.page.contact import AGAIN, WRONG_TOKEN, Access, Gate
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
 from cnc_interp.page.dialogs import MARKS
 from cnc_interp.page.hand_motion import ARROWS, EARLY, FILLS, LOST, STALE
 from cnc_interp.page.operator_page import Page
+from cnc_interp.page.origin import PARENT, Revive
 from cnc_interp.processes.stop_signals import stops_later
 
 PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.

@@ -44,8 +44,8 @@ _AS_IN_BLOCKS = (
     'knot_interval',
     'program_stop',
 )
-#: Path cells, and setpoints, that are gathered before they are measured and written.
 SELDOM = 'functions', 'followed'  #: Files that only some plans have.
+#: Path cells, and setpoints, that are gathered before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from cnc_interp.core import FloatArray, cross, dot, norm
 from cnc_interp.core.kernels import njit
 
-# Beside the pole, see ``pole.py``.
+# Beside the pole, see ``kinematics/pole_bounds.py``.
 #: Part of the tolerance that can move a path onto the pole [-].
 MOVED = 0.8
 #: Smallest share of corners and curves, and distance that a path keeps from the pole [-].

@@ -29,7 +29,7 @@ from cnc_interp import page
 from cnc_interp.client.alarms import Alarm, AlarmList
 from cnc_interp.client.length_unit import INCHES, MILLIMETRES
 from cnc_interp.client.operator_client import SWITCHES, SharedValue
-from cnc_interp.client.session import RunResult
+from cnc_interp.client.run_request import RunResult
 from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine

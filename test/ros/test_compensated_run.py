@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.commands.parser import FAILED
 from cnc_interp.core import UM, InterpError
 from cnc_interp.drives.tool_error import tool_error

@@ -13,7 +13,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from cnc_interp.client import run_console
 from cnc_interp.client.operator_client import SPIN, OperatorClient
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.core import InterpError
 
 EXAMPLE = Path(__file__).parents[2] / 'examples' / 'pyramid.ngc'

@@ -5,7 +5,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.verify import verify_plan

@@ -14,7 +14,8 @@ sys.path.append(str(Path(__file__).parents[2] / 'benchmarks'))
 
 import hal_session
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 
 pytestmark = pytest.mark.thorough
 

@@ -8,7 +8,8 @@ from packed_page import unpacked
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_feedback import recorded_feedback
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.commands.cli import main
 from cnc_interp.core import UM
 from cnc_interp.machine_model.machine import Machine, find_machine_file

@@ -8,7 +8,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.drives.learning import LearntMotion

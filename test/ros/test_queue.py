@@ -12,7 +12,8 @@ from cnc_interp_msgs.msg import MachineState
 from limit_use import limit_use
 from operated import LIMITS, T, path_of, waves
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.kinematics.axis_path import evaluate
 
 Result = RunProgram.Result

@@ -14,7 +14,8 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import MachineState
 
-from cnc_interp.client.session import RunRequest, run_session
+from cnc_interp.client.run_request import RunRequest
+from cnc_interp.client.session import run_session
 from cnc_interp.convert.conversion import convert
 from cnc_interp.core import UM, InterpError
 from cnc_interp.machine_model.machine import Machine

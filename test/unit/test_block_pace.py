@@ -12,7 +12,7 @@ from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import Blocks, read_text
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.path_smoother import Pacer
+from cnc_interp.smoothing.pace import Pacer
 
 XYZ = Transform.of(Machine.load('xyz'))
 PACE = BlockPace(jump=3e-3, block_time=1e-3, jerk=20.0, stops_at_rapids=True)

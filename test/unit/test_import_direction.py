@@ -219,6 +219,28 @@ def test_imports_follow_the_flow():
     assert not found, found
 
 
+def circles(imports):
+    """Return the modules that import themselves through others."""
+    reached = {name: set(others) for name, others in imports.items()}
+    for name in reached:
+        for others in reached.values():
+            if name in others:
+                others |= reached[name]
+    return sorted(name for name, others in reached.items() if name in others)
+
+
+def test_no_modules_import_each_other():
+    found = {}
+    for path in modules():
+        name, is_package = dotted_name(path), path.name == '__init__.py'
+        found[name] = {*imported_names(path.read_text(), name, is_package)} - {name}
+    assert circles(found) == []
+
+
+def test_circles_are_seen():
+    assert circles({'a': {'b'}, 'b': {'c'}, 'c': {'d'}, 'd': {'b'}, 'e': {'a'}}) == ['b', 'c', 'd']
+
+
 def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
     ports = {
         dotted_name(path): path.read_text().count("import_module('cnc_interp.papers.")

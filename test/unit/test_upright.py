@@ -16,8 +16,9 @@ from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.path_smoother import PathSmoother, Upright
+from cnc_interp.smoothing.path_smoother import PathSmoother
 from cnc_interp.smoothing.segments import PathSegments
+from cnc_interp.smoothing.upright import Upright
 
 HEIGHT = 30.0 * MM
 XYZAC = traits_of(Transform.of(Machine.load('xyzac')))

@@ -1,0 +1,159 @@
+"""What a run is to do, and what came of it."""
+
+from __future__ import annotations
+
+import json
+from argparse import Namespace
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.core import MM, MS, UM
+from cnc_interp.machine_model.machine import error_text
+from cnc_interp.settings.command_line import settings_from
+from cnc_interp.settings.option_kinds import Stage, choices
+from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    program: Path  #: Program file.
+    #: Further programs. Each starts when the one before it has reached its end.
+    then: tuple[Path, ...] = ()
+    machine: str = DEFAULT_MACHINE  #: Bundled machine or YAML file.
+    settings: Settings = field(default_factory=Settings)  #: The user's choices.
+    out: Path | None = None  #: Folder for plan files of what the machine executed.
+    record: Path | None = None  #: Bag to record all messages into.
+    quiet: bool = False  #: Show no progress.
+    #: Go on without cycle start at program stops, single blocks and before a plunge.
+    pass_stops: bool = False
+    #: Drives of the machine and their parameters of the machine node, see
+    #: ``command_options.drives``; empty: as the parameters of the nodes say.
+    drives: dict[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def from_options(options: Namespace) -> RunRequest:
+        """Take the options of the command line, in the shop's units."""
+        return RunRequest(
+            options.program,
+            tuple(options.then),
+            options.machine,
+            settings_from(options),
+            options.out,
+            options.record,
+            options.json,
+            options.pass_stops,
+            options.drives,
+        )
+
+    @property
+    def programs(self) -> tuple[Path, ...]:
+        return (self.program, *self.then)
+
+    def node_parameters(self) -> dict[str, dict[str, object]]:
+        from cnc_interp.nodes.parameters import NODES
+
+        given: dict[str, object] = {'machine': f"'{self.machine}'"}
+        for choice in choices(self.settings, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
+            value = choice.plain(getattr(self.settings, choice.name))
+            given[choice.name] = f"'{value}'" if isinstance(value, str) else value
+        given |= self.drives
+        named = [*self.programs, *([self.settings.setup] if self.settings.setup else [])]
+        given['program_folders'] = json.dumps([str(path.resolve()) for path in named])
+        return {
+            node: {p.name: given[p.name] for p in declared if p.name in given}
+            for node, declared in NODES.items()
+        }
+
+
+@dataclass(frozen=True)
+class RunResult:
+    ok: bool  #: True when the program was executed to its end, every block of it.
+    message: str  #: What happened, in one line.
+    #: What ran where, and the run's name in all messages.
+    program: str
+    machine: str
+    program_id: str = ''
+    #: Motion time of the program, and of the move to its start pose [s].
+    cycle_time: float = 0.0
+    approach_time: float = 0.0
+    #: From the command to the first setpoint that the machine executed [s].
+    start_to_motion: float = float('nan')
+    path_length: float = 0.0  #: Path executed [m].
+    #: Counts; starvations are times without setpoints.
+    blocks_sent: int = 0
+    blocks_executed: int = 0
+    samples: int = 0
+    starvations: int = 0
+    #: Least motion time the machine held while it ran [s].
+    least_buffered_time: float = float('nan')
+    contour_error: float = 0.0  #: Largest distance of the actual tip from the commanded path [m].
+    #: 'm' for linear axes, 'rad' for rotary ones.
+    axis_units: dict[str, str] = field(default_factory=dict)
+    #: Largest per axis [m, rad; share of the limit].
+    following_error: dict[str, float] = field(default_factory=dict)
+    velocity_use: dict[str, float] = field(default_factory=dict)
+    acceleration_use: dict[str, float] = field(default_factory=dict)
+    jerk_use: dict[str, float] = field(default_factory=dict)
+    #: Where the axes stand at the end [m, rad].
+    position: dict[str, float] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()  #: What of the program had no effect or was simplified.
+    #: Tracebacks of nodes that ended by a fault of cnc_interp and were started again.
+    faults: tuple[str, ...] = ()
+    #: Where it is limited: errors that the drives of the machine file leave at the tool, ``tip``
+    #: and ``axis``, and their ``limit`` [m]; the flank height at which the axis is measured [m].
+    tool_error: dict[str, float] | None = None
+    flank_height: float = 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all fields for machines to read; NaN becomes None."""
+        return {k: None if v != v else v for k, v in asdict(self).items()}
+
+    def text(self) -> str:
+        least = self.least_buffered_time / MS  # nan where each line ended at rest
+        never = f'; buffer never below {least:.0f} ms' if least == least else ''
+        lines = [
+            f'program        {self.program} on {self.machine}: {self.message}',
+            f'blocks         {self.blocks_sent} sent, {self.blocks_executed} executed; '
+            f'path {self.path_length / MM:.1f} mm',
+            f'cycle time     {self.cycle_time:.3f} s, after an approach of '
+            f'{self.approach_time:.3f} s; first motion {self.start_to_motion:.1f} s after start',
+            f'setpoints      {self.samples}, {underruns(self.starvations)}' + never,
+            f'drives         contour error {self.contour_error / UM:.1f} um; following error '
+            + '  '.join(
+                f'{axis} {error_text(error, self.axis_units.get(axis, "m"))}'
+                for axis, error in self.following_error.items()
+            ),
+        ]
+        for name in ('velocity', 'acceleration', 'jerk'):
+            use = getattr(self, f'{name}_use')
+            values = '  '.join(f'{axis} {ratio:6.1%}' for axis, ratio in use.items())
+            lines.append(f'{name:<15}{values}')
+        if self.tool_error:
+            from cnc_interp.run.plan_figures import tool_error_text
+
+            lines.append(tool_error_text(self.tool_error, self.flank_height))
+        lines += [
+            f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
+            for fault in self.faults
+        ]
+        if self.excesses:
+            lines.append(f'NOT proven     {"; ".join(self.excesses)}')
+        elif self.ok:
+            lines.append(
+                'proven         every executed setpoint kept the limits, every curve '
+                'the tolerances'
+            )
+        return '\n'.join(lines)
+
+    @property
+    def excesses(self) -> list[str]:
+        """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
+        from cnc_interp.run.plan_figures import excesses
+
+        uses = {k: getattr(self, f'{k}_use') for k in ('velocity', 'acceleration', 'jerk')}
+        return excesses(uses, {}, self.tool_error)
+
+
+def underruns(count: int) -> str:
+    return f'{count or "no"} underrun{"" if count == 1 else "s"}'

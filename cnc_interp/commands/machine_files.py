@@ -1,0 +1,74 @@
+"""Machines in other forms: URDF, HAL files, and machine files from LinuxCNC's configuration."""
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from cnc_interp.commands.parser import FINE, command, write
+from cnc_interp.core import InterpError
+
+HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itself.
+
+
+def add_machine_commands(commands: Any) -> None:
+    urdf = command(commands, urdf_command, 'urdf xyzac --out xyzac.urdf')
+    urdf.option('machine', 'bundled machine or YAML file', metavar='M')
+    urdf.option('--out', 'file to write (default: print it)', Path, 'FILE')
+
+    example = 'hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal'
+    hal = command(commands, hal_command, example)
+    hal.option('machine', 'bundled machine or YAML file', metavar='M')
+    text = 'HAL files of the LinuxCNC configuration, in the order of its INI file'
+    hal.add_argument('files', type=Path, nargs='+', metavar='FILE', help=text)
+    text = 'letter of the axis of joint 0, 1, 2 ... (XYZ ...; default: as in the machine file)'
+    hal.add_argument('--joints', metavar='LETTERS', help=text)
+    hal.option('--out', 'file to write (default: print it)', Path, 'FILE')
+
+    ini = command(commands, import_ini_command, 'import-ini my_mill.ini --out my_mill.yaml')
+    ini.option('file', 'INI file of LinuxCNC 2.8 or later', Path, 'FILE')
+    ini.option('--out', 'machine file to write (default: print it)', Path, 'MACHINE')
+
+
+def urdf_command(options: Namespace) -> int:
+    """Write a machine as URDF, for robot_state_publisher, RViz and Foxglove."""
+    from cnc_interp.description.urdf import urdf_of
+    from cnc_interp.machine_model.machine import Machine
+
+    write(urdf_of(Machine.load(options.machine)), options.out)
+    return FINE
+
+
+def hal_command(options: Namespace) -> int:
+    """Write a HAL file with cnc_interp in the place of the motion controller of LinuxCNC."""
+    from cnc_interp.machine.hal_file import hal_file
+    from cnc_interp.machine_model.machine import Machine
+
+    machine = Machine.load(options.machine)
+    axes = machine.axis_names
+    text = '\n'.join(_hal_file(file).read_text('utf-8', 'replace') for file in options.files)
+    joints = (options.joints or ''.join(axes)).upper()
+    made, left_out = hal_file(text, axes, joints, machine.signals)
+    write(made, options.out)
+    for line in left_out:
+        print(f'not connected: {line}', file=sys.stderr)
+    return FINE
+
+
+def _hal_file(file: Path) -> Path:
+    """Return where LinuxCNC finds it: here, or among its own files."""
+    if file.suffix == '.tcl':
+        raise InterpError(f'{file}: is Tcl, which is not read; give HAL files that do the same')
+    own = HAL_LIBRARY / file.name.removeprefix('LIB:')
+    return own if own.is_file() and not file.exists() else file
+
+
+def import_ini_command(options: Namespace) -> int:
+    """Write a machine file from the INI file of a LinuxCNC machine."""
+    from cnc_interp.convert.linuxcnc_ini import machine_from_ini
+
+    text, notes = machine_from_ini(options.file)
+    write(text, options.out)
+    for note in notes:
+        print(f'assumed: {note}', file=sys.stderr)
+    return FINE

@@ -1,0 +1,84 @@
+"""The pace of another control: how fast it goes through short blocks, and where it stops."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.machine_entries import BlockPace
+from cnc_interp.program.blocks import Blocks
+from cnc_interp.settings.options import Settings
+
+KEPT = 3  #: Rows that a pacer keeps: the next one, and those before it.
+
+
+def pace_limits(
+    pace: BlockPace, length: FloatArray, turn: FloatArray, feed: FloatArray
+) -> FloatArray:
+    """Return the largest mean speeds; ``turn`` (n, 2): at both vertices [rad].
+
+    A control changes the velocity at a vertex between two blocks by at most ``jump``, so the speed
+    there is v = jump / (2 sin(turn / 2)). On the block between two vertices the speed rises and
+    falls again with the jerk J. With x the square root of the rise over J, a block of length L
+    takes 4 x: ``2 J x^3 + 4 v x = L``. Its mean speed L / (4 x) limits its feed, and L over the
+    time that the control needs for a block. Sharper turns are corners, which the planner slows
+    down for itself.
+    """
+    with np.errstate(divide='ignore'):
+        v = np.minimum(pace.jump / (2.0 * np.sin(0.5 * turn)), feed[:, None]).mean(axis=1)
+    bump = length / (4.0 * rise_root(v, length, pace.jerk))
+    return np.asarray(np.minimum(bump, length / pace.block_time))
+
+
+def rise_root(v: FloatArray, length: FloatArray, jerk: float) -> FloatArray:
+    """Return the real root of x^3 + p x = q, with p = 2 v / J and q = L / (2 J), by sinh."""
+    p, q = 2.0 * np.maximum(v, 1e-9) / jerk, 0.5 * length / jerk
+    a = np.sqrt(p / 3.0)
+    return np.asarray(2.0 * a * np.sinh(np.arcsinh(0.5 * q / a**3) / 3.0))
+
+
+class Pacer:
+    """Give blocks the feed that the control reaches; the last row waits for the next one."""
+
+    def __init__(self, pace: BlockPace, settings: Settings):
+        self._pace, self._longest = pace, settings.longest_block
+        self._sharp = settings.corner_angle
+        self._kept: Blocks | None = None
+        self._sent = 0  # rows of those kept that have been returned
+
+    def push(self, blocks: Blocks) -> Blocks:
+        rows = blocks if self._kept is None else Blocks.concatenate([self._kept, blocks])
+        paced = self._paced(rows)[self._sent : max(self._sent, len(rows) - 1)]
+        self._kept = rows[-KEPT:]
+        self._sent = len(self._kept) - 1
+        return paced
+
+    def finish(self) -> Blocks | None:
+        return None if self._kept is None else self._kept[self._sent :]
+
+    def _paced(self, rows: Blocks) -> Blocks:
+        if self._pace.stops_at_rapids:
+            ends = rows.rapid.copy()
+            ends[:-1] |= rows.rapid[1:]
+            rows = replace(rows, exact_stop=rows.exact_stop | ends)
+        if len(rows) < 4:
+            return rows
+        step = np.diff(rows.tip, axis=0)
+        length = np.linalg.norm(step, axis=1)
+        unit = step / np.maximum(length, 1e-12)[:, None]
+        half_chord = 0.5 * np.linalg.norm(np.diff(unit, axis=0), axis=1)
+        turn = 2.0 * np.arcsin(np.minimum(half_chord, 1.0))
+        turn[(turn > self._sharp) | rows.exact_stop[1:-1]] = 0.0
+        own = slice(2, -1)
+        line = rows.line_number
+        # Pieces of one line are an arc, not blocks.
+        alone = (line[2:-1] != line[1:-2]) & (line[2:-1] != line[3:])
+        slow = alone & (length[1:-1] < self._longest) & (length[1:-1] > 1e-9)
+        slow &= ~rows.rapid[own] & ~rows.on_spline[own]
+        slow &= np.isfinite(rows.feedrate[own])
+        k, feed = np.flatnonzero(slow), rows.feedrate.copy()
+        both = np.column_stack([turn[k], turn[k + 1]])
+        feed[k + 2] = np.minimum(
+            feed[k + 2], pace_limits(self._pace, length[k + 1], both, feed[k + 2])
+        )
+        return replace(rows, feedrate=feed)

@@ -170,7 +170,7 @@ class _Later:
         return getattr(self._files, name)
 
 
-class _Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc]
+class _Compiler(dispatcher._FunctionCompiler):  # type: ignore[misc, name-defined]
     def _compile_core(self, args: Any, return_type: Any) -> Any:
         with compiling():
             return super()._compile_core(args, return_type)
@@ -198,13 +198,13 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         """Leave out extensions of numba, for which metadata of all packages would be read."""
 
 
-class _Callback(ccallback.CFunc):  # type: ignore[misc]
+class _Callback(ccallback.CFunc):
     def enable_caching(self) -> None:
-        self._cache = _Cache(self._pyfunc)
+        self._cache = _Cache(self._pyfunc)  # type: ignore[attr-defined]
 
     def _compile_uncached(self) -> Any:
         with compiling():
-            return super()._compile_uncached()
+            return super()._compile_uncached()  # type: ignore[misc]
 
 
 def njit(*, cache: bool = False, pipeline_class: Any = Compiler, **options: Any) -> Any:

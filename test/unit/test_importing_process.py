@@ -67,7 +67,7 @@ def test_a_process_that_imports_the_library_stays_as_it_was(tmp_path):
         [sys.executable, '-c', ASK], env=given, cwd=tmp_path, capture_output=True, text=True
     )
     assert done.stdout.splitlines() == [
-        'cannot assign slice of shape (2,) from input of shape (3,)',
+        'cannot assign slice of shape (3,) from input of shape (2,)',
         '[]',
         'True False',
         'SplineInterpolator',

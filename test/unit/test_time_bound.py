@@ -123,6 +123,13 @@ def test_a_step_is_begun_as_fast_as_its_end_allows():
     assert _controllable(half, half, cap).tolist() == cap.tolist()
 
 
+def can_begin(rows, b, most):
+    """Whether a c up to ``most`` keeps all |end c - start b| within 1."""
+    low = max([0.0, *((start * b - 1.0) / end for start, end in rows if end)])
+    high = min([most, *((start * b + 1.0) / end for start, end in rows if end)])
+    return low <= high and all(start * b <= 1.0 for start, end in rows if not end)
+
+
 def test_steps_of_several_axes_are_begun_as_a_solver_of_linear_programs_says():
     rng, lower = np.random.default_rng(55), 0
     for _ in range(300):
@@ -135,6 +142,8 @@ def test_steps_of_several_axes_are_begun_as_a_solver_of_linear_programs_says():
         )
         begun = _controllable(start, end, cap)[0]
         assert begun == pytest.approx(best.x[0], rel=1e-6, abs=2e-9 * cap.max())
-        assert begun >= best.x[0] * (1.0 - 1e-12)  # a bound of all motion
+        rows = list(zip(start[0], end[0], strict=True))
+        assert can_begin(rows, begun * (1.0 - 1e-9), cap[1])
+        assert begun == cap[0] or not can_begin(rows, begun * (1.0 + 1e-9), cap[1])
         lower += begun < cap[0]
     assert 100 < lower < 290

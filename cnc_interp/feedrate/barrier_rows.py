@@ -31,7 +31,7 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
 
@@ -40,26 +40,26 @@ WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 CHUNK = 256  #: Most cells that are summed over all axes at a time, and that step alike.
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def edges_of(n: int) -> IntArray:
     """Return the first cell of each chunk, and the end: chunks of nearly the same size."""
     chunks = max((n + CHUNK - 1) // CHUNK, 1)
     return np.arange(chunks + 1) * n // chunks
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def places_of(rows: FloatArray) -> int:
     return 4 if rows.shape[1] > 9 else 3
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def constant_of(
     rows: FloatArray, k: int, q: int, lo: int, hi: int, zero: FloatArray
 ) -> FloatArray:
     return rows[k, 12, lo:hi] if q == 3 else zero[: hi - lo]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_rows(
     c0: FloatArray,
     c1: FloatArray,
@@ -111,7 +111,7 @@ def _sum_rows(
         u2[j] += pull * f2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sums_by_coefficients(
     s00: FloatArray,
     s01: FloatArray,
@@ -157,7 +157,7 @@ def _sums_by_coefficients(
         h22[j] += t0 * a + t1 * b + t2 * c
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def by_coefficients(
     p0: FloatArray,
     p1: FloatArray,
@@ -182,7 +182,7 @@ def by_coefficients(
         out2[j] += p0[j] * e20[j] + p1[j] * e21[j] + p2[j] * e22[j]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _time_of_cells(
     width: FloatArray,
     v0: FloatArray,
@@ -228,7 +228,7 @@ def _time_of_cells(
         g0[j], g1[j], g2[j] = k1 * s0, k1 * s1, k1 * s2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_caps(
     cap0: FloatArray,
     cap1: FloatArray,
@@ -266,13 +266,13 @@ def _sum_caps(
         h11[j] += r0 * e1 * e1 + r1 * f1 * f1
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
     for j in range(len(total)):
         total[j] += factor * part[j]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def add_rows(
     rows: FloatArray,
     inverse_caps: FloatArray,
@@ -409,7 +409,7 @@ def add_rows(
     return total_gap, most - 1.0
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
     total: float,
     rows: FloatArray,

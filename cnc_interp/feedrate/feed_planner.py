@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
 from cnc_interp.feedrate.limit_use import AxisLimits
@@ -54,13 +54,13 @@ MOST_RESTS = 8  #: Most places at which a window is divided until its first part
 KEPT_PART = 0.5  #: Part of the horizon in which the next window keeps the older plan's cells.
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
     """Return an upper bound of the stopping distance from speed v along a straight path [m]."""
     return float(v * (SETTLE + np.sqrt(v / jerk)) + v * v / (2 * acceleration))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _window_end(
     s: FloatArray,
     left: FloatArray,
@@ -91,7 +91,7 @@ def _window_end(
     return -1
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def commit_node(
     s: FloatArray,
     left: FloatArray,

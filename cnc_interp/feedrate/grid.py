@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     DRIVE,
@@ -35,7 +35,7 @@ ALWAYS_GROUPED = 1e-5  #: Cells that take less time than this are always grouped
 NEAR = 1e-6  #: A kink nearer to a border of its cell gets no grid point: part of the cell [-].
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def cell_times(
     s: FloatArray,
     feed: FloatArray,
@@ -61,7 +61,7 @@ def cell_times(
     return wanted
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def cell_nodes(
     h: float,
     v0: float,
@@ -114,7 +114,7 @@ def cell_nodes(
     return cells - 1
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def bend(
     left: FloatArray, right: FloatArray, i: int, h: float, v: float, table: FloatArray
 ) -> float:
@@ -146,7 +146,7 @@ class PlanGrid:
     guess: FloatArray  #: (n + 1,): Guessed s_dot at the nodes [m/s].
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _grid_nodes(
     s: FloatArray,
     left: FloatArray,
@@ -188,7 +188,7 @@ def _grid_nodes(
     return found[:total].copy()
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _lies_on_line(
     first: int,
     last: int,
@@ -215,7 +215,7 @@ def _lies_on_line(
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _group_cells(
     kept: FloatArray,
     s: FloatArray,
@@ -268,7 +268,7 @@ def _group_cells(
     return nodes[:count].copy(), grouped, v[nodes[:count]]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _divided(
     s: FloatArray,
     left: FloatArray,
@@ -318,7 +318,7 @@ def planning_grid(
     return PlanGrid(path, *_group_cells(kept, *curve, *guess, wanted, most_bend / 3, given))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _kinks(s: FloatArray, left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
     """Return where in cells a limit has a kink [m]: in its table, or where an axis turns."""
     found = [0.0 for _ in range(0)]

@@ -15,7 +15,7 @@ are small before the rows hold leave no way to move.
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate import barrier_rows as barrier
 from cnc_interp.feedrate import jerk_rows
@@ -25,7 +25,7 @@ KEPT_STEP = 0.98
 SOLVED, STALLED, BROKEN = 0, 1, 2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_rows(
     c0: FloatArray,
     c1: FloatArray,
@@ -66,7 +66,7 @@ def _predict_rows(
         b2[j] += bent * f2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_cap(
     cap: FloatArray,
     x: FloatArray,
@@ -87,13 +87,13 @@ def _predict_cap(
         a[j], b[j] = inverse * cap[j], z * inverse * cap[j]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> None:
     for j in range(len(factor)):
         total[j] += factor[j] * part[j]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def predict(
     rows: FloatArray,
     inverse_caps: FloatArray,
@@ -194,7 +194,7 @@ def predict(
         step[chunk] = 1.0 / worst
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _dual_step(
     predicted: float, step: float, inverse: float, y: float, aim: float, second_order: float
 ) -> tuple[float, float]:
@@ -204,7 +204,7 @@ def _dual_step(
     return dy, (-dy / y if y > 0.0 else 0.0)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
     target: FloatArray,
     second_order: FloatArray,
@@ -243,7 +243,7 @@ def _step_rows(
         adjoint[j] = max(adjoint[j], max(a0, a1))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_cap(
     target: FloatArray,
     second_order: FloatArray,
@@ -268,7 +268,7 @@ def _step_cap(
         adjoint[j] = max(adjoint[j], most)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _blend(values: FloatArray, edges: IntArray, chunk: int, below: bool, out: FloatArray) -> None:
     """Write values of cells of a chunk, on lines to the chunks beside; or ``below`` its own."""
     lo, hi, here = edges[chunk], edges[chunk + 1], values[chunk]
@@ -280,7 +280,7 @@ def _blend(values: FloatArray, edges: IntArray, chunk: int, below: bool, out: Fl
         out[i] = here + abs(way) * (beside - here)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def advance(
     target: FloatArray,
     second_order: FloatArray,
@@ -377,7 +377,7 @@ def advance(
                 _add_product(dual[r, lo:hi], dy[new, r], f[1, cells])
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
     """Factor a symmetric pentadiagonal matrix into L D L^T in place; False if it is not finite.
 
@@ -404,7 +404,7 @@ def _factorize(d0: FloatArray, d1: FloatArray, d2: FloatArray) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _substitute(inverse: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArray) -> None:
     """Solve for the right-hand side ``x`` in place, with the factors from ``_factorize``."""
     n = len(x)
@@ -424,7 +424,7 @@ def _substitute(inverse: FloatArray, l1: FloatArray, l2: FloatArray, x: FloatArr
         after, later = value, after
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _inverse_caps(caps: FloatArray) -> FloatArray:
     """Return the reciprocals of the caps of cells and left nodes; 0 where nothing is free."""
     n = len(caps)
@@ -437,7 +437,7 @@ def _inverse_caps(caps: FloatArray) -> FloatArray:
     return inverse
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def solve(
     h: FloatArray,
     rows: FloatArray,

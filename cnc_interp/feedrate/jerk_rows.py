@@ -28,7 +28,7 @@ Thus the Newton matrix is pentadiagonal, and one axis costs three multiplication
 import numpy as np
 
 from cnc_interp.core import FloatArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import (
     ACCELERATION,
     COULOMB,
@@ -40,7 +40,7 @@ from cnc_interp.core.limits_by_position import (
 from cnc_interp.core.native import DistinctArrays
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def node_states(
     m: FloatArray, width: FloatArray, ends: FloatArray, b: FloatArray, a: FloatArray, v: FloatArray
 ) -> None:
@@ -56,7 +56,7 @@ def node_states(
         v[i] = np.sqrt(max(b[i], 0.0))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray) -> float:
     change = 0.0
     for i in range(len(h)):
@@ -68,7 +68,7 @@ def follow_widths(h: FloatArray, a: FloatArray, v: FloatArray, width: FloatArray
     return change
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _nodes_by_coefficients(
     width: FloatArray, al: FloatArray, ar: FloatArray, bl: FloatArray, br: FloatArray
 ) -> None:
@@ -78,7 +78,7 @@ def _nodes_by_coefficients(
         al[i], ar[i], bl[i], br[i] = -p, p, p * width[i], p * width[i - 1]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _products(
     a: FloatArray,
     b: FloatArray,
@@ -106,7 +106,7 @@ def _products(
         vb_l[i], vb_r[i] = v[i] * bl[i] + b[i] * left, v[i] * br[i] + b[i] * right
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _jerks(
     width: FloatArray,
     a: FloatArray,
@@ -130,7 +130,7 @@ def _jerks(
         j_r[i] = half * ar[i + 1] + rise * vr[i + 1]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def terms_and_time(
     width: FloatArray,
     b: FloatArray,
@@ -163,7 +163,7 @@ def terms_and_time(
     return total
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _linearised(
     term: FloatArray, left: FloatArray, right: FloatArray, dm: FloatArray, out: FloatArray
 ) -> None:
@@ -172,7 +172,7 @@ def _linearised(
         out[i] = term[i] + left[i] * dm[i] + right[i] * dm[i + 1]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _linearised_jerk(
     j: FloatArray,
     left: FloatArray,
@@ -185,7 +185,7 @@ def _linearised_jerk(
         out[i] = j[i] + left[i] * dm[i] + middle[i] * dm[i + 1] + right[i] * dm[i + 2]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatArray) -> None:
     _linearised_jerk(terms[0], slopes[0], slopes[1], slopes[2], dm, out[0])
     for t in range(1, 5):
@@ -194,7 +194,7 @@ def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatA
     out[5] = 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def term_rows(
     terms: FloatArray, q: int, lo: int, hi: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -204,7 +204,7 @@ def term_rows(
     return terms[0, lo:hi], terms[1, lo + q : hi + q], terms[2, lo + q : hi + q]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def slope_rows(slopes: FloatArray, q: int, lo: int, hi: int) -> tuple[FloatArray, ...]:
     """Return the derivatives of the three terms of place q by m_{i-1}, then m_i, then m_{i+1}."""
     e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
@@ -223,7 +223,7 @@ def slope_rows(slopes: FloatArray, q: int, lo: int, hi: int) -> tuple[FloatArray
     return j[0], zero, zero, j[1], e[3, after], e[5, after], j[2], e[4, after], e[6, after]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def build_rows(
     left: FloatArray, right: FloatArray, table: FloatArray, scale: FloatArray, rows: FloatArray
 ) -> None:

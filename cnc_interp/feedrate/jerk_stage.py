@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
@@ -57,7 +57,7 @@ NO_ROWS = np.empty((0, 4, 0))  #: Rows of a tool whose error has no limit.
 SMOOTHING_CELLS = 1  #: Number of cells on either side over which the first guess is smoothed.
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _braking_left(jet: FloatArray, v: FloatArray, a: FloatArray, table: FloatArray) -> FloatArray:
     """Return the braking left at states, relative to a straight line, shape (2, n) [-]."""
     n, n_axes = len(v), jet.shape[2]
@@ -106,7 +106,7 @@ def without_braking(
     return found
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _cells(
     s: FloatArray,
     left: FloatArray,
@@ -134,7 +134,7 @@ def _cells(
     return h, first, last, m
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def solve_cells(
     first: int,
     end: int,
@@ -193,7 +193,7 @@ def solve_cells(
     return status
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _spread(
     s: FloatArray,
     left: FloatArray,

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import MS, BoolArray, FloatArray
-from cnc_interp.core import kernels as numba
 from cnc_interp.core import limits_by_position as by_place
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients
@@ -101,7 +101,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _hulls(c: FloatArray, h: float, out: FloatArray) -> None:
     """Write the largest magnitudes of Bernstein coefficients of q_s, q_ss, ..., q_sssss."""
     scale = 1.0
@@ -115,7 +115,7 @@ def _hulls(c: FloatArray, h: float, out: FloatArray) -> None:
             out[order] = max(out[order], abs(value) * scale)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _place_bounds(table: FloatArray) -> FloatArray:
     """Return the lowest limits of the axes and their steepest slopes by position, (2, 3, n)."""
     n_axes, last = table.shape[1], table.shape[2] - 1
@@ -130,7 +130,7 @@ def _place_bounds(table: FloatArray) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _bends(
     table: FloatArray,
     places: FloatArray,
@@ -157,7 +157,7 @@ def _bends(
     out[TORQUE] /= table[DRIVE, k, 0] - table[COULOMB, k, 0]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _value(
     row: int,
     q_s: float,
@@ -178,7 +178,7 @@ def _value(
     return sign * (x + friction * q_s * v) if row == TORQUE else x
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _limits(table: FloatArray, row: int, k: int, q: float) -> tuple[float, float]:
     """Return the limits of what is limited, upwards and downwards."""
     if row == TORQUE:
@@ -188,7 +188,7 @@ def _limits(table: FloatArray, row: int, k: int, q: float) -> tuple[float, float
     return limit, limit
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _to_points(x: FloatArray, points: FloatArray) -> None:
     """Write the Bezier points of a polynomial by its values at the instants."""
     points[:] = 0.0
@@ -197,7 +197,7 @@ def _to_points(x: FloatArray, points: FloatArray) -> None:
             points[i] += BEZIER[m, i] * x[m]
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
+@njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _jets(
     c: FloatArray,
     u: FloatArray,
@@ -221,7 +221,7 @@ def _jets(
         q_s[i], q_ss[i], q_sss[i] = q_s[i] * by_s, q_ss[i] * by_ss, q_sss[i] * by_sss
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _hull_use(
     table: FloatArray,
     row: int,
@@ -263,7 +263,7 @@ def _hull_use(
     return np.abs(points / value).max(), seen
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def limit_use(
     h: FloatArray,
     left: FloatArray,

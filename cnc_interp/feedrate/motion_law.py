@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import kernels as numba
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.jerk_rows import follow_widths, node_states
@@ -162,7 +161,7 @@ class Stretch:
         return MotionLaw(time[:-1], self.duration[:last], *state, np.arange(last))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def settle_widths(
     h: FloatArray,
     m: FloatArray,
@@ -191,7 +190,7 @@ def settle_widths(
     return left
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> float:
     """Solve v t + a t^2/2 + j t^3/6 = x for t between two times (Newton with bisection)."""
     t = 0.5 * (low + high)
@@ -211,7 +210,7 @@ def time_at(x: float, v: float, a: float, j: float, low: float, high: float) -> 
     return t
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def spread_law(
     s: FloatArray,
     nodes: IntArray,

@@ -8,14 +8,14 @@ purposes: it shows where time is spent, and it is the starting point of the inte
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
-from cnc_interp.core import kernels as numba
 from cnc_interp.core import limits_by_position as by_place
+from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
 
 FASTEST = 100.0  #: Speed limit where no other limit applies [m/s].
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: float) -> float:
     lowest = by_place.limit_at(table, row, axis, q0)
     if table.shape[2] > 1:
@@ -27,7 +27,7 @@ def _lowest(table: FloatArray, row: int, axis: int, q0: float, q1: float, q2: fl
     return float(lowest)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def speed_bounds(
     h: FloatArray, left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
@@ -73,14 +73,14 @@ def speed_bounds(
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def reach(v: float, distance: float, acceleration: float, jerk: float) -> float:
     """Guess the speed after a distance [m/s]; v^(3/2) grows at half the slope of full jerk."""
     by_jerk = (v**1.5 + 1.06 * np.sqrt(jerk) * distance) ** (2 / 3)
     return float(min(by_jerk, np.sqrt(v * v + 1.4 * acceleration * distance)))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: float) -> FloatArray:
     """Guess s_dot at the nodes of a path that ends at rest: below 0.9 of Eq. 10, and reachable."""
     n = len(h)
@@ -105,7 +105,7 @@ def guess_speed(h: FloatArray, bounds: FloatArray, v_start: float, a_start: floa
     return v
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def speed_inside(
     x: float, h: float, v0: float, v1: float, bound: FloatArray
 ) -> tuple[float, bool]:
@@ -117,7 +117,7 @@ def speed_inside(
     return min(ramp, cap), ramp > cap
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def speeds_inside(
     h: FloatArray, v: FloatArray, bounds: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
@@ -128,7 +128,7 @@ def speeds_inside(
     return speed, capped
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def guess_time(h: FloatArray, v: FloatArray, inside: FloatArray) -> float:
     total = 0.0
     for i in range(len(h)):

@@ -17,7 +17,7 @@ then less braking. If none keeps the limits, the motion goes on as planned until
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
@@ -37,7 +37,7 @@ SAME = 1e-12  #: Places nearer than this are the same place [m].
 FOUND, NO_RELEASE, NO_BRAKING = 0, 1, 2
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _left_by_axes(
     jet: FloatArray, v: float, a: float, table: FloatArray, leeway: float, out: FloatArray
 ) -> float:
@@ -64,19 +64,19 @@ def _left_by_axes(
     return worst
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: FloatArray) -> None:
     for i in range(left.shape[2]):
         axis_path.septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _jets_at(septics: FloatArray, u: float, h: float, jet: FloatArray) -> None:
     for i in range(len(septics)):
         jet[i, 0], jet[i, 1], jet[i, 2], jet[i, 3] = axis_path.septic_jet(septics[i], u, h)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _time_to(distance: float, v: float, a: float, j: float, most: float) -> float:
     """Return the time to a distance that is reached before ``most``, with growing s [s]."""
     low, high = 0.0, most
@@ -89,13 +89,13 @@ def _time_to(distance: float, v: float, a: float, j: float, most: float) -> floa
     return high
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _may_release(release: float, straight: float, v: float, a: float) -> bool:
     """Tell whether j = a^2 / (2 v) is at least a part of the jerk on a straight line."""
     return a < 0.0 and 2 * release * straight * v <= a * a
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _brake(
     s_grid: FloatArray,
     left: FloatArray,
@@ -187,7 +187,7 @@ def _brake(
     return len(steps) - 1, NO_RELEASE
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _first_stop(
     s_grid: FloatArray,
     left: FloatArray,

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.core import kernels as numba
 from cnc_interp.core import limits_by_position as by_place
+from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.speed_guess import FASTEST
 from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septic_jet
 
@@ -37,7 +37,7 @@ class TimeBound(NamedTuple):
     time: FloatArray  #: (N,): Least time in each cell [s].
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     n, n_axes = len(h), left.shape[2]
     ways = np.empty((n, n_axes))
@@ -54,7 +54,7 @@ def _ways(h: FloatArray, left: FloatArray, right: FloatArray) -> FloatArray:
     return ways
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> FloatArray:
     n, n_axes = left.shape[1], left.shape[2]
     out = np.empty((2, n, n_axes))
@@ -70,7 +70,7 @@ def _largest_limits(left: FloatArray, right: FloatArray, table: FloatArray) -> F
     return out
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _point_cap(q: FloatArray, q_s: FloatArray, q_ss: FloatArray, table: FloatArray) -> float:
     """Return the largest s_dot^2 at a point: velocities, and accelerations for the best s_ddot.
 
@@ -90,7 +90,7 @@ def _point_cap(q: FloatArray, q_s: FloatArray, q_ss: FloatArray, table: FloatArr
     return cap
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _point_caps(
     left: FloatArray, right: FloatArray, feed: FloatArray, table: FloatArray
 ) -> FloatArray:
@@ -106,13 +106,13 @@ def _point_caps(
     return caps
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _reach(b: float, q_s: float, q_s_there: float, room: float) -> float:
     there = q_s_there * q_s_there
     return (q_s * q_s * b + room) / there if there > 0.0 else np.inf
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _both_passes(left: FloatArray, right: FloatArray, rooms: FloatArray, b: FloatArray) -> None:
     """Lower b at the grid points to what can be reached from both sides, in place."""
     n, n_axes = rooms.shape
@@ -124,7 +124,7 @@ def _both_passes(left: FloatArray, right: FloatArray, rooms: FloatArray, b: Floa
             b[i] = min(b[i], _reach(b[i + 1], right[1, i, k], left[1, i, k], rooms[i, k]))
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def stroke_time(
     distance: float, start: float, end: float, velocity: float, acceleration: float
 ) -> float:
@@ -140,7 +140,7 @@ def stroke_time(
     return float(time / acceleration + steady / fast)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _least_times(
     s: FloatArray,
     left: FloatArray,
@@ -161,7 +161,7 @@ def _least_times(
     return time
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _step_rows(
     points: IntArray, left: FloatArray, right: FloatArray, ways: FloatArray, largest: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -178,7 +178,7 @@ def _step_rows(
     return start, end
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _last_conflict(
     start: FloatArray, end: FloatArray, b: FloatArray, room: float, last: int
 ) -> int:
@@ -197,7 +197,7 @@ def _last_conflict(
     return -1
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _ceiling(
     s: FloatArray,
     left: FloatArray,
@@ -221,7 +221,7 @@ def _ceiling(
     return b, largest, rooms, points, *_step_rows(points, left, right, ways, largest)
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _largest_before(start: FloatArray, end: FloatArray, cap: float, after: float) -> float:
     """Return the largest b <= cap with |end c - start b| <= 1 for some c <= after, per axis.
 
@@ -245,7 +245,7 @@ def _largest_before(start: FloatArray, end: FloatArray, cap: float, after: float
         b = following
 
 
-@numba.njit(cache=True, nogil=True, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
     """Return the largest b from which the rest can be driven (TOPP-RA)."""
     found, room = cap.copy(), ROOM * cap.max()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core import kernels as numba
+from cnc_interp.core.kernels import njit
 
 UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
 
@@ -63,7 +63,7 @@ BY_ENDS = 'cell_left', 'cell_right'  #: Those with a cell along the second axis.
 OF_CELLS = *BY_ENDS, 'cell_feed', 'cell_block'
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: FloatArray) -> None:
     """Write the eight coefficients in u = (s - s_left)/h of one axis on one cell.
 
@@ -92,7 +92,7 @@ def septic_coefficients(left: FloatArray, right: FloatArray, h: float, out: Floa
     out[7] = -20 * d0 + 10 * d1 - 2 * d2 + d3 / 6
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def septic_jet(c: FloatArray, u: float, h: float) -> tuple[float, float, float, float]:
     """Return value and three derivatives by s of a septic in u = (s - s_left)/h (Horner)."""
     value, first, second, third = c[7], 0.0, 0.0, 0.0
@@ -105,7 +105,7 @@ def septic_jet(c: FloatArray, u: float, h: float) -> tuple[float, float, float, 
     return value, first / h, 2 * second / h2, 6 * third / (h2 * h)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def evaluate_cells(
     s_grid: FloatArray,
     cell_left: FloatArray,
@@ -152,7 +152,7 @@ def evaluate(
     return jets[0], jets[1], jets[2], jets[3]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _between(
     s: FloatArray,
     cell_right: FloatArray,

@@ -20,8 +20,10 @@ from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Step
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics, answering
+from cnc_interp.nodes.peers import publishers_of
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OVERRIDES, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 
@@ -163,14 +165,6 @@ def _pairs(axes: list[str], values: Any) -> dict[str, float]:
     return dict(zip(axes, values, strict=True))
 
 
-#: Smallest and largest value of each override, by its topic [-].
-RANGES = {
-    'feed_override': (0.0, 1.5),
-    'rapid_override': (0.01, 1.0),
-    'spindle_override': (0.5, 1.2),
-}
-
-
 class Overrides:
     """The overrides. Only the machine node listens: a second listener might be found first."""
 
@@ -178,20 +172,23 @@ class Overrides:
         self, node: Any, playback: Playback, diagnostics: Diagnostics, wake: Callable[[], None]
     ):
         self.feed = self.rapid = self.spindle = 1.0
-        self._playback = playback
+        self._node, self._playback = node, playback
         self._diagnostics, self._wake = diagnostics, wake
-        for topic in RANGES:
+        for topic in OVERRIDES:
             node.create_subscription(Float64, topic, partial(self._take, topic), OVERRIDE)
 
     def _take(self, topic: str, message: Float64) -> None:
         self._wake()
-        value, (least, most) = float(message.data), RANGES[topic]
-        sound = least <= value <= most
-        if sound:
-            setattr(self, topic.removesuffix('_override'), value)
-            self._playback.override_spindle(self.spindle)
-        wrong = f'{value:g} refused: it must lie between {least:g} and {most:g}'
-        self._diagnostics.say(topic, OK if sound else WARN, f'{value:g}' if sound else wrong)
+        try:
+            value = sound_override(topic, float(message.data))
+        except StreamError as problem:
+            senders = publishers_of(self._node, topic)
+            text = f'{problem}; the value from {senders} is ignored'
+            self._diagnostics.say(topic, WARN, text)
+            return
+        setattr(self, topic.removesuffix('_override'), value)
+        self._playback.override_spindle(self.spindle)
+        self._diagnostics.say(topic, OK, f'{value:g}')
 
 
 class OperatorInputs:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
@@ -56,6 +56,12 @@ def watch_machine(
         take(state)
 
     node.create_subscription(MachineState, 'machine_state', see, STATE)
+
+
+def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
+    """Name the nodes that publish on a topic, apart from those to which it belongs."""
+    names = {info.node_name for info in node.get_publishers_info_by_topic(topic)}
+    return ', '.join(sorted(names - {*owners, UNKNOWN})) or 'a node that has ended'
 
 
 def second_publisher(node: Any) -> str:

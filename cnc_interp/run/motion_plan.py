@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
     from cnc_interp.machine_model.signals import Signals
 
-#: No revision begins within this time before rest [s]. It waits, because the jerk stage cannot
-#: resolve the path of a few periods.
+#: A revision does not join from motion that stops within this time [s], because the jerk stage
+#: cannot resolve the path of a few periods. It lets the motion stop, and goes on from rest.
 BRIEF = 0.01
 
 
 @dataclass(frozen=True)
 class OperatorSettings:
-    #: Factor on the programmed feed, 0 to 1.5 [-]; 0 stops on the path and waits.
+    #: Factor on the programmed feed, 0 or 0.001 to 1.5 [-]; 0 stops on the path and waits.
     override: float = 1.0
     single_block: bool = False  #: Rest at the end of each source line until cycle_start.
     rapid: float = 1.0  #: Factor on the speed of rapids, up to 1 [-].
@@ -239,7 +239,7 @@ class MotionStream:
         self.course.release(min(s, self.current.release(s)))
 
     def revision(self, number: int, settings: OperatorSettings) -> MotionPlan | None:
-        """Plan anew after a setpoint that was handed out; None without a stop, or near rest."""
+        """Plan anew after a setpoint that was handed out; None where no stop is known."""
         found = self.current.state_at(number)
         if found is None:
             return None
@@ -250,10 +250,10 @@ class MotionStream:
             before, first = self.current, number + 1
             return MotionPlan(self, settings, todo, first, before=before, rests=rest)
         stop, rests = self.current.way_down(number), settings.override <= 0.0
-        if stop is None or (float(stop.law.duration.sum()) < BRIEF and not rests):
+        if stop is None:
             return None
         begun, period = number - leg.number_of_zero + 1, self.period
-        if not rests:
+        if not rests and float(stop.law.duration.sum()) >= BRIEF:
             tool = self.tool_on(stop.path)
             new = Leg(self.limits, period, begun, (v, a), tool)
             todo = finely(self.course.after(s))

@@ -12,6 +12,7 @@ from cnc_interp.core import FloatArray, SettingsError, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
+from cnc_interp.run.overrides import OVERRIDES, sound_override
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import CORNER, LINE, POINTS, ROTATION, SPLINE
@@ -216,15 +217,13 @@ def check_state(message: MachineState, axis_count: int | None = None) -> None:
         _check_rows(f'{name}: resume_positions', message.resume_positions, count)
     if message.state > MachineState.JOGGING or not message.interpolation_period > 0.0:
         raise StreamError(f'{name}: it tells no state of a machine that works')
-    for field in (
-        'interpolation_period',
-        'feed_override',
-        'rapid_override',
-        'spindle_override',
-        'path_position',
-    ):
+    for field in ('interpolation_period', 'path_position'):
         if not math.isfinite(getattr(message, field)):
             raise StreamError(f'{name}: {field} is not finite')
+    for field in OVERRIDES:
+        value = getattr(message, field)
+        if sound_override(field, value) != value:
+            raise StreamError(f'{name}: {field} is {value:g}; no machine reports that')
 
 
 def check_setpoints(message: SetpointChunk, axis_count: int, prefix: str = '') -> None:

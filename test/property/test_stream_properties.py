@@ -1,19 +1,22 @@
 """Streams stopped, held, slowed and planned anew at random places: on the path, within limits."""
 
+import contextlib
 from functools import cache
 
 import numpy as np
 import pytest
 import whole_plans
 from programs import pyramid, zigzag
-from tiers import few_of
+from tiers import examples, few_of
 
+from cnc_interp.core import StreamError
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.overrides import OVERRIDES, sound_override
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 from cnc_interp.settings.options import Settings
 
@@ -171,6 +174,50 @@ def test_override_changes_anywhere_keep_limits_and_path(name, seed):
     samples = joined(sent)
     assert_sound(samples, path)
     assert samples.s[-1] == path.s[-1]
+
+
+#: What a topic may carry: sound, tiny, and impossible values.
+SAID = (0.0, 5e-324, 1e-7, 9.9e-4, 0.001, 0.01, 0.3, 1.0, 1.5, 2.0, -1.0, 1e300, np.nan, np.inf)
+
+
+@pytest.mark.parametrize(('name', 'seed'), SEEDS)
+def test_whatever_is_said_as_an_override_the_motion_ends_at_override_1(name, seed):
+    """After 0.001 and 1 the motion crawled on; 1e-7 starved; NaN, -1 and 5e-324 ended a run."""
+    rng, path, stream = np.random.default_rng(200 + seed), path_of(name), stream_of(name)
+    sent, override = drain(stream, until=200), 1.0
+    for _ in range(examples(12, 40)):
+        if sent[-1].wait is Wait.END:
+            break
+        with contextlib.suppress(StreamError):
+            override = sound_override('feed_override', float(rng.choice(SAID)))
+        count = sum(len(chunk.samples) for chunk in sent)
+        assert revised(stream, count - 1, OperatorSettings(override)), override
+        new = drain(stream, until=int(rng.integers(20, 200)))
+        if override == 0.0 and not stream.current.can_sample:
+            assert (new or sent)[-1].wait is Wait.OVERRIDE
+        sent += new
+    count = sum(len(chunk.samples) for chunk in sent)
+    if sent[-1].wait is not Wait.END:
+        assert revised(stream, count - 1, OperatorSettings(1.0))
+        rest = drain(stream)
+        assert len(joined(rest)) < 4 * len(joined(drain(stream_of(name))))
+        sent += rest
+    samples = joined(sent)
+    assert_sound(samples, path)
+    assert sent[-1].wait is Wait.END and samples.s[-1] == path.s[-1]
+
+
+@pytest.mark.parametrize('name', OVERRIDES)
+def test_only_sound_overrides_count(name):
+    least, most = OVERRIDES[name]
+    for value in (least, most, 1.0):
+        assert sound_override(name, value) == value
+    for value in (np.nan, np.inf, -np.inf, -1.0, -5e-324, 1e300, np.nextafter(most, 2.0)):
+        with pytest.raises(StreamError, match=rf'{name} is .*must lie between'):
+            sound_override(name, value)
+    for value in (5e-324, 1e-7, 9.99e-4):
+        if name == 'feed_override':
+            assert sound_override(name, value) == 0.0
 
 
 @pytest.mark.thorough

@@ -30,6 +30,7 @@ from rclpy.node import Node
 
 from cnc_interp.client.session import nodes_file
 from cnc_interp.nodes import qos
+from cnc_interp.nodes.seals import SealedPublisher
 from cnc_interp.processes.this_host import stay_on_this_host
 
 LENGTHS = (250_000, 1_000_000)
@@ -61,8 +62,8 @@ class Taker:
         self.node = Node('taker', namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._status = self.node.create_publisher(StreamStatus, 'stream_status', qos.STATUS)
-        self._state = self.node.create_publisher(MachineState, 'machine_state', qos.STATE)
+        self._status = SealedPublisher(self.node, StreamStatus, 'stream_status', qos.STATUS)
+        self._state = SealedPublisher(self.node, MachineState, 'machine_state', qos.STATE)
         self.node.create_subscription(G1BlockBatch, 'block_batches', self._take, qos.STREAM)
         self.node.create_timer(0.2, self._tell)
         self.action = ActionClient(self.node, RunProgram, 'run_program')
@@ -90,7 +91,9 @@ class Taker:
                     window_limit=self.taken + WINDOW if own else WINDOW,
                 )
             )
-        self._state.publish(MachineState(state=MachineState.IDLE, interpolation_period=0.001))
+        idle = MachineState(state=MachineState.IDLE, interpolation_period=0.001)
+        idle.feed_override = idle.rapid_override = idle.spindle_override = 1.0
+        self._state.publish(idle)
 
     def until(self, done: Callable[[], bool], patience: float = 3600.0) -> None:
         """Serve ROS until something is done."""

@@ -14,6 +14,7 @@ from typing import Any
 from cnc_interp_msgs.msg import MachineState, StreamStatus
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.time import Time
 from std_srvs.srv import Trigger
@@ -23,6 +24,7 @@ from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.question import Question
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
+from cnc_interp.nodes.seals import OWNERS, Ear
 from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
@@ -93,9 +95,7 @@ class Recorder:
     def __init__(self, node: Any, path: Path, topics: Iterable[str] = TOPICS):
         self._bag, self._node = BagWriter(path), node
         self._subscriptions = [
-            node.create_subscription(
-                kind, topic, self._writing(topic), listening_to(profile), raw=True
-            )
+            self._listen(topic, kind, listening_to(profile))
             for topic, (kind, profile) in TOPICS.items()
             if topic in topics
         ]
@@ -119,6 +119,12 @@ class Recorder:
         self._state = b''  # the last one of the machine, serialised
         self._ended: Time | None = None  # when the nodes were asked first
         self.wanted = 0  #: Number of executed setpoints that the bag must hold.
+
+    def _listen(self, topic: str, kind: Any, profile: QoSProfile) -> Any:
+        write = self._writing(topic)
+        if topic in OWNERS:  # what other nodes say there is not recorded
+            return Ear(self._node, kind, topic, write, profile).subscription
+        return self._node.create_subscription(kind, topic, write, profile, raw=True)
 
     def _writing(self, topic: str) -> Callable[[bytes], None]:
         def write(data: bytes) -> None:

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import parameters
+from cnc_interp.nodes.seals import OWNERS, SealedPublisher
 from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.processes.this_host import stay_on_this_host
 from cnc_interp.run.motion_plan import OperatorSettings
@@ -282,8 +284,10 @@ def show_again(bag: Bag, namespace: str, rate: float, clock: bool) -> int:
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('replay', namespace=namespace, context=context)
-    shown = ((topic, *TOPICS[topic]) for topic in SHOWN)
-    publishers = {topic: node.create_publisher(kind, topic, qos) for topic, kind, qos in shown}
+    publishers: dict[str, Any] = {}
+    for topic in SHOWN:
+        make = partial(SealedPublisher, node) if topic in OWNERS else node.create_publisher
+        publishers[topic] = make(TOPICS[topic][0], topic, TOPICS[topic][1])
     clocks = node.create_publisher(Clock, '/clock', 10) if clock else None
     count, first, begun = 0, 0, time.monotonic()
     try:

@@ -17,6 +17,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import GEOMETRY
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.qos import CONTACTS
+from cnc_interp.nodes.seals import hear
 
 STEP, SMALLEST = 1e-5, 1e-9  #: Of the differences, and of a last change [m].
 SEEN = 1e-3  #: Smaller singular values than this share of the largest belong to what is not seen.
@@ -199,9 +200,9 @@ def probe_rotary_centres(
     with connected('probe', namespace, domain, ready) as (client, machine):
         toucher = _Toucher(client, found[0], machine)
         node = client.node
-        heard = node.create_subscription(ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
+        ear = hear(node, ProbeContact, 'probe_contact', toucher.hear, CONTACTS)
         until = time.monotonic() + PATIENCE
-        while not heard.get_publisher_count() and time.monotonic() < until:
+        while not ear.subscription.get_publisher_count() and time.monotonic() < until:
             client.serve()
         _touch_all(toucher, wanted, machine, client.state, told)
         fit = fit_rotary_centres(machine, np.array(toucher.touched), wanted.reach, wanted.beyond)

@@ -146,6 +146,7 @@ class Refusal(IntEnum):
     LATE = 20  # it comes after the end of its run
     PLAN_OVER = 21  # no fault: the message was under way when a stop ended its plan
     TOO_LATE = 22  # its plan was to join where the machine has passed; the plan before goes on
+    FOREIGN = 23  # no fault of the run: another node sent it, and it was ignored
 
 
 class StreamError(InterpError):

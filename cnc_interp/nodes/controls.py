@@ -20,8 +20,8 @@ from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Step
 from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics, answering
-from cnc_interp.nodes.peers import publishers_of
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
+from cnc_interp.nodes.seals import publishers_of
 from cnc_interp.run.motion_plan import OperatorSettings
 from cnc_interp.run.overrides import OVERRIDES, sound_override
 from cnc_interp.run.setpoints import Wait

@@ -19,6 +19,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.node_main import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM
+from cnc_interp.nodes.seals import SealedPublisher
 from cnc_interp.wire import machine_messages as messages
 from cnc_interp.wire.run_messages import coordinates_from, in_program
 
@@ -58,13 +59,13 @@ class MachineTopics:
             model, position = Machine.load(values['compensation']), playback.axes.setpoints[-1]
             self._uncompensated = Uncompensated(model, self._period, position)
         self._joints = node.create_publisher(JointState, 'joint_states', JOINTS)
-        self._states = node.create_publisher(msg.MachineState, 'machine_state', STATE)
-        self._executed = node.create_publisher(msg.SetpointChunk, 'executed_setpoints', STREAM)
+        self._states = SealedPublisher(node, msg.MachineState, 'machine_state', STATE)
+        self._executed = SealedPublisher(node, msg.SetpointChunk, 'executed_setpoints', STREAM)
         self._told_signals: msg.MachineSignals | None = None
         self._signals = node.create_publisher(msg.MachineSignals, 'machine_signals', LOADED)
-        self._contacts = node.create_publisher(msg.ProbeContact, 'probe_contact', CONTACTS)
-        self._followed = node.create_publisher(msg.FollowedSpindle, 'followed_spindle', STREAM)
-        self._feedback = node.create_publisher(msg.AxisFeedback, 'axis_feedback', STREAM)
+        self._contacts = SealedPublisher(node, msg.ProbeContact, 'probe_contact', CONTACTS)
+        self._followed = SealedPublisher(node, msg.FollowedSpindle, 'followed_spindle', STREAM)
+        self._feedback = SealedPublisher(node, msg.AxisFeedback, 'axis_feedback', STREAM)
         #: The modal states of the program and of the lines by hand that were told last.
         self._modes: dict[str, msg.ModalState] = {}
         for topic in ('active_modes', 'modal_state'):

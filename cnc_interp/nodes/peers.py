@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, StreamStatus
@@ -10,25 +10,13 @@ from cnc_interp_msgs.msg import MachineState, StreamStatus
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATE
+from cnc_interp.nodes.seals import RECEIVERS, hear
 from cnc_interp.nodes.streams import hear_statuses
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.message_checks import check_state
 from cnc_interp.wire.run_messages import machine_report, run_id_of
 from cnc_interp.wire.window_protocol import Silence
-
-UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
-#: Each stream with the node that receives it.
-RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
-
-#: Each topic on which a node follows others, and who publishes there.
-OWNERS = {
-    'block_batches': {'program_node'},
-    'segments': {'lookahead_node'},
-    'setpoints': {'feedrate_node'},
-    'stream_status': {*RECEIVERS.values()},
-    'machine_state': {'machine_node'},
-}
 
 #: The machine continues by itself, without cycle_start, if it waits for one of these.
 STARTS_BY_ITSELF = (
@@ -43,6 +31,7 @@ def watch_machine(
     take: Callable[[MachineState], None],
     axis_count: int | None = None,
     diagnostics: Diagnostics | None = None,
+    tell: Callable[[str], object] = str,
 ) -> None:
     """Pass on the states of the machine; drop one that is not sound, and tell why."""
 
@@ -55,24 +44,7 @@ def watch_machine(
             return
         take(state)
 
-    node.create_subscription(MachineState, 'machine_state', see, STATE)
-
-
-def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
-    """Name the nodes that publish on a topic, apart from those to which it belongs."""
-    names = {info.node_name for info in node.get_publishers_info_by_topic(topic)}
-    return ', '.join(sorted(names - {*owners, UNKNOWN})) or 'a node that has ended'
-
-
-def second_publisher(node: Any) -> str:
-    """Name a node that publishes where another one does; no message says who sent it."""
-    for topic, owners in OWNERS.items():
-        names = {info.node_name for info in node.get_publishers_info_by_topic(topic)}
-        strangers = names - owners - {UNKNOWN}
-        if strangers and names & owners:
-            stranger = min(strangers)
-            return f'{topic} is published by {stranger} too: end {stranger}, then run the program'
-    return ''
+    hear(node, MachineState, 'machine_state', see, STATE, diagnostics, tell)
 
 
 class Peers:
@@ -83,10 +55,14 @@ class Peers:
         self._state_seen = -math.inf
         self._status: dict[str, StreamStatus] = {}
         self._seen: dict[str, float] = {}
-        hear_statuses(node, self._see_status)
-        watch_machine(node, self._see_state, axis_count, diagnostics)
+        self.foreign: set[str] = set()  #: Topics with senders whose messages were ignored.
+        hear_statuses(node, self._see_status, '', diagnostics, self.foreign.add)
+        watch_machine(node, self._see_state, axis_count, diagnostics, self.foreign.add)
 
     def _see_status(self, status: StreamStatus) -> None:
+        if status.refusal_kind == Refusal.FOREIGN:
+            self.foreign.add(str(status.refusal))
+            return
         self._status[status.stream] = status
         self._seen[status.stream] = time.monotonic()
 

@@ -30,10 +30,11 @@ from cnc_interp.nodes.node_main import (
     give_back_memory,
     run_node,
 )
-from cnc_interp.nodes.peers import Peers, second_publisher
+from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Prepared, prepare, prepare_line, prepare_on
 from cnc_interp.nodes.program_run import BlockFeed, ProgramQueue, ProgramRun, answer, why_not
 from cnc_interp.nodes.qos import CONTACTS, LOADED
+from cnc_interp.nodes.seals import SealedPublisher, hear
 from cnc_interp.nodes.setup_services import SetupServices
 from cnc_interp.nodes.streams import Outlet
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
@@ -149,13 +150,14 @@ class ProgramNode(Node):
             self._feed.message,
             topic='block_batches',
         )
-        self._loaded = self.create_publisher(LoadedProgram, 'loaded_program', LOADED)
+        self._loaded = SealedPublisher(self, LoadedProgram, 'loaded_program', LOADED)
         self._state: MachineState | None = None  # the last one of the run
         self._feedback_at = self._worked_at = self._pressed_at = 0.0
         self._waits_since = math.inf
         self._queue = ProgramQueue()
         self._contacts: dict[str, ProbeContact] = {}  # the last one, by its run
-        self.create_subscription(ProbeContact, 'probe_contact', self._see_contact, CONTACTS)
+        tell = self._diagnostics, self._peers.foreign.add
+        hear(self, ProbeContact, 'probe_contact', self._see_contact, CONTACTS, *tell)
         self._modes = ActiveModesTopic(self)
         self._buttons = {k: self.create_client(Trigger, k) for k in ('feed_hold', 'reset')}
         self._server = ActionServer(
@@ -173,9 +175,6 @@ class ProgramNode(Node):
     def _accept(self, handle: Any) -> None:
         self._pace.wake()
         run = ProgramRun(handle.request)
-        if stranger := second_publisher(self):
-            answer(handle, run.result(Outcome(Code.BUSY, f'{stranger}; nothing moved')))
-            return
         if handle.request.mdi:
             missing = self._peers.missing(time.monotonic(), self._values['peer_timeout'])
             busy = self._run is not None or bool(self._queue.names)
@@ -203,6 +202,7 @@ class ProgramNode(Node):
         if self._run is None and (following := self._queue.next()) is not None:
             (self._run, self._goal), self._state = following, None
             self._run.take_turn(now)
+            self._peers.foreign.clear()
         self._queue.watch()
         self._mdi.tell()
         run = self._run
@@ -222,9 +222,6 @@ class ProgramNode(Node):
             run.check_again(self._prepare(run, self._goal), now)
         before = run.phase
         outcome = run.step(self._peers, now, self._values['peer_timeout'])
-        if outcome is not None and (stranger := second_publisher(self)):
-            text = f'{outcome.message or "stopped"}, but {stranger} again'
-            outcome = Outcome(Code.STREAM_LOST, text)
         if before is Phase.WAITING and run.phase is Phase.OFFERED:
             self._begin(run)
             self._mdi.keep(run.preparation.prepared)
@@ -338,6 +335,10 @@ class ProgramNode(Node):
             self._goal.publish_feedback(run_feedback(self._state, program.path_length))
 
     def _finish(self, run: ProgramRun, outcome: Outcome) -> None:
+        if self._peers.foreign:
+            senders = '; '.join(sorted(self._peers.foreign))
+            text = f'{outcome.message}. Messages of other nodes were ignored: {senders}'
+            outcome = replace(outcome, message=text)
         result = run.result(outcome)
         # A run that began again may end with what was sent before.
         result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1

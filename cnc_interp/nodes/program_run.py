@@ -14,8 +14,9 @@ from cnc_interp_msgs.msg import G1BlockBatch, LoadedProgram, MachineState, Probe
 from cnc_interp.core import FloatArray, Refusal, StreamError
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.nodes.node_main import end_goal
-from cnc_interp.nodes.peers import RECEIVERS, Peers
+from cnc_interp.nodes.peers import Peers
 from cnc_interp.nodes.program_check import Preparation, Prepared
+from cnc_interp.nodes.seals import RECEIVERS
 from cnc_interp.program import JobSetup
 from cnc_interp.program.blocks.targets import ProgramChange
 from cnc_interp.program.motion.probing import Probe

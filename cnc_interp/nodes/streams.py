@@ -16,8 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from cnc_interp.core import Refusal, StreamError
 from cnc_interp.nodes.node_main import ERROR, OK, WARN, Diagnostics
 from cnc_interp.nodes.qos import STATUS, STREAM
+from cnc_interp.nodes.seals import Ear, SealedPublisher, hear
 from cnc_interp.run.run_state import RunId
 from cnc_interp.wire.run_messages import run_id_of
+from cnc_interp.wire.seals import SIZE
 from cnc_interp.wire.window_protocol import WindowedReceiver, WindowedSender
 
 CHECKSUM = 4  #: Bytes of a checksum.
@@ -38,7 +40,7 @@ def is_spoilt(data: bytes) -> bool:
 
 def opened(data: bytes, kind: Any) -> Any:
     """Read a message and compare its checksum, if given; StreamError if it was spoilt."""
-    if is_spoilt(data):
+    if hasattr(kind, 'checksum') and is_spoilt(data):
         text = 'a message was spoilt on its way (checksum); it is sent again'
         raise StreamError(text, Refusal.SPOILT)
     try:
@@ -54,14 +56,20 @@ STATUS_PERIOD = 0.01  #: Shortest time between two of them [s].
 REFUSALS = frozenset(Refusal)  #: What a receiver may say; only another node says something else.
 
 
-def hear_statuses(node: Any, take: Callable[[StreamStatus], None], stream: str = '') -> None:
+def hear_statuses(
+    node: Any,
+    take: Callable[[StreamStatus], None],
+    stream: str = '',
+    diagnostics: Diagnostics | None = None,
+    tell: Callable[[str], object] = str,
+) -> Ear:
     """Pass on what the receiver of a stream says, or each receiver; no other words."""
 
     def see(status: StreamStatus) -> None:
         if status.stream == (stream or status.stream) and status.refusal_kind in REFUSALS:
             take(status)
 
-    node.create_subscription(StreamStatus, 'stream_status', see, STATUS)
+    return hear(node, StreamStatus, 'stream_status', see, STATUS, diagnostics, tell)
 
 
 def numbers_of(message: Any) -> tuple[RunId, int, int, bool]:
@@ -93,24 +101,56 @@ class Inlet:
         self._told_at = -math.inf
         self._refused: Counter[Refusal] = Counter()
         self._named = (OK, '')
-        self._status = node.create_publisher(StreamStatus, 'stream_status', STATUS)
+        self._status = SealedPublisher(node, StreamStatus, 'stream_status', STATUS)
         self._gap = False
         self._early: dict[int, Any] = {}  # messages after a gap, by their first number
-        self._subscriptions = [
-            node.create_subscription(kind, topic, partial(self._receive, kind), STREAM, raw=True)
+        self._foreign: set[str] = set()  # senders ignored in this run
+        self._topic = ''  # on which the run comes
+        self._ears = {
+            topic: Ear(
+                node,
+                kind,
+                topic,
+                partial(self._receive, kind, topic),
+                STREAM,
+                diagnostics,
+                self._tell_foreign,
+                partial(self._is_spoilt, kind),
+            )
             for topic, kind in kinds.items()
-        ]
+        }
         diagnostics.say(receiver.stream, OK, 'no message refused')
 
-    def _receive(self, kind: Any, data: bytes) -> None:
+    def _tell_foreign(self, sender: str) -> None:
+        if sender not in self._foreign:
+            self._foreign.add(sender)
+            self._publish(self.receiver.run_id, refusal_kind=Refusal.FOREIGN, refusal=sender)
+
+    def _is_spoilt(self, kind: Any, data: bytes) -> bool:
+        """Ask for a message again if its checksum is wrong."""
+        try:
+            opened(data[:-SIZE], kind)
+        except StreamError as fault:
+            self._ask_again(fault.kind, f'{self.receiver.stream}: {fault}')
+            return True
+        return False
+
+    def _receive(self, kind: Any, topic: str, data: bytes) -> None:
         try:
             message = opened(data, kind)
         except StreamError as fault:
             self._ask_again(fault.kind, f'{self.receiver.stream}: {fault}')
             return
+        receiver = self.receiver
         for passed in self._gate(message):
+            program = receiver.run_id.program_id
+            if program == passed.program_id and topic != self._topic:
+                self._ears[topic].ignore(f'is for the run that comes on {self._topic}')
+                return
             self._enter(passed)
-            while (early := self._early.pop(self.receiver.next_number, None)) is not None:
+            if receiver.run_id.program_id != program:
+                self._topic = topic
+            while (early := self._early.pop(receiver.next_number, None)) is not None:
                 self._enter(early)
 
     def _enter(self, message: Any) -> None:
@@ -141,6 +181,7 @@ class Inlet:
         begun = receiver.run_id != run_id
         if begun:
             self._early.clear()
+            self._foreign.clear()
         receiver.take(run_id, first, count, message.end_of_program)
         self._gap = False
         self._on_message(message)
@@ -224,10 +265,12 @@ class Outlet:
         self.turned_away = False  # the plan that was to join came too late
         self._before = self.sender
         self._encode = encode
-        self._publisher = node.create_publisher(kind, topic or stream, profile)
+        self._publisher = SealedPublisher(node, kind, topic or stream, profile)
         hear_statuses(node, self._acknowledge, stream)
 
     def _acknowledge(self, status: StreamStatus) -> None:
+        if status.refusal_kind == Refusal.FOREIGN:
+            return
         if status.refusal_kind == Refusal.TOO_LATE:
             self.turned_away = run_id_of(status) == self.sender.run_id
             return

@@ -46,6 +46,7 @@ class Session:
             share,
             ['blocks'],
         )
+        self.nodes.node.destroy_publisher(self.nodes.blocks)  # the relay is the only one there
         self.one_by_one = self.nodes.node.create_publisher(G1Block, f'{SENT}blocks', qos.STREAM)
         self.nodes.node.create_subscription(
             G1BlockBatch, f'{SENT}block_batches', self.divide, qos.STREAM

@@ -224,7 +224,9 @@ def sound(kind):
         return messages.chunk_message(chunk, P, 0, 0.001)
     if kind is MachineState:
         still = [0.0] * 5
-        return MachineState(positions=still, commanded_positions=still, interpolation_period=0.001)
+        state = MachineState(positions=still, commanded_positions=still, interpolation_period=1e-3)
+        state.feed_override = state.rapid_override = state.spindle_override = 1.0
+        return state
     blocks = read_text(ALL_KINDS, 'kinds.ngc', TRANSFORM, Settings()).blocks
     if kind is G1Block:
         return messages.block_messages(blocks, P, 0, H, end=True)[1]
@@ -298,6 +300,9 @@ NAN, INF = float('nan'), float('inf')
         (MachineState, 'path_position', NAN, 'path_position'),
         (MachineState, 'interpolation_period', 0.0, 'no state'),
         (MachineState, 'feed_override', INF, 'feed_override'),
+        (MachineState, 'feed_override', 1e-7, 'feed_override'),
+        (MachineState, 'rapid_override', -1.0, 'rapid_override'),
+        (MachineState, 'spindle_override', NAN, 'spindle_override'),
         (MachineState, 'state', 99, 'no state'),
     ],
 )

@@ -1,0 +1,132 @@
+"""Topics on which the nodes follow each other: every message is sealed, others are ignored."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Collection
+from typing import Any
+
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+
+from cnc_interp.nodes.node_main import WARN, Diagnostics
+from cnc_interp.wire.seals import KnownSender, Seal, opened_seal
+
+UNKNOWN = '_NODE_NAME_UNKNOWN_'  #: Name of a node that is just being discovered.
+#: Each stream with the node that receives it.
+RECEIVERS = {'blocks': 'lookahead_node', 'segments': 'feedrate_node', 'setpoints': 'machine_node'}
+#: Topics with seals, and who publishes there. On ``blocks`` anyone may, if alone.
+OWNERS: dict[str, tuple[str, ...]] = {
+    'blocks': (),
+    'block_batches': ('program_node',),
+    'segments': ('lookahead_node',),
+    'setpoints': ('feedrate_node',),
+    'stream_status': tuple(RECEIVERS.values()),
+    'machine_state': ('machine_node',),
+    'probe_contact': ('machine_node',),
+    'executed_setpoints': ('machine_node',),
+    'axis_feedback': ('machine_node',),
+    'followed_spindle': ('machine_node',),
+    'loaded_program': ('program_node',),
+}
+#: Those whose messages have numbers of their own.
+STREAMS = ('blocks', 'block_batches', 'segments', 'setpoints', 'executed_setpoints')
+UNSEALED = 'has no seal of these nodes'
+
+
+def publishers_of(node: Any, topic: str, owners: Collection[str] = ()) -> str:
+    """Name the nodes that publish on a topic beside those whose it is."""
+    names = [info.node_name for info in node.get_publishers_info_by_topic(topic)]
+    found = {name for name in names if name not in (*owners, UNKNOWN)}
+    found = found or {f'a second {name}' for name in owners if names.count(name) > 1}
+    return ', '.join(sorted(found)) or 'a node that has ended, or that has another key'
+
+
+def place_of(node: Any, topic: str) -> str:
+    return f'{node.get_namespace()} {topic}'
+
+
+class SealedPublisher:
+    def __init__(self, node: Any, kind: Any, topic: str, profile: QoSProfile):
+        self._publisher = node.create_publisher(kind, topic, profile)
+        self._seal = Seal(place_of(node, topic))
+
+    def publish(self, message: Any) -> None:
+        """Seal a message, or one that is serialised, and publish it."""
+        data = message if isinstance(message, bytes) else serialize_message(message)
+        self._publisher.publish(self._seal.on(bytes(data)))
+
+
+class Ear:
+    """Hears one topic; ignores, counts and names what has no seal of its one sender.
+
+    ``tell`` gets who sent it; ``spoilt`` tells whether a message was damaged on its way.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        kind: Any,
+        topic: str,
+        take: Callable[[bytes], None],
+        profile: QoSProfile,
+        diagnostics: Diagnostics | None = None,
+        tell: Callable[[str], object] = str,
+        spoilt: Callable[[bytes], bool] = lambda data: False,
+    ):
+        self._tell, self._spoilt = tell, spoilt
+        self._node, self._kind, self._topic, self._take = node, kind, topic, take
+        self._diagnostics, self._place = diagnostics, place_of(node, topic)
+        self._senders: dict[str, KnownSender] = {}
+        self.ignored: Counter[str] = Counter()  #: Messages, by who may have sent them.
+        self.subscription = node.create_subscription(kind, topic, self._hear, profile, raw=True)
+
+    def _hear(self, data: bytes) -> None:
+        found = opened_seal(self._place, data)
+        fault = UNSEALED
+        if found is not None:
+            message, sender, number = found
+            fault = self._known(message).fault(sender, number, time.monotonic())
+        elif not OWNERS[self._topic]:
+            message, fault = data, self._company()
+        elif self._spoilt(data):
+            return
+        if fault:
+            self.ignore(fault)
+        else:
+            self._take(message)
+
+    def _known(self, message: bytes) -> KnownSender:
+        of = ''
+        if self._topic == 'stream_status':  # three nodes publish there
+            of = deserialize_message(message, self._kind).stream
+        return self._senders.setdefault(of, KnownSender(self._topic in STREAMS))
+
+    def _company(self) -> str:
+        alone = self.subscription.get_publisher_count() <= 1
+        return '' if alone else 'has no seal, and is not from the only publisher'
+
+    def ignore(self, fault: str) -> None:
+        who = publishers_of(self._node, self._topic, OWNERS[self._topic])
+        self.ignored[who] += 1
+        self._tell(f'{self._topic} from {who}')
+        if self._diagnostics is not None:
+            text = f'a message on {self._topic} {fault} and is ignored; its publisher: {who}'
+            told = dict(self.ignored)
+            self._diagnostics.say(f'foreign {self._topic}', WARN, text, **told)
+
+
+def hear(
+    node: Any,
+    kind: Any,
+    topic: str,
+    take: Callable[[Any], None],
+    profile: QoSProfile,
+    diagnostics: Diagnostics | None = None,
+    tell: Callable[[str], object] = str,
+) -> Ear:
+    """Take the messages of the node whose topic it is."""
+
+    def read(data: bytes) -> None:
+        take(deserialize_message(data, kind))
+
+    return Ear(node, kind, topic, read, profile, diagnostics, tell)

@@ -1,0 +1,105 @@
+"""Seals: the bytes after a message that say which of the nodes sent it.
+
+A seal is the number of the sender, that of the message, and a code (HMAC-SHA-256, its first eight
+bytes) of namespace, topic and message, keyed with a secret that the nodes of one user share.
+Readers of the message ignore what comes after it.
+"""
+
+import hmac
+import math
+import os
+import secrets
+import stat
+import struct
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+from cnc_interp.core import InterpError
+
+KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Variable with the file of the key; else one of this user.
+LAYOUT = struct.Struct('<II')  #: Sender and number of a message.
+CODE = 8  #: Bytes of the code.
+SIZE = LAYOUT.size + CODE
+KEY = 32  #: Bytes of a key.
+SILENT = 1.0  #: A sender that was not heard for so long may be followed by another one [s].
+
+
+def key_file() -> Path:
+    """Return the file of the key: it lives until the computer starts again."""
+    named = os.environ.get(KEY_FILE)
+    return Path(named) if named else Path(f'/dev/shm/cnc_interp_{os.getuid()}.key')
+
+
+@cache
+def key_in(path: Path) -> bytes:
+    """Read a key, or make it; InterpError if others can read or could have written it."""
+    made = path.with_name(f'{path.name}.{secrets.token_hex(8)}')
+    try:
+        if not path.exists():
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+            with os.fdopen(os.open(made, flags, 0o600), 'wb') as file:
+                file.write(secrets.token_bytes(KEY))
+            with suppress(FileExistsError):  # another node was faster
+                os.link(made, path)
+            made.unlink()
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), 'rb') as file:
+            found = os.fstat(file.fileno())
+            key = file.read(KEY + 1) if stat.S_ISREG(found.st_mode) else b''
+    except OSError as problem:
+        raise InterpError(f'{path}: the key of the nodes: {problem.strerror}') from None
+    if len(key) != KEY or found.st_mode & 0o077 or found.st_uid not in (0, os.getuid()):
+        text = f'must be a file of yours with {KEY} bytes that nobody else can read; remove it'
+        raise InterpError(f'{path}: the key of the nodes {text}')
+    return key
+
+
+def code_of(place: str, data: bytes) -> bytes:
+    """Return the code of a message at a place: namespace and topic."""
+    return hmac.digest(key_in(key_file()), place.encode() + b'\0' + data, 'sha256')[:CODE]
+
+
+class Seal:
+    """The seals of one sender on one topic."""
+
+    def __init__(self, place: str):
+        self._place, self._sender, self._number = place, secrets.randbits(32), 0
+        key_in(key_file())
+
+    def on(self, data: bytes) -> bytes:
+        """Return a serialised message with its seal."""
+        data += LAYOUT.pack(self._sender, self._number % 2**32)
+        self._number += 1
+        return data + code_of(self._place, data)
+
+
+class KnownSender:
+    """The one sender of a stream: the first one heard, until it is silent.
+
+    ``numbered``: whether the messages have numbers of their own, and may come late or twice.
+    """
+
+    def __init__(self, numbered: bool = False):
+        self._numbered = numbered
+        self._sender, self._number, self._heard = -1, -1, -math.inf
+        self._past: set[int] = set()
+
+    def fault(self, sender: int, number: int, now: float) -> str:
+        """Return why a message with a sound seal does not count; empty if it does."""
+        if sender != self._sender:
+            if sender in self._past or now - self._heard < SILENT:
+                return 'comes from a second sender'
+            self._past.add(self._sender)
+            self._sender, self._number = sender, -1
+        if number <= self._number and not self._numbered:
+            return 'came before'
+        self._number, self._heard = number, now
+        return ''
+
+
+def opened_seal(place: str, data: bytes) -> tuple[bytes, int, int] | None:
+    """Return message, sender and number; None without the right seal."""
+    body = data[:-CODE]
+    if len(data) <= SIZE or not hmac.compare_digest(data[-CODE:], code_of(place, body)):
+        return None
+    return (body[: -LAYOUT.size], *LAYOUT.unpack(body[-LAYOUT.size :]))

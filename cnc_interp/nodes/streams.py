@@ -127,13 +127,15 @@ class Inlet:
             self._publish(self.receiver.run_id, refusal_kind=Refusal.FOREIGN, refusal=sender)
 
     def _is_spoilt(self, kind: Any, data: bytes) -> bool:
-        """Ask for a message again if its checksum is wrong."""
-        try:
-            opened(data[:-SIZE], kind)
-        except StreamError as fault:
-            self._ask_again(fault.kind, f'{self.receiver.stream}: {fault}')
-            return True
-        return False
+        """Ask for a message again if its checksum is wrong, with a seal or without."""
+        for message in (data, data[:-SIZE]):
+            try:
+                opened(message, kind)
+                return False
+            except StreamError as fault:
+                kind_of, reason = fault.kind, f'{self.receiver.stream}: {fault}'
+        self._ask_again(kind_of, reason)
+        return True
 
     def _receive(self, kind: Any, topic: str, data: bytes) -> None:
         try:

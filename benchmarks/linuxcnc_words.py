@@ -2,11 +2,12 @@
 Random programs in the words of LinuxCNC, read by its own interpreter and by ours.
 
     RS274=... python benchmarks/linuxcnc_words.py [--count 5000] [--first 0] [--show SEED]
+    RS274=... python benchmarks/linuxcnc_words.py --expressions [--count 10000]
 
 A seed writes lines, arcs and helices in three planes, G90 G91, G20 G21, G93, canned cycles, G92,
 G10 L2 and L20, work offsets, tool lengths, G53 G28 G30, variables, expressions and O words. Ends,
 arcs, feeds and durations are compared as ``check --program`` does. It prints what differs with its
-seed, and a table at the end.
+seed, and a table at the end. With ``--expressions`` each seed is one random expression.
 """
 
 from __future__ import annotations
@@ -230,6 +231,65 @@ def made(seed: int) -> str:
     return '\n'.join([*writer.lines, 'M2']) + '\n'
 
 
+#: Operators and functions of LinuxCNC's expressions.
+OPERATORS = tuple('+ - * / ** MOD AND OR XOR EQ NE GT GE LT LE'.split())  # noqa: SIM905
+FUNCTIONS = tuple('ABS SQRT SIN COS TAN ASIN ACOS EXP LN FIX FUP ROUND'.split())  # noqa: SIM905
+
+
+def expression(r: random.Random, depth: int = 0) -> str:
+    """Return a random expression: a chain of operands, the deeper the shorter."""
+    text = operand(r, depth)
+    for _ in range(r.choice((0, 1, 1, 2, 3)) if depth < 3 else 0):
+        text += f' {r.choice(OPERATORS)} {operand(r, depth)}'
+    return text
+
+
+def operand(r: random.Random, depth: int) -> str:
+    """Return a number, a parameter, or what stands in brackets."""
+    chance = r.random()
+    if depth > 2 or chance < 0.5:
+        return f'{r.choice((0, 1, 2, 3, 5, 7, 0.5, 1.25, 90, -1, -2, -3.5))}'
+    if chance < 0.65:
+        return f'{r.choice(("", "", "-"))}#{r.randint(1, 3)}'
+    if chance < 0.8:
+        return f'[{expression(r, depth + 1)}]'
+    if chance < 0.86:
+        return f'ATAN[{expression(r, depth + 1)}]/[{expression(r, depth + 1)}]'
+    return f'{r.choice(FUNCTIONS)}[{expression(r, depth + 1)}]'
+
+
+def compare_expressions(first: int, count: int, transform: Transform, job: JobSetup) -> None:
+    """Evaluate random expressions by both readers; print what differs, and a table."""
+    counts: Counter[str] = Counter()
+    for seed in range(first, first + count):
+        wanted = expression(random.Random(seed))
+        text = f'G21 G90\n#1=4\n#2=-6\n#3=0.75\n#4=[{wanted}]\nG0 X[#4]\nM2\n'
+        values: list[float | str] = []
+        try:
+            values.append(
+                1e3 * float(read_text(text, 'p.ngc', transform, Settings(), job).blocks.tip[-1, 0])
+            )
+        except InterpError as problem:
+            values.append(cause_of(str(problem).splitlines()[0]))
+        try:
+            moves = list(read_by_linuxcnc(text, ('X', 'Y', 'Z'), False, 10))
+            values.append(1e3 * float(moves[-1].end[0]) if moves else 0.0)
+        except LinuxCNCError as problem:
+            values.append(cause_of(str(problem)))
+        ours, theirs = values
+        if isinstance(ours, str) or isinstance(theirs, str):
+            both = isinstance(ours, str) and isinstance(theirs, str)
+            by_us, why = isinstance(ours, str), ours if isinstance(ours, str) else theirs
+            who = 'us' if by_us else 'LinuxCNC'
+            counts['refused by both' if both else f'refused by {who}: {why}'] += 1
+        elif abs(ours - theirs) <= 1e-4 + 1e-9 * abs(theirs):
+            counts['alike'] += 1
+        else:
+            counts['DIFFERENT'] += 1
+            print(seed, wanted, ours, theirs, sep='  ', flush=True)
+    print(json.dumps(dict(counts.most_common()), indent=1))
+
+
 def _a_little_more(peck: re.Match[str]) -> str:
     return f'{float(peck[0]) + 1e-6:.6f}'
 
@@ -244,6 +304,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--count', type=int, default=5000)
     parser.add_argument('--first', type=int, default=0)
+    parser.add_argument('--expressions', action='store_true', help='one expression for each seed')
     parser.add_argument('--show', type=int, help='print the program of a seed, and what it does')
     options = parser.parse_args()
     if options.show is not None:
@@ -253,6 +314,9 @@ def main() -> None:
     transform, setup = Transform.of(machine), Setup(tool_lengths=LENGTHS)
     zeros = {name: dict.fromkeys('XYZ', 0.0) for name in WORK_OFFSETS}
     job = JobSetup(zeros, {number: Tool(length) for number, length in LENGTHS.items()})
+    if options.expressions:
+        compare_expressions(options.first, options.count, transform, job)
+        return
     counts: Counter[str] = Counter()
     for seed in range(options.first, options.first + options.count):
         text, refused = made(seed), ''

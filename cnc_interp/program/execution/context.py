@@ -44,6 +44,7 @@ class Execution:
         self.variables = ProgramVariables(
             lambda: self.mover.system_variables(self.tool),
             lambda: self.mover.predefined_names(self.tool, self.chosen_tool, self.outputs),
+            dialect.readings,
         )
         self.flow = Flow(source, self.variables, settings.most_jumps)
         self.mover = Mover(geometry, settings, setup, self.flow, notices)

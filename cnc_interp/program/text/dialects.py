@@ -5,6 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cnc_interp.machine_model.transform import Transform
+from cnc_interp.program.text.expressions import (
+    READ_BY_FANUC,
+    READ_BY_LINUXCNC,
+    READ_BY_SIEMENS,
+    USUAL,
+    USUAL_OF_BITS,
+    Reading,
+)
 from cnc_interp.program.text.source import CL_SUFFIXES, Source
 from cnc_interp.settings.options import Settings
 
@@ -22,12 +30,38 @@ class Dialect:
     turns_in_cycles: bool = True  #: Whether rotary words may stand in a canned cycle.
     machine_axes: bool = False  #: Whether G53 means axis positions with tool-tip programming on.
     is_sure: bool = True  #: Whether words of two meanings have that of this control.
+    #: How operators without brackets are read; where the readings differ, the line is refused.
+    readings: tuple[Reading, ...] = (USUAL,)
 
 
-PLAIN = Dialect('plain', 'no control in particular', is_sure=False)
-LINUXCNC = Dialect('linuxcnc', 'LinuxCNC', own_entry=True, feeds_first=True, turns_in_cycles=False)
-FANUC = Dialect('fanuc', 'Fanuc and its kin', machine_axes=True, starts_with=0)
-SIEMENS = Dialect('siemens', 'Siemens 840D', starts_with=1, runs_shifts=True)
+LINUXCNC = Dialect(
+    'linuxcnc',
+    'LinuxCNC',
+    own_entry=True,
+    feeds_first=True,
+    turns_in_cycles=False,
+    readings=(READ_BY_LINUXCNC,),
+)
+FANUC = Dialect(
+    'fanuc',
+    'Fanuc and its kin',
+    machine_axes=True,
+    starts_with=0,
+    readings=(READ_BY_FANUC, USUAL_OF_BITS),
+)
+SIEMENS = Dialect(
+    'siemens',
+    'Siemens 840D',
+    starts_with=1,
+    runs_shifts=True,
+    readings=(READ_BY_SIEMENS, USUAL),
+)
+PLAIN = Dialect(
+    'plain',
+    'no control in particular',
+    is_sure=False,
+    readings=LINUXCNC.readings + FANUC.readings + SIEMENS.readings,
+)
 HEIDENHAIN = Dialect('heidenhain', 'Heidenhain', machine_axes=True)
 PROFILES = {dialect.name: dialect for dialect in (PLAIN, LINUXCNC, FANUC, SIEMENS)}
 _SUFFIXES = {

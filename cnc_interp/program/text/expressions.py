@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
 
@@ -33,18 +34,9 @@ given: [expression | STRING]
 
 ?signed: atom
        | SIGN atom                             -> sign
-?expression: both
-           | expression EITHER both            -> operation
-?both: compared
-     | both AND compared                       -> operation
-?compared: sum
-         | compared COMPARISON sum             -> operation
-?sum: product
-    | sum SIGN product                         -> operation
-?product: power
-        | product TIMES power                  -> operation
-?power: unary
-      | power POWER unary                      -> operation
+?expression: unary
+           | unary (_binary unary)+            -> chain
+_binary: POWER | SIGN | TIMES | COMPARISON | BITS | LOGIC
 ?unary: atom
       | SIGN unary                             -> sign
       | NOT unary                              -> sign
@@ -79,9 +71,9 @@ SIGN: /[-+]/
 POWER: "**"
 TIMES.4: /\*(?!\*)|\/|(MOD|DIV)(?![A-Z_])/
 COMPARISON.4: /==|<>|<=|>=|<|>|(EQ|NE|GE|GT|LE|LT)(?![A-Z_])/
-AND.4: /AND(?![A-Z_])/
+BITS.4: /B_(AND|X?OR)(?![A-Z_])/
+LOGIC.4: /(AND|X?OR)(?![A-Z_])/
 NOT.4: /NOT(?![A-Z_])/
-EITHER.4: /X?OR(?![A-Z_])/
 NUMBER: /(\d+(\.\d*)?|\.\d+)/
 OWN_NAME: /<[^<>\[\]#]+>/
 STRING: /"[^"]*"/
@@ -175,17 +167,54 @@ def _value(node: Node, variables: ProgramVariables) -> float:
         return _call(str(node[1]), node[2:], variables)
     if kind == 'quotient':  # #ATAN[..]/[..]
         node = ('operation', ('call', node[1], node[2]), '/', node[3])
+    if kind == 'chain':
+        return _chain(node, variables)
     left, operator, right = node[1], str(node[2]), node[3]
     if operator == '/' and left[0] == 'call' and left[1] == 'ATAN' and right[0] == 'group':
         x = _value(right, variables)
         return math.degrees(math.atan2(_value(left[2], variables), x))
-    if operator in _EQUAL and NOTHING in (left, right):
+    if operator.split()[0] in _EQUAL and NOTHING in (left, right):
         # Fanuc: #0 is equal to what has no value, and to nothing else.
         other = right if left == NOTHING else left
         vacant = other[0] == 'parameter' and other[1][0] != 'own_name'
         vacant = vacant and variables.is_vacant(parameter_index(other[1], variables))
-        return float(vacant is (operator in ('EQ', '==')))
+        return float(vacant is (operator.split()[0] in ('EQ', '==')))
     return float(OPERATORS[operator](_value(left, variables), _value(right, variables)))
+
+
+def _chain(node: Node, variables: ProgramVariables) -> float:
+    """Evaluate operands and operators without brackets; every reading must give one value."""
+    trees = {_tree(node, reading) for reading in variables.readings}
+    values = {_value(tree, variables) for tree in trees}
+    if len(values) > 1:
+        operators = ' '.join(dict.fromkeys(str(operator) for operator in node[2::2]))
+        raise ExpressionError(
+            f'controls differ in how they compute {operators} here; write brackets, avoid MOD of '
+            'negative or broken numbers, or choose --dialect'
+        )
+    return values.pop()
+
+
+@lru_cache(maxsize=4096)
+def _tree(node: Node, reading: Reading) -> Node:
+    """Bracket a chain by the ranks of its operators, from left to right where they are equal."""
+    operands, waiting = [node[1]], list[str]()
+
+    def close(rank: int) -> None:
+        while waiting and reading.rank(waiting[-1]) <= rank:
+            right, left = operands.pop(), operands.pop()
+            operator = waiting.pop()
+            operands.append(('operation', left, reading.meanings().get(operator, operator), right))
+
+    for operator, operand in zip(map(str, node[2::2]), node[3::2]):
+        if operator == '/' and operands[-1][:2] == ('call', 'ATAN') and operand[0] == 'group':
+            operands[-1] = ('operation', operands[-1], operator, operand)
+            continue
+        close(reading.rank(operator))
+        waiting.append(operator)
+        operands.append(operand)
+    close(len(reading.ranks))
+    return operands[0]
 
 
 NOTHING = ('parameter', ('number', '0'))
@@ -231,8 +260,15 @@ OPERATORS: dict[str, Callable[[float, float], float]] = {
     **dict.fromkeys(('**', '^'), math.pow),
     'LEN': math.hypot,
     'ANG': lambda x, y: math.degrees(math.atan2(x, y)) % 360.0,
-    'MOD': lambda x, y: x % y,
+    'MOD': math.fmod,
+    'MOD of LinuxCNC': lambda x, y: x % abs(y),
+    'MOD of Fanuc': lambda x, y: math.fmod(_whole(x), _whole(y)),
     'DIV': lambda x, y: float(math.trunc(x / y)),
+    **dict.fromkeys(('AND of bits', 'B_AND'), lambda x, y: _whole(x) & _whole(y)),
+    **dict.fromkeys(('OR of bits', 'B_OR'), lambda x, y: _whole(x) | _whole(y)),
+    **dict.fromkeys(('XOR of bits', 'B_XOR'), lambda x, y: _whole(x) ^ _whole(y)),
+    'EQ of LinuxCNC': lambda x, y: abs(x - y) < 1e-4,
+    'NE of LinuxCNC': lambda x, y: abs(x - y) >= 1e-4,
     'AND': lambda x, y: bool(x) and bool(y),
     'OR': lambda x, y: bool(x) or bool(y),
     'XOR': lambda x, y: bool(x) != bool(y),
@@ -243,6 +279,61 @@ OPERATORS: dict[str, Callable[[float, float], float]] = {
     **dict.fromkeys(('LT', '<'), lambda x, y: x < y),
     **dict.fromkeys(('LE', '<='), lambda x, y: x <= y),
 }
+
+
+_COMPARED = 'EQ NE GT GE LT LE == <> > >= < <='
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a control reads operators that stand side by side without brackets."""
+
+    ranks: tuple[str, ...]  #: Operators of one rank each, those that bind first at the front.
+    changed: tuple[tuple[str, str], ...] = ()  #: Operators that mean what another name says.
+
+    def rank(self, operator: str) -> int:
+        return next(k for k, rank in enumerate(self.ranks) if operator in rank.split())
+
+    def meanings(self) -> dict[str, str]:
+        return dict(self.changed)
+
+
+#: NIST's RS274/NGC and LinuxCNC: logic has one rank, below comparisons.
+READ_BY_LINUXCNC = Reading(
+    ('**', '* / MOD DIV', '+ -', _COMPARED, 'AND OR XOR B_AND B_OR B_XOR'),
+    (
+        ('MOD', 'MOD of LinuxCNC'),
+        *((x, 'EQ of LinuxCNC') for x in ('EQ', '==')),
+        *((x, 'NE of LinuxCNC') for x in ('NE', '<>')),
+    ),
+)
+_FANUC_MEANS = (('MOD', 'MOD of Fanuc'), *((x, f'{x} of bits') for x in ('AND', 'OR', 'XOR')))
+#: Fanuc's custom macro B computes with bits: AND among the products, OR and XOR among the sums.
+READ_BY_FANUC = Reading(
+    ('**', '* / MOD DIV AND B_AND', '+ - OR XOR B_OR B_XOR', _COMPARED), _FANUC_MEANS
+)
+#: Siemens documents comparisons as the last rank; shops write them as in other languages.
+READ_BY_SIEMENS = Reading(
+    ('**', '* / MOD DIV', '+ -', 'B_AND', 'B_XOR', 'B_OR', 'AND', 'XOR', 'OR', _COMPARED)
+)
+_USUAL_RANKS = (
+    '**',
+    '* / MOD DIV',
+    '+ -',
+    'B_AND',
+    'B_XOR',
+    'B_OR',
+    _COMPARED,
+    'AND',
+    'XOR',
+    'OR',
+)
+USUAL, USUAL_OF_BITS = Reading(_USUAL_RANKS), Reading(_USUAL_RANKS, _FANUC_MEANS)
+
+
+def _whole(value: float) -> int:
+    """Return the nearest whole number, halves away from zero as controls round."""
+    return int(math.copysign(math.floor(abs(value) + 0.5), value))
 
 
 _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
@@ -265,8 +356,7 @@ _FUNCTIONS: dict[str, tuple[tuple[int, ...], Callable[..., float]]] = {
     'SGN': ((1,), lambda x: float((x > 0) - (x < 0))),
     'FIX': ((1,), lambda x: float(math.floor(x))),
     'FUP': ((1,), lambda x: float(math.ceil(x))),
-    # Halves are rounded away from zero, as controls do.
-    'ROUND': ((1,), lambda x: math.copysign(math.floor(abs(x) + 0.5), x)),
+    'ROUND': ((1,), lambda x: float(_whole(x))),
     **dict.fromkeys(('TRUNC', 'INT'), ((1,), lambda x: float(math.trunc(x)))),
     'MINVAL': ((2,), min),
     'MAXVAL': ((2,), max),
@@ -293,9 +383,13 @@ UNSET = 'is read before it is set; set it in the program'
 
 class ProgramVariables:
     def __init__(
-        self, system: Callable[[], Mapping[int, float]], names: Callable[[], Mapping[str, float]]
+        self,
+        system: Callable[[], Mapping[int, float]],
+        names: Callable[[], Mapping[str, float]],
+        readings: tuple[Reading, ...] = (USUAL,),
     ):
         self._system, self._predefined = system, names
+        self.readings = readings
         self._numbers: dict[int, float] = {}
         self._names: dict[str, float] = {}
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []

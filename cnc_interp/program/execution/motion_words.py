@@ -27,7 +27,9 @@ def dwell(at: Execution, code: str, words: BlockWords) -> None:
     letter = next(iter(given), '')
     seconds = given.get(letter, 0.0)
     if letter == 'S':
-        seconds *= MINUTE / max(at.mover.spindle_speed, 1.0)
+        if not at.mover.spindle_speed > 0.0:
+            raise at.fault('counts turns of the spindle; write S and M3 before', 'G4 S')
+        seconds *= MINUTE / at.mover.spindle_speed
     at.rest_for(code, seconds, words.texts.get('P', '') if letter == 'P' else '.')
 
 
@@ -102,6 +104,10 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
             )
         if at.signals.uses(letter):
             continue
+        if letter == 'E' and codes.EXTRUDING.isdisjoint(words.g):
+            raise at.fault(
+                'a fixture offset on Fadal; write G54 to G59, or leave it out', words.texts['E']
+            )
         if letter in 'STDHE':
             at.notice(letter, 'no effect, it does not move the tool')
         elif letter in 'ABCUVW':

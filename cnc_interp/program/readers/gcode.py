@@ -17,7 +17,8 @@ from cnc_interp.program.text.words import split_words, without_comments
 
 _NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
 #: A length or an angle without a decimal point; codes of units and of canned cycles.
-_NO_POINT = re.compile(r'(?<![A-Z_#<\d])([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
+#: Names are matched, too, so that their letters stay as they are.
+_NO_POINT = re.compile(r'<[^<>]*>|[A-Z_]{2,}\w*|([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
 #: What a comment tells the operator, and parameters in it.
 _MESSAGE = re.compile(r'\(\s*(?:DEBUG|PRINT|MSG)\s*,([^)]*)\)', re.IGNORECASE)
 _PARAMETER = re.compile(r'#(\d+|<[^<>]+>)')
@@ -112,9 +113,10 @@ class GcodeReader(ProgramReader):
         counts = self.at.cycle is not None or _CYCLE.search(line)  # K of a cycle
 
         def written(match: re.Match[str]) -> str:
-            letter, number = match[1], int(match[2])
-            if letter == 'K' and counts:
+            letter = match[1]
+            if letter is None or (letter == 'K' and counts):
                 return match[0]
+            number = int(match[2])
             return f'{letter}{number * (1e-4 if inch and letter not in "ABC" else 1e-3):.4f}'
 
         return _NO_POINT.sub(written, line)

@@ -15,6 +15,7 @@ LENGTH_CODES = LENGTH | TCP_BY_LENGTH
 TCP_ON_WORDS = 'M428, M128, G43.4, G43.5, G234, TRAORI or #TRAFO ON'
 
 THREAD_CYCLE = 'G76 of LinuxCNC'
+EXTRUDING = {'G1', 'G2', 'G3', 'G92'}  #: Beside which E is the filament of a printer.
 RADIUS = {'G40', 'G41', 'G41.1', 'G41.2', 'G42', 'G42.1', 'G42.2'}
 #: What the words G41 and G42 of Siemens compensate: in the plane, or along normals in space.
 RADIUS_KEYS = {'CUT2D': False, 'CUT3DF': True}

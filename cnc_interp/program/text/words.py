@@ -128,7 +128,8 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
 
 def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:
     if letter in 'GM':
-        code = f'{letter}{round(value, 3):g}'.replace('G153', 'G53')
+        code = f'{letter}{round(value, 3):g}'
+        code = 'G53' if code == 'G153' else code
         (words.g if letter == 'G' else words.m).append(code)
         return
     if letter == 'T' and 'T' in words.values and words.second_tool is None:

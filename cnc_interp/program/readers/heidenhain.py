@@ -20,6 +20,7 @@ from cnc_interp.program.text.expressions import OPERATORS, ExpressionError, form
 from cnc_interp.program.text.source import LineStart
 from cnc_interp.program.text.words import BlockWords
 
+_DECIMAL_COMMA = re.compile(r'(?<=\d),(?=\d)')  #: Older controls write X+10,5.
 _HEAD = re.compile(r'\s*/?\s*(?:\d+(?=\s|$))?\s*(.*?)\s*~?\s*$')
 _VALUE = r'[-+]?\s*(?:Q[LR]?\d+|\d+\.?\d*|\.\d+)'
 _WORD = re.compile(
@@ -113,7 +114,7 @@ class HeidenhainReader(ProgramReader):
         text = raw.upper().split(';')[0] if '"' not in raw else raw.upper()
         if raw.lstrip().startswith('/') and self.settings.skip_blocks:
             return
-        match = _HEAD.fullmatch(text)
+        match = _HEAD.fullmatch(_DECIMAL_COMMA.sub('.', text))
         line = match[1] if match else ''
         numbered = bool(re.match(r'\s*/?\s*\d', raw))
         if not line:

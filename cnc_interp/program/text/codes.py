@@ -201,6 +201,7 @@ REFUSED_NAMES: dict[str, str] = {
     ),
     'LEAD': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
     'TILT': 'lead and tilt are not supported; give the tool axis as A3= B3= C3=',
+    'FZ': 'the feed per tooth is not supported; write the feed as F',
     **dict.fromkeys(
         ('FRC', 'FRCM', 'FB', 'OVR', 'OVRRAP'), 'this feed is not supported; write the feed as F'
     ),

@@ -2,7 +2,8 @@
 
 A seal is the number of the sender, that of the message, and a code (HMAC-SHA-256, its first eight
 bytes) of namespace, topic and message, keyed with a secret that the nodes of one user share.
-Readers of the message ignore what comes after it.
+Readers of the message ignore what comes after it. DDS delivers multiples of four bytes to another
+process, so the message is filled up to one before its seal.
 """
 
 import hmac
@@ -21,6 +22,7 @@ KEY_FILE = 'CNC_INTERP_KEY_FILE'  #: Variable with the file of the key; else one
 LAYOUT = struct.Struct('<II')  #: Sender and number of a message.
 CODE = 8  #: Bytes of the code.
 SIZE = LAYOUT.size + CODE
+ALIGNED = 4  #: Messages are delivered in multiples of so many bytes.
 KEY = 32  #: Bytes of a key.
 SILENT = 1.0  #: A sender that was not heard for so long may be followed by another one [s].
 
@@ -68,7 +70,7 @@ class Seal:
 
     def on(self, data: bytes) -> bytes:
         """Return a serialised message with its seal."""
-        data += LAYOUT.pack(self._sender, self._number % 2**32)
+        data += bytes(-len(data) % ALIGNED) + LAYOUT.pack(self._sender, self._number % 2**32)
         self._number += 1
         return data + code_of(self._place, data)
 

@@ -100,3 +100,11 @@ def test_a_message_heard_before_does_not_count_twice():
         assert 'before' in known.fault(7, number, 0.1)
     assert known.fault(7, 9, 0.2) == ''
     assert [stream.fault(7, number, 0.0) for number in (4, 2, 4)] == ['', '', '']
+
+
+def test_a_sealed_message_has_the_length_that_dds_delivers_to_another_process():
+    for length in range(5, 13):
+        data = Seal('/cell machine_state').on(bytes(range(length)))
+        assert len(data) % 4 == 0
+        message, _, _ = opened_seal('/cell machine_state', data)
+        assert message[:length] == bytes(range(length)) and not any(message[length:])

@@ -26,7 +26,7 @@ def message(size=200):
 
 
 def test_what_a_node_seals_is_opened_bit_for_bit():
-    sender, texts = Seal(PLACE), [message(k) for k in (1, 7, 4096)]
+    sender, texts = Seal(PLACE), [message(k) for k in (4, 8, 4096)]
     opened = [opened_seal(PLACE, sender.on(text)) for text in texts]
     assert [text for text, _, _ in opened] == texts
     assert [number for *_, number in opened] == [0, 1, 2] and len({o[1] for o in opened}) == 1

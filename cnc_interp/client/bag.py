@@ -97,7 +97,7 @@ class BagWriter:
         refuse_existing(path)
         self.count = 0
         self._path, self._noted = path, dict[str, str]()
-        self._fault: OSError | None = None
+        self.fault: OSError | None = None  #: Why nothing more is written.
         self._stored_at = 0  # stamp [ns] up to which all is in the file
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -124,11 +124,11 @@ class BagWriter:
         try:
             (self._path / NOTED).write_text(json.dumps(self._noted))
         except OSError as fault:
-            self._fault = fault
+            self.fault = fault
 
     def write(self, topic: str, data: bytes, stamp: int) -> None:
         """Write a serialised message with the time [ns] at which it came; see ``close``."""
-        if self._fault is None:
+        if self.fault is None:
             try:
                 self._writer.write(self._connections[topic], stamp, data)
                 self.count += 1
@@ -138,7 +138,7 @@ class BagWriter:
                     storage.bio.flush()
                     self._stored_at = stamp
             except OSError as fault:  # no reason to stop a machine
-                self._fault = fault
+                self.fault = fault
 
     def close(self) -> None:
         """Write index and metadata.
@@ -146,8 +146,8 @@ class BagWriter:
         Raises OSError if this or a message could not be written: the disk is full.
         """
         try:
-            if self._fault is not None:
-                raise self._fault
+            if self.fault is not None:
+                raise self.fault
             self._writer.close()
             (self._path / NOTED).unlink(missing_ok=True)
         except OSError as fault:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import math
 import threading
 import time
@@ -13,26 +12,22 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import rclpy
 from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import Jog, LoadedProgram, MachineSignals, MachineState, ModalState
 from cnc_interp_msgs.srv import Home, MoveAxes, SetOffset, SetTool, SwitchOutputs, TouchOff
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
-from rclpy.experimental import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
+from cnc_interp.client.served_node import SPIN, ServedNode
 from cnc_interp.core import InterpError
 from cnc_interp.nodes.node_main import PREPARED, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
-from cnc_interp.processes.stop_signals import stops_later
-from cnc_interp.processes.this_host import stay_on_this_host
 
 __all__ = ['STOPS', 'SWITCHES', 'Answer', 'MachineState', 'OperatorClient']
 
@@ -59,9 +54,7 @@ OVERRIDES = ('feed_override', 'rapid_override', 'spindle_override')
 STOPS = ('feed_hold', 'emergency_stop')
 #: Silence after which a node counts as lost, and longest wait for an answer [s].
 SILENCE, ANSWER = 2.0, 3.0
-LAST_WAIT = 20.0  #: For the end of ROS in this process [s].
 ECHO = 10.0  #: Longest time until an override sent by this client is reported by the machine [s].
-SPIN = 0.1  #: Longest wait for an event [s].
 
 
 class SharedValue:
@@ -100,11 +93,11 @@ class Answer:
     response: Any = None
 
 
-class OperatorClient:
+class OperatorClient(ServedNode):
     """A ROS node of its own, served by ``serve`` or by a thread (``start``).
 
-    Commands may come from any thread. Without ``domain`` that of the environment counts;
-    ``on_state`` is called with every ``MachineState``, in the thread that serves the node.
+    Commands may come from any thread. ``on_state`` is called with every ``MachineState``, in the
+    thread that serves the node.
     """
 
     def __init__(
@@ -114,16 +107,8 @@ class OperatorClient:
         domain: int | None = None,
         on_state: Callable[[MachineState], None] = lambda _: None,
     ):
-        stay_on_this_host()
-        self._context = rclpy.Context()
-        rclpy.init(
-            context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
-        )
-        node = rclpy.create_node(name, namespace=namespace, context=self._context)
-        self.node, self.namespace = node, node.get_namespace()
-        self.domain = self._context.get_domain_id()
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(node)
+        super().__init__(name, namespace, domain)
+        node = self.node
         self.peers = Peers(node)
         self.alarms = AlarmList()
         self._pending: list[Callable[[], bool]] = []  # each returns True once it is answered
@@ -356,8 +341,7 @@ class OperatorClient:
 
     def serve(self, timeout: float = SPIN) -> None:
         self._pending = [ended for ended in self._pending if not ended()]
-        with stops_later():
-            self._executor.spin_once(timeout_sec=timeout)
+        super().serve(timeout)
 
     def wait_for(self, answer: Future[Answer]) -> Answer:
         while not answer.done():
@@ -382,18 +366,8 @@ class OperatorClient:
         self._ended.set()
         if self._thread is not None:
             self._thread.join()
-        # Fast DDS may stand here for ever, and with it the interpreter (``run_console.DEAF``).
-        faulthandler.dump_traceback_later(LAST_WAIT, exit=True, file=2)
-        try:
-            self._executor.shutdown()
-            self._action.destroy()
-            self.node.destroy_node()
-            rclpy.shutdown(context=self._context)
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+        super().close()
 
-    def __enter__(self) -> OperatorClient:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def _destroy(self) -> None:
+        self._action.destroy()
+        super()._destroy()

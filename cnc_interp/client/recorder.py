@@ -20,8 +20,8 @@ from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from cnc_interp.client.bag import TOPICS, BagWriter, refuse_existing
-from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.question import Question
+from cnc_interp.client.served_node import ServedNode
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.qos import listening_to
 from cnc_interp.nodes.seals import OWNERS, Ear
@@ -163,6 +163,11 @@ class Recorder:
     def count(self) -> int:
         return self._bag.count
 
+    @property
+    def fault(self) -> OSError | None:
+        """Why nothing more is recorded."""
+        return self._bag.fault
+
     def ready(self) -> bool:
         """Ask the nodes for their parameters; tell whether all know that this one listens."""
         for node in self._parameters.keys() - self._known:
@@ -194,10 +199,16 @@ class Recorder:
     def _missing(self) -> list[str]:
         return sorted(self._known - self._flushed)
 
-    def finish(self, client: OperatorClient) -> None:
+    def finish(self, node: ServedNode) -> None:
+        """Wait for the last messages, report what is missing, and close the bag."""
         until = time.monotonic() + LAST_WAIT
-        while not self.complete() and time.monotonic() < until:
-            client.serve()
+        while self.fault is None and not self.complete() and time.monotonic() < until:
+            node.serve()
+        if self.fault is None:
+            self._report()
+        self.close()
+
+    def _report(self) -> None:
         if not self.complete():
             nodes = ', '.join(self._missing()) or 'machine_node'
             print(f'the bag may lack the last messages of {nodes}', file=sys.stderr)
@@ -205,7 +216,6 @@ class Recorder:
         if lost:
             text = 'the computer was too busy; record again to replay or compare'
             print(f'the bag lacks {", ".join(lost)}: {text}', file=sys.stderr)
-        self.close()
 
     def close(self) -> None:
         while self._subscriptions:  # the node may live on
@@ -219,15 +229,15 @@ def record(path: Path, namespace: str) -> int:
     Raises InterpError if the bag cannot be made.
     """
     refuse_existing(path)  # before ROS starts
-    with stop_signals() as stop, OperatorClient('record', namespace) as client:
-        recorder = Recorder(client.node, path)
+    with stop_signals() as stop, ServedNode('record', namespace) as served:
+        recorder = Recorder(served.node, path)
         try:
             heard = False
             while not stop:
-                client.serve(0.1)
+                served.serve()
                 if recorder.ready() and not heard:
                     heard = True
                     print(f'recording into {path}; Ctrl-C ends it', file=sys.stderr)
         finally:
-            recorder.finish(client)
+            recorder.finish(served)
     return recorder.count

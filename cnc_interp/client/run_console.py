@@ -24,7 +24,8 @@ from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.operator_client import Answer, OperatorClient
 from cnc_interp.client.question import SentProgram
 from cnc_interp.client.recorded_run import recorded_run, write_run
-from cnc_interp.client.recorder import NEEDED, Recorder
+from cnc_interp.client.recorder import NEEDED
+from cnc_interp.client.recorder_process import RecorderProcess
 from cnc_interp.client.run_request import RunRequest, RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.progress_bar import ProgressBar
@@ -51,7 +52,7 @@ SILENCE = 1.0  #: Silence after which a node counts as lost [s].
 #: Silence of all nodes, which live, after which ROS stands in this process: threads of Fast DDS
 #: 2.14 may wait for each other where a participant leaves while its lease is checked [s].
 DEAF = 30.0
-RECORD_TIMEOUT = 10.0  #: Longest wait for the answers of the nodes to a recorder [s].
+RECORD_TIMEOUT = 60.0  #: Longest wait until the recorder hears the nodes [s].
 SPIN = 0.05  #: Longest wait for an event [s]. Signals and processes are checked after it.
 
 
@@ -78,10 +79,11 @@ class RunConsole:
         client: OperatorClient,
         children: Children,
         request: RunRequest,
-        recorder: Recorder | None,
+        recorder: RecorderProcess | None,
     ):
         self._client, self._children, self._request = client, children, request
         self._recorder = recorder
+        self._record_lost = False
         self._progress = ProgressBar(None if request.quiet else sys.stderr)
         self._first_motion = float('nan')
         self._interrupted = self._cancelling = False
@@ -188,6 +190,7 @@ class RunConsole:
             self._demand_to_hear()
             self._see_motion()
             self._tell_warnings()
+            self._tell_lost_record()
             self._bring_back_lost_nodes()
             self._pass_program_stop()
             self._show_progress(sent)
@@ -220,6 +223,15 @@ class RunConsole:
         if program is not None and program.program_id != self._warned:
             self._warned = program.program_id
             tell(warnings_of(program.start_notes))
+
+    def _tell_lost_record(self) -> None:
+        if self._recorder is None or self._record_lost:
+            return
+        self._recorder.look()
+        fault = self._recorder.fault
+        if fault is not None:
+            self._record_lost = True
+            print(f'\n{reason_of(fault)}; the run goes on', file=sys.stderr)
 
     def _show_progress(self, sent: SentProgram) -> None:
         feedback, name = sent.feedback, Path(sent.goal.program).name
@@ -344,19 +356,23 @@ def run_recorded(
                 recorder = None
                 if folder is not None:
                     topics = NEEDED if request.record is None else TOPICS
-                    recorder = Recorder(client.node, folder, topics)
-                    records.callback(recorder.finish, client)
+                    recorder = RecorderProcess(folder, topics, client.namespace, client.domain)
+                    records.callback(recorder.finish)
                 with RunConsole(client, children, request, recorder) as console:
                     results = console.run(machine, started)
         except OSError as fault:  # of the record: what was executed is told all the same
             if not results or fault.filename != str(folder):
                 raise
-            text = f'{fault.filename}: {fault.strerror}'
+            text = reason_of(fault)
             return [replace(one, ok=False, message=f'{one.message}; {text}') for one in results]
         if folder is not None and (request.out is not None or judged):
             with Bag(folder) as bag:
                 results = [written(bag, result, machine, request.out) for result in results]
     return results
+
+
+def reason_of(fault: Exception) -> str:
+    return f'{fault.filename}: {fault.strerror}' if isinstance(fault, OSError) else str(fault)
 
 
 def written(bag: Bag, result: RunResult, machine: Machine, out: Path | None) -> RunResult:

@@ -126,13 +126,13 @@ def answer_flush(node: Any, _request: Any, response: Any) -> Any:
     return response
 
 
-def come_first() -> None:
+def come_first(niceness: int = NICENESS) -> None:
     """Ask the system to prefer this process, and its session on desktops. Only some users may."""
     with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if os.getsid(0) == os.getpid():  # a session of its own, not that of a shell
         with contextlib.suppress(OSError):
-            Path('/proc/self/autogroup').write_text(str(NICENESS), encoding='ascii')
+            Path('/proc/self/autogroup').write_text(str(niceness), encoding='ascii')
 
 
 def transition(node: Any, work: Callable[[], None]) -> TransitionCallbackReturn:

@@ -8,6 +8,7 @@ RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 #: Variables with which a user chooses transports. Any of them replaces our profile.
 TRANSPORTS = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_BUILTIN_TRANSPORTS')
 PROFILE = Path(__file__).with_name('this_host.xml')
+SOCKETS = Path(__file__).with_name('this_host_sockets.xml')  #: The same without shared memory.
 
 
 def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
@@ -23,3 +24,10 @@ def variables_of_this_host(environment: Mapping[str, str]) -> dict[str, str]:
 def stay_on_this_host() -> None:
     """Let no other computer reach this process, unless the user's environment says otherwise."""
     os.environ.update(variables_of_this_host(os.environ))
+
+
+def use_sockets_only() -> None:
+    """Use no shared memory in this process, unless the user's environment chooses transports."""
+    stay_on_this_host()
+    if os.environ.get(TRANSPORTS[0]) == str(PROFILE):  # by the range, rmw_fastrtps would add it
+        os.environ.update({TRANSPORTS[0]: str(SOCKETS), RANGE: 'SYSTEM_DEFAULT'})

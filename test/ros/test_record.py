@@ -1,6 +1,11 @@
 """A bag holds everything from the first to the last message of a run, on every topic."""
 
 import math
+import os
+import resource
+import signal
+import subprocess
+import sys
 import tempfile
 import time
 from itertools import chain
@@ -12,11 +17,12 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 from nodes_under_test import DOMAIN, PATIENCE
 from sensor_msgs.msg import JointState
-from test_leftovers import PARTICIPANTS, left, seen_until, segments, started
+from test_leftovers import PARTICIPANTS, family, left, seen_until, segments, started
 
 from cnc_interp.client.bag import TOPICS, Bag
 from cnc_interp.client.operator_client import OperatorClient
 from cnc_interp.client.recorder import Recorder
+from cnc_interp.client.recorder_process import NAME
 from cnc_interp.commands.cli import main
 from cnc_interp.nodes.qos import JOINTS
 
@@ -89,6 +95,49 @@ def test_a_node_that_lives_on_after_its_recorder_hears_nothing_more(tmp_path):
         tell(lambda: next(spun, None) is None)
         assert 0 < count == recorder.count
         assert sender.get_subscription_count() == 0
+
+
+def recorder_of(run):
+    """The process that records a run; it is there once the bag has grown."""
+    for member in family(run.pid):
+        comm = Path(f'/proc/{member}/comm')
+        if comm.exists() and comm.read_text().strip() == NAME:
+            return member
+    return None
+
+
+def kill(recorder):
+    os.kill(recorder, signal.SIGKILL)
+
+
+def fill_the_disk(recorder):
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+
+@pytest.mark.parametrize(
+    ('harm', 'reason'),
+    [
+        (kill, 'its recorder was killed; cnc-interp repair'),
+        pytest.param(fill_the_disk, 'File too large', marks=pytest.mark.thorough),
+    ],
+)
+def test_a_run_goes_on_without_its_recorder_and_says_so(tmp_path, capfd, harm, reason):
+    program, bag = tmp_path / 'program.ngc', tmp_path / 'bag'
+    program.write_text('G21 G90 G0 X0 Y0 Z0\nG1 F1000\nX100\nM2\n')
+    words = ['run', program, '--record', bag]
+    run = subprocess.Popen([sys.executable, '-m', 'cnc_interp', *words])
+    until = time.monotonic() + PATIENCE
+    while sum(file.stat().st_size for file in bag.glob('*.mcap')) < 50_000:
+        assert run.poll() is None and time.monotonic() < until
+        time.sleep(0.1)
+    harm(recorder_of(run))
+    assert run.wait(PATIENCE) == 1
+    told = capfd.readouterr()
+    summary = told.out.splitlines()[0]
+    assert 'executed to the end' in summary and reason in summary
+    lines = [line for line in told.err.splitlines() if reason in line]
+    assert len(lines) == 1 and lines[0].endswith('the run goes on')
+    assert main(['repair', str(bag), '--out', str(tmp_path / 'repaired')]) == 0
 
 
 def first_times(items, number):

@@ -91,7 +91,7 @@ def test_a_full_disk_ends_the_record_and_the_summary_is_told(tmp_path, monkeypat
         def __init__(self, *_):
             pass
 
-        def finish(self, _client):
+        def finish(self):
             raise OSError(28, 'No space left on device', str(tmp_path / 'bag'))
 
     class Console(FullDisk):
@@ -104,13 +104,14 @@ def test_a_full_disk_ends_the_record_and_the_summary_is_told(tmp_path, monkeypat
         def run(self, *_):
             return [Result()]
 
-    monkeypatch.setattr(run_console, 'Recorder', FullDisk)
+    monkeypatch.setattr(run_console, 'RecorderProcess', FullDisk)
     monkeypatch.setattr(run_console, 'RunConsole', Console)
     monkeypatch.setattr(run_console, 'tool_warnings', lambda *_: [])
     request = SimpleNamespace(
         record=tmp_path / 'bag', out=None, settings=SimpleNamespace(tool_error=None)
     )
-    (result,) = run_console.run_recorded(request, None, SimpleNamespace(node=None), None, 0.0)
+    client = SimpleNamespace(namespace='/run', domain=0)
+    (result,) = run_console.run_recorded(request, None, client, None, 0.0)
     assert not result.ok
     assert result.message.startswith('executed to the end; ')
     assert 'No space left on device' in result.message

@@ -12,7 +12,9 @@ from cnc_interp.processes.this_host import (
     PEERS,
     PROFILE,
     RANGE,
+    SOCKETS,
     TRANSPORTS,
+    use_sockets_only,
     variables_of_this_host,
 )
 
@@ -34,6 +36,21 @@ ALONE = {RANGE: 'LOCALHOST', TRANSPORTS[0]: str(PROFILE)}
 )
 def test_what_the_user_has_set_is_respected(given, wanted):
     assert variables_of_this_host(given) == wanted
+
+
+@pytest.mark.parametrize(
+    ('given', 'wanted'),
+    [
+        ({}, {RANGE: 'SYSTEM_DEFAULT', TRANSPORTS[0]: str(SOCKETS)}),
+        (ALONE, {RANGE: 'SYSTEM_DEFAULT', TRANSPORTS[0]: str(SOCKETS)}),
+        ({TRANSPORTS[0]: 'own.xml'}, {RANGE: 'LOCALHOST', TRANSPORTS[0]: 'own.xml'}),
+        ({RANGE: 'SUBNET'}, {RANGE: 'SUBNET'}),
+    ],
+)
+def test_a_process_without_shared_memory_respects_it_too(given, wanted, monkeypatch):
+    monkeypatch.setattr(os, 'environ', dict(given))
+    use_sockets_only()
+    assert os.environ == wanted
 
 
 class Recorded:

@@ -1,0 +1,125 @@
+"""The recorder of a run, in a process of its own, which no work of the terminal delays.
+
+Over one pipe the recorder says that it hears every node, and at the end that the bag is whole; the
+run says how many setpoints the bag must hold. A pipe that is closed says that the other end died.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import multiprocessing
+import signal
+import time
+from collections.abc import Iterable
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from cnc_interp.client.bag import refuse_existing
+from cnc_interp.client.recorder import Recorder
+from cnc_interp.client.served_node import ServedNode
+from cnc_interp.core import InterpError
+from cnc_interp.nodes.node_main import come_first
+from cnc_interp.processes.fork_server import begin_child
+from cnc_interp.processes.node_processes import load_nodes
+from cnc_interp.processes.this_host import use_sockets_only
+
+NAME = 'recorder'  #: Of the process.
+NICENESS = -5  #: After the nodes, before all else: what it does not read in time is lost.
+SPIN = 0.05  #: Longest wait for a message [s]. The pipe is looked at after it.
+READY, WHOLE = 'ready', 'whole'  #: What the recorder says, unless it raises an error.
+#: Longest wait for the end of the record [s]: the last messages, and a slow disk.
+LAST_WAIT = 60.0
+
+
+def _live(
+    path: Path, namespace: str, domain: int, topics: tuple[str, ...], run: Connection
+) -> None:
+    begin_child(NAME)
+    # After a signal to all processes the machine comes to rest, which is recorded.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    come_first(NICENESS)
+    use_sockets_only()
+    try:
+        with ServedNode('record', namespace, domain) as node:
+            _keep(Recorder(node.node, path, topics), node, run)
+    except (InterpError, OSError) as fault:
+        _say(run, fault)
+
+
+def _keep(recorder: Recorder, node: ServedNode, run: Connection) -> None:
+    """Record until the run asks for the end, or has ended."""
+    ready = False
+    while recorder.fault is None and not run.poll():
+        node.serve(SPIN)
+        if not ready and recorder.ready():
+            ready = True
+            _say(run, READY)
+    if recorder.fault is None:
+        with contextlib.suppress(EOFError, OSError):  # the run was killed
+            recorder.wanted = run.recv()
+    recorder.finish(node)
+    _say(run, WHOLE)
+
+
+def _say(run: Connection, word: object) -> None:
+    with contextlib.suppress(OSError):  # the run has ended
+        run.send(word)
+
+
+class RecorderProcess:
+    """The end of the run; the recorder writes the bag ``path``."""
+
+    def __init__(self, path: Path, topics: Iterable[str], namespace: str, domain: int):
+        refuse_existing(path)
+        self._path = path
+        self.wanted = 0  #: Number of executed setpoints that the bag must hold.
+        self.fault: Exception | None = None  #: Why the record ended before the run.
+        self._said: set[str] = set()
+        self._pipe, recorder = multiprocessing.Pipe()
+        self._process = load_nodes().Process(
+            target=_live,
+            args=(path, namespace, domain, tuple(topics), recorder),
+            name=NAME,
+            daemon=True,  # whoever forgets to end it can end all the same
+        )
+        self._process.start()
+        recorder.close()
+
+    def look(self, timeout: float = 0.0) -> None:
+        """Hear what the recorder says, and whether it still lives."""
+        while self.fault is None and WHOLE not in self._said and self._pipe.poll(timeout):
+            try:
+                word = self._pipe.recv()
+            except (EOFError, OSError):
+                reason = f'its recorder was killed; cnc-interp repair {self._path} --out NEW'
+                word = OSError(errno.EPIPE, f'{reason} saves what it wrote', str(self._path))
+            if isinstance(word, Exception):
+                self.fault = word
+            else:
+                self._said.add(word)
+
+    def ready(self) -> bool:
+        """Tell whether the recorder hears all nodes; raises its error if it has ended."""
+        self.look()
+        if self.fault is not None:
+            raise self.fault
+        return READY in self._said
+
+    def finish(self) -> None:
+        """Let the recorder write its last messages. Raises an error if the bag is not whole."""
+        try:
+            with contextlib.suppress(OSError):  # it has ended
+                self._pipe.send(self.wanted)
+            until = time.monotonic() + LAST_WAIT
+            while self.fault is None and WHOLE not in self._said and time.monotonic() < until:
+                self.look(SPIN)
+            self._process.join(max(until - time.monotonic(), 0.0))
+        finally:
+            self._process.kill()
+            self._process.join()
+            self._pipe.close()
+        if self.fault is None and WHOLE not in self._said:
+            self.fault = OSError(errno.ETIMEDOUT, 'its recorder does not end', str(self._path))
+        if self.fault is not None:
+            raise self.fault

@@ -1,6 +1,7 @@
 """Manipulated messages of a record, on every topic: found by `check`, or by `replay --compare`."""
 
 import copy
+import json
 from array import array
 from pathlib import Path
 
@@ -9,14 +10,25 @@ import pytest
 
 pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
 
-from cnc_interp_msgs.msg import Function, G1Block, MachineState, SetpointChunk
+from cnc_interp_msgs.msg import (
+    FollowedSpindle,
+    Function,
+    G1Block,
+    MachineState,
+    ProbeContact,
+    SetpointChunk,
+)
+from rclpy.serialization import serialize_message
 
-from cnc_interp.client.bag import TOPICS, Bag
+from cnc_interp.client.bag import SEALED, TOPICS, Bag, BagWriter
 from cnc_interp.client.executed_run import faults_of
 from cnc_interp.client.recorded_run import recorded_run, write_run
 from cnc_interp.client.replay import compute_again
+from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import FOLLOWS
+from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 
@@ -319,3 +331,73 @@ def test_m0_needs_a_wait_for_cycle_start(held):
     machine = Machine.load(record.machine())
     found = faults_of(record, recorded_run(record), machine)
     assert any('did not wait for cycle_start after line' in fault for fault in found)
+
+
+def touched(record, beside):
+    """Add a contact of a probe: between two rows of the feedback, or some way beside."""
+    run, rows = recorded_run(record), record.read('axis_feedback')
+    chunk = rows[len(rows) // 2]
+    first, second = np.reshape(chunk.positions, (-1, run.chunks[0].axis_count))[:2]
+    point = (first + second) / 2 + beside
+    contact = ProbeContact(program_id=run.program_id, line_number=3, positions=point.tolist())
+    record.order.append(('probe_contact', 0, contact))
+
+
+@pytest.mark.parametrize('axis', range(5))
+def test_a_contact_where_the_axes_never_were_is_found(axis, held):
+    record, machine = copy.deepcopy(held), Machine.load(held.machine())
+    touched(record, 0.0)
+    assert faults_of(record, recorded_run(record), machine) == []
+    touched(record, np.where(np.arange(5) == axis, 1e-3, 0.0))
+    (fault,) = faults_of(record, recorded_run(record), machine)
+    assert fault.startswith('line 3: the axes were never where')
+
+
+def in_step(record, machine):
+    """Let a line be in step with the spindle, as blocks, segments and setpoints say."""
+    block, first = record.read('blocks')[1], machine.signals.words[FOLLOWS].start
+    step = Function(number=0, sequence=block.sequence, step=first)
+    segments = [s for batch in record.read('segments') for s in batch.segments]
+    sent, executed = record.read('setpoints'), record.read('executed_setpoints')
+    for message in (block, segments[0], sent[len(sent) // 2], executed[len(executed) // 2]):
+        message.functions = [step]
+    followed = FollowedSpindle(program_id=block.program_id, sequence=block.sequence)
+    record.order.append(('followed_spindle', 0, followed))
+
+
+def test_a_thread_without_its_spindle_is_found(held):
+    record, machine = copy.deepcopy(held), Machine.load('xyzac_trt')
+    in_step(record, machine)
+    assert faults_of(record, recorded_run(record), machine) == []
+    record.without(record.read('followed_spindle'))
+    (fault,) = faults_of(record, recorded_run(record), machine)
+    assert 'no followed_spindle of line' in fault
+
+
+def write_runs(folder, record, changes):
+    """Write a bag with a run for each change: the record, changed and under another name."""
+    writer, stamp = BagWriter(folder), 0
+    writer.note('machine_node', {'machine': record.machine()})
+    for k, change in enumerate(changes):
+        again = copy.deepcopy(record)
+        change(again)
+        for topic, _, message in again.order:
+            parts = [getattr(message, name, []) for name in ('blocks', 'segments')]
+            for part in (message, *parts[0], *parts[1]):
+                if hasattr(part, 'program_id'):
+                    part.program_id = f'run_{k}'
+            stamp += 1
+            data = sealed(message) if topic in SEALED else serialize_message(message)
+            writer.write(topic, data, stamp)
+    writer.close()
+
+
+@pytest.mark.parametrize('unsound', [(), (0,), (1,), (0, 1)])
+def test_each_run_of_a_bag_is_judged(unsound, held, tmp_path, capsys):
+    """Only the last run was judged, and nothing was said of the others."""
+    forged = BY_CHECK['an executed position off by 0.1 nm']
+    changes = [forged if k in unsound else lambda record: None for k in range(2)]
+    write_runs(tmp_path / 'bag', held, changes)
+    assert main(['check', str(tmp_path / 'bag'), '--json']) == int(bool(unsound))
+    parts = json.loads(capsys.readouterr().out)['parts']
+    assert [part['ok'] for part in parts] == [k not in unsound for k in range(2)]

@@ -14,15 +14,17 @@ import time
 from collections.abc import Iterable
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from cnc_interp.client.bag import refuse_existing
-from cnc_interp.client.recorder import Recorder
-from cnc_interp.client.served_node import ServedNode
 from cnc_interp.core import InterpError
 from cnc_interp.nodes.node_main import come_first
 from cnc_interp.processes.fork_server import begin_child
 from cnc_interp.processes.node_processes import load_nodes
 from cnc_interp.processes.this_host import use_sockets_only
+
+if TYPE_CHECKING:
+    from cnc_interp.client.recorder import Recorder
+    from cnc_interp.client.served_node import ServedNode
 
 NAME = 'recorder'  #: Of the process.
 NICENESS = -5  #: After the nodes, before all else: what it does not read in time is lost.
@@ -40,6 +42,10 @@ def _live(
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     come_first(NICENESS)
     use_sockets_only()
+    # Imported now, when this process comes before others: bags take a second of work.
+    from cnc_interp.client.recorder import Recorder
+    from cnc_interp.client.served_node import ServedNode
+
     try:
         with ServedNode('record', namespace, domain) as node:
             _keep(Recorder(node.node, path, topics), node, run)
@@ -71,6 +77,8 @@ class RecorderProcess:
     """The end of the run; the recorder writes the bag ``path``."""
 
     def __init__(self, path: Path, topics: Iterable[str], namespace: str, domain: int):
+        from cnc_interp.client.bag import refuse_existing
+
         refuse_existing(path)
         self._path = path
         self.wanted = 0  #: Number of executed setpoints that the bag must hold.

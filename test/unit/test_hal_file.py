@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cnc_interp.commands import identify
+from cnc_interp.commands import machine_files
 from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.machine.hal_file import columns_of, hal_file
@@ -112,7 +112,7 @@ def test_the_command_reads_all_files_and_tells_what_is_not_connected(tmp_path, c
 
 
 def test_a_file_that_is_not_there_is_sought_among_those_of_linuxcnc(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(identify, 'HAL_LIBRARY', tmp_path)
+    monkeypatch.setattr(machine_files, 'HAL_LIBRARY', tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'core_own.hal').write_text(HAL)
     for name in ('elsewhere/core_own.hal', 'LIB:core_own.hal'):

@@ -120,7 +120,8 @@ def test_a_surface_and_a_tool_are_measured(tmp_path):
     setup = JobSetup(tools={4: Tool(length=0.05)}, tool=4)
     bench = Bench(tmp_path, ['plane: [0, 0, -3]'], setup)
     bench.run('O<probe_surface> CALL [10] [300] [60]', [0.0, 0.0, 0.004])
-    assert abs(bench.zero('Z') + 3e-3) < 5 * UM
+    # As in a touch-off, the length of the tool in the spindle counts: a program calls it with G43.
+    assert abs(bench.zero('Z') + 3e-3 + 0.05) < 5 * UM
     # Without a length the tool ends 3 mm under the zero of G54: 3 mm longer than none.
     bench.setup = replace(bench.setup, work_offsets={'G54': {'Z': 0.010}})
     bench.run('O<probe_tool> CALL [-2] [20] [300] [60]', [0.0, 0.0, 0.004])

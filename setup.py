@@ -81,6 +81,7 @@ setup(
         'ruckig>=0.9,<1',
         'scipy>=1.11,<2',
         'shtab>=1.7,<2',
+        'toppra>=0.6,<0.7',
     ],
     # LGPL-2.1 with an exception (OpenCASCADE); its bindings are Apache-2.0.
     extras_require={

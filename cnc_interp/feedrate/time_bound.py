@@ -26,7 +26,6 @@ from cnc_interp.kinematics.axis_path import AxisPath, septic_coefficients, septi
 
 STEP = 3  #: Number of planner cells in one step of TOPP-RA.
 ROOM = 1e-9  #: Part of the largest b by which a step may miss its rows without being solved [-].
-EXACT = 1e-14  #: Part of its cap by which the largest b of a step may be too large [-].
 ROUNDING = 4e-16  #: Rounding of a difference of two positions, relative to them [-].
 
 
@@ -221,38 +220,17 @@ def _ceiling(
     return b, largest, rooms, points, *_step_rows(points, left, right, ways, largest)
 
 
-@njit(cache=True, nogil=True, error_model='numpy')
-def _largest_before(start: FloatArray, end: FloatArray, cap: float, after: float) -> float:
-    """Return the largest b <= cap with |end c - start b| <= 1 for some c <= after, per axis.
-
-    The largest c that the rows allow rises with b, and so does the largest b with c, both
-    piecewise linearly and concave: Newton's steps from above find where they meet.
-    """
-    b = cap
-    while True:
-        c, by_b = after, 0.0
-        for k in range(len(end)):
-            if end[k] > 0.0 and (1.0 + start[k] * b) / end[k] < c:
-                c, by_b = (1.0 + start[k] * b) / end[k], start[k] / end[k]
-        largest, by_c = cap, 0.0
-        for k in range(len(start)):
-            if start[k] > 0.0 and (1.0 + end[k] * c) / start[k] < largest:
-                largest, by_c = (1.0 + end[k] * c) / start[k], end[k] / start[k]
-        slope = by_b * by_c
-        following = b - (b - largest) / (1.0 - slope)
-        if b - largest <= EXACT * cap or not 0.0 <= following < b:
-            return b
-        b = following
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
 def _controllable(start: FloatArray, end: FloatArray, cap: FloatArray) -> FloatArray:
-    """Return the largest b from which the rest can be driven (TOPP-RA)."""
-    found, room = cap.copy(), ROOM * cap.max()
-    i = _last_conflict(start, end, found, room, len(start) - 1)
-    while i >= 0:
-        found[i] = _largest_before(start[i], end[i], cap[i], found[i + 1])
-        i = _last_conflict(start, end, found, room, i - 1)
+    """Return the largest b from which the rest can be driven (TOPP-RA); toppra for few steps."""
+    found, room, last = cap.copy(), ROOM * float(cap.max()), len(start) - 1
+    solver = None
+    while (last := _last_conflict(start, end, found, room, last)) >= 0:
+        if solver is None:
+            from cnc_interp.feedrate.toppra_stage import BackwardPass
+
+            solver = BackwardPass(start, end, cap)
+        found[last] = solver.largest(last, float(found[last + 1]))
+        last -= 1
     return found
 
 

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from operator import attrgetter
+from threading import Thread
 from typing import Any
 
 from cnc_interp_msgs.msg import MachineState, PathSegment, PathSegmentBatch, SetpointChunk
@@ -45,6 +47,14 @@ class PlanningThread:
         self.longest = 0.0  # time of the longest task since the last reading [s]
         self._executor = ThreadPoolExecutor(1, thread_name_prefix='plan')
         self._job: tuple[PlanningTask, Future[Any], float] | None = None
+        self._loads_rest = False
+
+    def load_rest(self) -> None:
+        """Import toppra in a thread once the machine moves; it takes a third of a second."""
+        if not self._loads_rest:
+            self._loads_rest = True
+            rest = 'cnc_interp.feedrate.toppra_stage'
+            Thread(target=import_module, args=[rest], daemon=True).start()
 
     def submit(self, task: PlanningTask) -> None:
         self._job = task, self._executor.submit(task.work), time.monotonic()
@@ -142,6 +152,8 @@ class FeedrateNode(LifecycleNode):
         report = machine_report(state)
         self._moves, self._heard = report.moves, time.monotonic()
         self._machine_waits = state.waits_for in WAITS or state.state == MachineState.IDLE
+        if self._moves:
+            self._thread.load_rest()
         self._session.see_machine(report)
         if self._inputs.see(state):
             self._work()  # settings also affect motion that is planned already

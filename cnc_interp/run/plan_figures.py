@@ -241,7 +241,7 @@ def windows_text(summary: Mapping[str, Any]) -> str:
 
 def versions() -> dict[str, str]:
     found = {'cnc_interp': __version__, 'python': platform.python_version()}
-    for name in ('numpy', 'numba', 'scipy', 'ruckig'):
+    for name in ('numpy', 'numba', 'scipy', 'toppra', 'ruckig'):
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -75,7 +75,9 @@ def test_what_other_nodes_say_is_ignored_and_they_are_named(nodes):
     node, said, forgers = nodes.node, {}, {}
     for topic, (kind, profile) in FOLLOWED.items():
         said[topic] = deque(maxlen=1)
-        node.create_subscription(kind, topic, said[topic].append, profile, raw=True)
+        node.create_subscription(
+            kind, topic, lambda data, kept=said[topic]: kept.append(data), profile, raw=True
+        )
         forgers[topic] = node.create_publisher(kind, topic, profile)
     nodes.be_known()
     goal = nodes.start(text=PROGRAM)

@@ -101,6 +101,7 @@ WITHOUT_KEY = {
     'zarr',
 }
 RENAMED = {
+    'toppra': 'python3-toppra-pip',
     'yaml': 'python3-yaml',
     'lark': 'python3-lark-parser',
     'ament_index_python': 'rclpy',

@@ -343,6 +343,8 @@ def test_any_polyline_comes_back(points, spaced, incremental):
     lines = ['G21 F100', 'G91' if incremental else 'G90']
     for point in points:
         words = np.subtract(point, here) if incremental else point
+        if incremental and not wanted:
+            wanted.append(here)  # the first way begins where the tool stands
         lines.append('G1' + ''.join(f'{gap}{k}{w:.3f}' for k, w in zip('XYZ', words, strict=True)))
         here = point
         if not wanted or wanted[-1] != point:

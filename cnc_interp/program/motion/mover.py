@@ -43,10 +43,8 @@ class Mover(ModalState):
             raise self.fault('axis words before G0 or G1; write G0 or G1 first')
         if self.leaves_contour and self.motion >= 2:
             raise self.fault('after G40 a line leads away; write G1 before the arc')
-        if self.targets.empty and (self.motion >= 2 or self._counts_from_here(words)):
-            self.go(
-                self.point, self.rotary, rapid=True
-            )  # so that the first block is not its start
+        if self.targets.empty and self._begins_here(words):
+            self.go(self.point, self.rotary, rapid=True)
         vector = self._vector_of(words, arc_words)
         if self.contact is not None:
             if arc_words is not None:
@@ -74,10 +72,12 @@ class Mover(ModalState):
         if by_machine:
             self.switch_tcp(by_machine)
 
-    def _counts_from_here(self, words: BlockWords) -> bool:
+    def _begins_here(self, words: BlockWords) -> bool:
+        """Tell whether a first block with a feed leads from where the tool stands."""
         usual = 'IC' if self.incremental else ''
         letters = words.values.keys() & {'X', 'Y', 'Z', *self.rotary_letters}
-        return any(words.ways.get(letter, usual) == 'IC' for letter in letters)
+        counts = any(words.ways.get(letter, usual) == 'IC' for letter in letters)
+        return (self.motion == 1 and counts) or self.motion in (2, 3)
 
     def _end_at_angle(self, target: FloatArray, letters: set[str], angle: float) -> None:
         a, b, _ = PLANES[self.plane]

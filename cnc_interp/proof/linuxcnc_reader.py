@@ -27,6 +27,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof.plain_reader import DWELL, PLANES, TCP_OFF, TCP_ON, ReadCall, ReadMove
 
 LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program.
+LEAST_FEED = 0.1  #: No block of G93 is slower for it, in units of the program a minute.
 #: Processor time [s], also for each MB of the text; memory, and length of files written [bytes].
 SECONDS, SECONDS_PER_MB, MEMORY, FILES = 8, 2, 1 << 30, 1 << 26
 #: Lines that may be printed: so many, and for each row of the plan and each line of the text.
@@ -260,6 +261,8 @@ class _Printed:
             line = line or float(np.linalg.norm(end[3:] - before[3:])) / DEG * self.unit
             if line:
                 duration, unsure = line / self.feed, digit * (2.0 / line + 1.0 / 60.0 / self.feed)
+            if self.feed <= LEAST_FEED * self.unit / 60.0:
+                unsure = float('inf')  # the block may take longer than it prints
         sweep = (turns > 0) - (turns < 0)
         self.worded = self.worded or bool(end[3:].any())
         return ReadMove(

@@ -108,7 +108,7 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     tab.wait(lambda: tab.text('work X') not in (None, '–') and tab.text('state') == 'idle')
     tab.click_with_mouse('zero X')
     tab.wait(lambda: tab.text('work X') == '0.000')
-    panel.give(tab, 'G91 G1 X3 F2000')
+    panel.give(tab, 'G90 G1 X3 F2000')
     tab.wait(lambda: tab.text('work X') == '3.000' and tab.text('state') == 'idle')
     before = here(panel)
     tab.run('document.querySelector(`[data-mark="pose"]`).scrollIntoView({block: "center"})')
@@ -128,7 +128,6 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     hold_key(tab, 'go to zero X', 2 * FILLS, device)
     tab.wait(lambda: tab.text('work X') == '0.000')
     assert here(panel) - before == pytest.approx([-3e-3, 0, 0, 0, 0], abs=1e-9)
-    panel.give(tab, 'G90')
 
 
 def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):

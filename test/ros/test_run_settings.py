@@ -3,6 +3,7 @@
 import math
 from collections import Counter, deque
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from cnc_interp_msgs.action import RunProgram
@@ -24,10 +25,11 @@ from cnc_interp.client.replay import compute_again
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import qos
+from cnc_interp.nodes.seals import place_of
 from cnc_interp.nodes.streams import opened, sealed
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings, texts_of
-from cnc_interp.wire.seals import SIZE
+from cnc_interp.wire.seals import SIZE, opened_seal
 
 Result = RunProgram.Result
 PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z0\nG1 X6 F2000\nY6\nX0 Y8\nM30\n'
@@ -75,9 +77,7 @@ def test_what_other_nodes_say_is_ignored_and_they_are_named(nodes):
     node, said, forgers = nodes.node, {}, {}
     for topic, (kind, profile) in FOLLOWED.items():
         said[topic] = deque(maxlen=1)
-        node.create_subscription(
-            kind, topic, lambda data, kept=said[topic]: kept.append(data), profile, raw=True
-        )
+        node.create_subscription(kind, topic, partial(keep, node, topic, said), profile, raw=True)
         forgers[topic] = node.create_publisher(kind, topic, profile)
     nodes.be_known()
     goal = nodes.start(text=PROGRAM)
@@ -103,6 +103,12 @@ def test_what_other_nodes_say_is_ignored_and_they_are_named(nodes):
         assert f'{topic} from {node.get_name()}' in result.message, (topic, sent, result.message)
     for forger in forgers.values():
         node.destroy_publisher(forger)
+
+
+def keep(node, topic, said, data):
+    """Keep what a node of the run said, and not what was forged after it."""
+    if opened_seal(place_of(node, topic), data) is not None:
+        said[topic].append(data)
 
 
 def forge(message):

@@ -75,6 +75,8 @@ SNIPPETS = {
     'inch turns': 'G0 X0 Y0 Z5\nG20\nG1 X0 F20\nG2 I0.403 J0\nG0 X-0.8585 Y-0.4',
     'kept tolerance': 'G20 G64 P0.01 F9\nG1 X1\nG21\nG98 G81 X2 Z-2 R2\nG80\nG1 X9 F9',
     'steep helix': 'G20 F33\nG91 G1 X0.12345\nG2 I0.35905 J0.00005 Z25.05',
+    # LinuxCNC gives no block of inverse time less than 0.1 in/min.
+    'short inverse time': 'G20\nG91\nG93 G1 X0.001 F20\nG90 X0.5 F3\nG94 F10\nG21',
     'rotary': 'G0 A10 C20\nG1 X5 A20\nG91 C30\nG90 G1 A0 C0 X0',
 }
 

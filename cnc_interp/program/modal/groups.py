@@ -83,7 +83,7 @@ class ModalValues:
 
 
 MODES: dict[str, Mode] = {each.name: each.metadata['mode'] for each in fields(ModalValues)}
-#: Words that set one value and do nothing else; two of one value in a block contradict.
+#: Words that only set a value. Two words for the same value in one block are rejected.
 SETTINGS: dict[str, tuple[str, Any]] = {
     code: (name, value)
     for name, mode in MODES.items()

@@ -126,8 +126,9 @@ def test_a_rapid_to_zero_begins_only_after_its_key_was_held(panel, phone):
     time.sleep(FILLS + 0.5)
     assert (here(panel) == before).all()
     hold_key(tab, 'go to zero X', 2 * FILLS, device)
-    tab.wait(lambda: tab.text('work X') == '0.000')
+    tab.wait(lambda: tab.text('work X') == '0.000' and tab.text('state') == 'idle')
     assert here(panel) - before == pytest.approx([-3e-3, 0, 0, 0, 0], abs=1e-9)
+    panel.give(tab, 'G90')
 
 
 def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_path):

@@ -515,9 +515,9 @@ def test_lines_by_hand_are_given_on_the_page(panel, long_program):
     tab.wait(lambda: {'G17', 'G90'} <= set(tab.text('modes').split()))
 
     before = np.array(panel.next_state().commanded_positions)
-    panel.give(tab, 'g91 g1 f2000', 'g91 g1 f2000: done')
+    panel.give(tab, 'g91 g1 f2000')
     tab.wait(lambda: {'G91', 'G1', 'F2000'} <= set(tab.text('modes').split()))
-    panel.give(tab, 'X2', 'X2: done')
+    panel.give(tab, 'X2')
     after = np.array(panel.next_state().commanded_positions)
     assert after - before == pytest.approx([0.002, 0, 0, 0, 0], abs=1e-9)
     # A refused line says why and stays to be corrected; nothing moves.

@@ -45,7 +45,6 @@ NEAR = 2e-3
 #: Cases that are not as expected, with the reason.
 EXCEPTIONS = {
     'ccomp-lathe-comp': 'lathe tools with an orientation, which a setup does not have',
-    'crazy-paths': 'a contour that crosses itself: the cutter does not fit',
     'g72-missing-iteration': 'a cycle of lathes',
     **dict.fromkeys(
         (f'g84-g{plane}-g{level}' for plane in (18, 19) for level in (98, 99)),

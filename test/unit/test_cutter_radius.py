@@ -233,6 +233,43 @@ def test_what_cannot_be_compensated_is_refused_with_its_line(text, part):
         read(f'G0 X-20 Y0 F900\n{text}')
 
 
+LAP = 'Y20\nX20\nY0\nX-20\n'  # its last line crosses the first one, which begins below the part
+LOOP = np.array([[0, 0], [0, 20], [20, 20], [20, 0], [0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ('contour', 'last'),
+    [
+        (LAP, 8),  # a lead along the first edge, and an exit that crosses it
+        (LAP + 'Y-20\nX0\n' + LAP, 14),  # twice
+        (LAP + 'Z4\nX-30\nY-20\nX0\n' + LAP + 'X-25\nY-25\nX0\n' + LAP, 23),
+        ('Y20\nX20\nY0\nX0\nY20\nX20\nY0\nX0\nY10\nX-8\n', 14),  # two laps, an exit across
+        ('Y20\nX20\nY0\nX-3\nG3 X-15 I-6\n', 9),  # away on an arc
+    ],
+)
+def test_leads_along_the_contour_and_laps_leave_the_part_whole(contour, last):
+    """Issue 56: they were refused, while controls and LinuxCNC run them."""
+    text = f'G41 D1\nG1 X0 Y-8 F900\n{contour}G40 G1 X-40\n'
+    points = path(text, range(4, last + 1))
+    away = distances(dense(points), LOOP)
+    assert away.min() > 5.0 - CHORD
+    inside = (np.abs(points[:, :2] - 10.0).max(axis=1) < 10.0).any()
+    assert not inside
+
+
+@pytest.mark.parametrize(
+    'contour',
+    [
+        'Y20\nX20\nY0\nX-8\nY6\nX5\n',  # the exit comes back to the part
+        'Y20\nX20\nY12\nX8\nY9\nX20\nY0\nX-8\n',  # a slot of 3 mm
+        'Y20\nX20\nY0\nX-8\nY-9\nX0\nY30\nX-3\nY2\n',  # after the lap down along its edge
+    ],
+)
+def test_a_cut_into_the_part_is_refused_also_beside_leads(contour):
+    with pytest.raises(ProgramError, match='does not fit'):
+        path(f'G41 D1\nG1 X0 Y-8 F900\n{contour}G40 G1 X-40\n')
+
+
 def test_rotary_motion_is_refused_beside_a_contour():
     with pytest.raises(ProgramError, match='rotary motion'):
         read('G0 X-20 Y0 A0 C0\nG41 D1\nG1 X0 Y0 F900\nX40 A5', AC)

@@ -4,8 +4,10 @@ Each element is offset by d, positive to the left (G41): a line along its normal
 radius R - d if it runs counter-clockwise, else R + d. At an outer corner the tool rolls about the
 vertex; at an inner one the offsets are cut where they meet. Points in the plane are complex.
 
-The first line leads beside the start of the next element, or beside its own end (LinuxCNC). What
-stands before and after a closed contour leads, too, and may be cut.
+The first line leads beside the start of the next element, or beside its own end (LinuxCNC).
+
+Where the contour meets itself, it closes a loop: that is what it keeps. What runs to the loop and
+away from it is a lead, which nothing keeps from being cut; the tool must not cut into the loop.
 """
 
 from __future__ import annotations
@@ -26,9 +28,11 @@ SMOOTH = 1e-6  #: Two elements meet without a corner if their directions differ 
 SHORTEST, ROUNDING = 1e-9, 1e-9
 #: A cutter can touch the contour again within so many elements; more are not compared.
 COMPARED = 60
-#: So many elements before and after a closed contour can be leads; how near it closes [m].
-LEADS, CLOSED = 4, 0.01 * MM
-#: Offsets that do not meet at a smaller inner turn are joined as they are [rad].
+#: So many elements before and after a loop can be leads; how near it closes, and a shorter one is
+#: none [m].
+LEADS, CLOSED, SHORTEST_LOOP = 4, 0.01 * MM, 0.1 * MM
+#: Offsets that do not meet at a smaller inner turn are joined as they are; at a turn that lacks
+#: less of half a turn the tool goes about the vertex [rad].
 NEARLY_SMOOTH = 0.05
 #: Shares of an element at which its distance from others is compared.
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -69,6 +73,32 @@ class Element:
             return self.along
         away = (point - self.centre) * (1j if self.sweep > 0.0 else -1j)
         return away / abs(away)
+
+    @property
+    def length(self) -> float:
+        return self.radius * abs(self.sweep) if self.is_arc else abs(self.end - self.start)
+
+    def is_near(self, other: Element, distance: float) -> bool:
+        """Tell, by circles around both, whether two elements may be so near to each other."""
+        middles, reach = [], distance
+        for one in (self, other):
+            middles.append(one.centre if one.is_arc else 0.5 * (one.start + one.end))
+            reach += one.radius if one.is_arc else 0.5 * abs(one.end - one.start)
+            reach += abs(abs(one.end - one.centre) - one.radius) if one.is_arc else 0.0
+        return abs(middles[1] - middles[0]) <= reach
+
+    def parted(self, point: complex) -> tuple[Element, Element]:
+        """Return what lies before and after one of its points."""
+        first, second = replace(self, end=point), replace(self, start=point)
+        if self.is_arc:
+            sign = float(np.copysign(1.0, self.sweep))
+            angle = float(np.angle((point - self.centre) / (self.start - self.centre)))
+            turned = sign * angle % (2.0 * pi) % abs(self.sweep)
+            first, second = (
+                replace(first, sweep=sign * turned),
+                replace(second, sweep=self.sweep - sign * turned),
+            )
+        return first, second
 
     def at(self, share: float) -> complex:
         if not self.is_arc:
@@ -137,6 +167,18 @@ def crossings(first: Element, second: Element) -> list[complex]:
     return [first.start - way.imag / across * first.along]
 
 
+def meeting(first: Element, second: Element) -> complex | None:
+    """Return where an element first meets an earlier one, or None."""
+    if not first.is_near(second, CLOSED):
+        return None
+    found = [
+        point
+        for point in (*crossings(first, second), first.start, second.end)
+        if max(first.distance(point), second.distance(point)) < CLOSED
+    ]
+    return min(found, key=lambda point: abs(point - second.start), default=None)
+
+
 class CutterRadius:
     def __init__(
         self,
@@ -155,14 +197,18 @@ class CutterRadius:
         self._before: Element | None = None  # the last one, as programmed
         self._stood: complex | None = None  # where the line began that leads to the contour
         self._count = 0  # elements of the contour so far
-        self._closed = (0, -1)  # its first and last element, if it is closed
-        self._pending: list[tuple[int, int, ProgramError]] = []  # cuts into what may be a lead
+        # The first elements, and those of the last ones, as programmed, each with its number and
+        # how far along the contour it ends [m]; leads are left out.
+        self._first: list[tuple[int, Element, float]] = []
+        self._parts: deque[tuple[int, Element, float]] = deque(maxlen=COMPARED)
+        self._length = 0.0  # of the contour so far [m]
+        self._is_closed = False  # whether a loop begins in the first elements
+        self._met = -LEADS - 1  # the last element that meets an earlier one
+        # Pieces of the path that cut into what may be a lead: with their row, and both numbers.
+        self._pending: list[tuple[Element, FloatArray, int, int]] = []
         # The row of the last element, and moves along the normal.
         self._rows: list[FloatArray] = []
-        # Of the contour, as programmed, and of the path, each with its number.
-        self._parts: deque[tuple[int, Element]] = deque(maxlen=COMPARED)
-        self._path: deque[tuple[int, Element]] = deque(maxlen=COMPARED)
-        self._first: list[complex] = []  # where the first elements begin
+        self._path: deque[tuple[int, Element]] = deque(maxlen=COMPARED)  # of the tool centre
 
     def _flat(self, point: FloatArray) -> complex:
         return complex(point @ self._frame[:, 0], point @ self._frame[:, 1])
@@ -194,7 +240,7 @@ class CutterRadius:
             return [row]
         self._pace(element, row)
         self._here = element.end
-        if not (self._parts or self._rows):
+        if not (self._count or self._rows):
             if element.is_arc or self._own_entry:
                 self._enter(element, row)
             self._rows, self._before = [row], element
@@ -212,10 +258,7 @@ class CutterRadius:
         rise = float((row[col.POINT] - self._point) @ self._frame[:, 2])
         self._point = row[col.POINT].copy()
         if isfinite(row[col.DURATION]):
-            length = abs(element.end - element.start)
-            if element.is_arc:
-                length = element.radius * abs(element.sweep)
-            row[col.FEEDRATE] = float(np.hypot(length, rise)) / row[col.DURATION]
+            row[col.FEEDRATE] = float(np.hypot(element.length, rise)) / row[col.DURATION]
             row[col.DURATION] = nan
 
     def _enter(self, element: Element, row: FloatArray) -> None:
@@ -256,18 +299,24 @@ class CutterRadius:
         assert self._before is not None
         leaves = self._before.direction(self._before.end)
         turn = float(np.angle(element.direction(element.start) / leaves))
-        if abs(abs(turn) - pi) < SMOOTH:
-            # Back along itself: about its end, unless the tool stands between both.
-            bend = self._before.curvature + element.curvature
-            between = bend * self._distance < 0.0
-            turn = float(np.copysign(pi, self._distance if between else -self._distance))
-        vertex = element.start
+        side = float(np.copysign(1.0, self._distance))
+        bend = (self._before.curvature + element.curvature) * side
+        back, is_inner = pi - abs(turn), turn * side > 0.0
+        if back < SMOOTH or (back < NEARLY_SMOOTH and bend < 0.0):
+            is_inner = bend < 0.0  # back along itself, and the tool stands between both
+        vertex, inner = element.start, list[tuple[complex, Element]]()
+        for point in crossings(self._last, offset) if is_inner else []:
+            after = offset.between(point, offset.end)
+            if after is not None and self._last.between(self._last.start, point) is not None:
+                inner.append((point, after))
+        is_inner = is_inner and (bool(inner) or back >= NEARLY_SMOOTH)
         if abs(turn) < SMOOTH:
             ready, self._last = self._to(offset.start, row), offset
-        elif turn * self._distance < 0.0:
+        elif not is_inner:
+            turn -= 2.0 * pi * side * (turn * side > 0.0)
             ready = self._to(vertex + 1j * self._distance * leaves, row)
             about = Element(self._flat(ready[-1][col.POINT]), offset.start, vertex, turn)
-            self._path.append((self._count - 1, about))
+            self._keep_clear(about, row)
             around = self._row_of(about, ready[-1])
             if isfinite(row[col.FEEDRATE]):
                 around[col.FEEDRATE] = row[col.FEEDRATE]  # F of the element after the corner
@@ -275,19 +324,21 @@ class CutterRadius:
             around[col.EXACT_STOP] = float(ready[-1][col.EXACT_STOP] == 1.0)
             ready.append(around)
             self._last = offset
+        elif inner:
+            last = self._last
+
+            def order(each: tuple[complex, Element]) -> tuple[bool, float]:
+                beyond = max(last.distance(each[0]), offset.distance(each[0])) > CLOSED
+                return beyond, abs(each[0] - vertex)
+
+            point, after = min(inner, key=order)  # rather of both than of what would follow them
+            ready, self._last = self._to(point, row), after
         else:
-            found = sorted(crossings(self._last, offset), key=lambda point: abs(point - vertex))
-            for point in found:
-                after = offset.between(point, offset.end)
-                if after is not None and self._last.between(self._last.start, point) is not None:
-                    ready, self._last = self._to(point, row), after
-                    break
-            else:
-                ready = self._to(vertex + 1j * self._distance * leaves, row)
-                joined = offset.between(self._flat(ready[-1][col.POINT]), offset.end)
-                if abs(turn) > NEARLY_SMOOTH or joined is None:
-                    raise self._fault(_NO_FIT, row)
-                self._last = joined
+            ready = self._to(vertex + 1j * self._distance * leaves, row)
+            joined = offset.between(self._flat(ready[-1][col.POINT]), offset.end)
+            if abs(turn) > NEARLY_SMOOTH or joined is None:
+                raise self._fault(_NO_FIT, row)
+            self._last = joined
         return ready
 
     def _to(self, end: complex, row: FloatArray) -> list[FloatArray]:
@@ -298,15 +349,15 @@ class CutterRadius:
             raise self._fault(_NO_FIT, row)
         if self._stood is not None:
             part, self._stood = replace(part, start=self._stood), None
-        elif self._parts:
-            self._path.append((self._count - 1, part))
-            for number, element in self._parts:
-                for share in SHARES:
-                    self._check(
-                        element.distance(part.at(share)), self._rows[0], number, self._count - 1
-                    )
+        elif self._count:
+            self._keep_clear(part, self._rows[0])
         first, *others = self._rows
         return [self._row_of(part, first), *(self._moved(other, end) for other in others)]
+
+    def _keep_clear(self, path: Element, row: FloatArray) -> None:
+        self._path.append((self._count - 1, path))
+        for number, element, _ in self._parts:
+            self._judge(path, element, row, number, self._count - 1)
 
     def _row_of(self, part: Element, row: FloatArray) -> FloatArray:
         made = self._moved(row, part.end)
@@ -319,49 +370,75 @@ class CutterRadius:
         return made
 
     def _compare(self, element: Element, row: FloatArray) -> None:
-        number = self._count
-        self._parts.append((number, element))
+        """Take an element of the contour; unless it is a lead, judge the path so far by it."""
+        number, kept = self._count, element
+        self._length += element.length
+        is_lead = number - self._met <= LEADS
         self._count += 1
         if number <= LEADS:
-            self._first.append(element.start)
-        closes = [
-            first
-            for first, begin in enumerate(self._first[:number])
-            if element.distance(begin) < CLOSED < abs(element.start - begin)
-        ]
+            self._first.append((number, element, self._length))
         if element.is_arc and abs(element.sweep) > 2.0 * pi - SMOOTH:
-            closes = [number]
-        if closes:
-            self._closed = closes[0], number
-            for before, after, fault in self._pending:
-                if before >= closes[0] and after <= number:
-                    raise fault
-            self._pending.clear()
-        for other, part in list(self._path)[:-1]:
-            for share in SHARES:
-                self._check(part.distance(element.at(share)), row, other, number)
+            self._met = number
+            self._close(number, element)
+        elif (met := self._meeting(element)) is not None:
+            self._met = number
+            first, where = met
+            kept, _ = element.parted(where)
+            if first <= LEADS:
+                self._close(first, self._first[first][1].parted(where)[1])
+        if is_lead:
+            return
+        self._parts.append((number, kept, self._length))
+        for other, path in list(self._path)[:-1]:
+            self._judge(path, kept, row, number, other)
 
-    def _check(self, distance: float, row: FloatArray, one: int, other: int) -> None:
-        """Raise if the tool centre is too near to the contour; possible leads are judged later."""
-        if distance >= abs(self._distance) - row[col.CONTOUR]:
+    def _meeting(self, element: Element) -> tuple[int, complex] | None:
+        """Return the first element that this one meets, and where."""
+        recent = [part for part in self._parts if part[0] > LEADS]
+        for other, part, end in (*self._first, *recent):
+            loop = self._length - element.length - end
+            if loop > SHORTEST_LOOP and (where := meeting(part, element)) is not None:
+                return other, where
+        return None
+
+    def _close(self, first: int, begin: Element) -> None:
+        """Close a loop that begins with an element, or a part of it; before it are leads."""
+        if self._is_closed or first > LEADS:
             return
-        before, after = sorted((one, other))
-        begin, end = self._closed
-        if before < begin or (end >= 0 and end < after <= end + LEADS):
+        self._is_closed = True
+        _, _, end = self._first[first]
+        self._first[first] = first, begin, end
+        kept = [self._first[first], *(part for part in self._parts if part[0] > first)]
+        self._parts = deque(kept, COMPARED)
+        for path, row, number, other in self._pending:
+            if number >= first:
+                self._judge(path, self._first[number][1], row, number, other)
+        self._pending.clear()
+
+    def _judge(
+        self, path: Element, part: Element, row: FloatArray, number: int, other: int
+    ) -> None:
+        """Raise if a piece of the path is too near to a part; possible leads are judged later."""
+        if not path.is_near(part, abs(self._distance)):
             return
-        short = (abs(self._distance) - distance) / MM
+        apart = min(
+            min(path.distance(part.at(share)), part.distance(path.at(share))) for share in SHARES
+        )
+        if apart >= abs(self._distance) - row[col.CONTOUR]:
+            return
+        if number <= LEADS and not self._is_closed and abs(other - number) > 1:
+            self._pending.append((path, row, number, other))
+            return
+        short = (abs(self._distance) - apart) / MM
         fault = self._fault(f'{_NO_FIT}; it would cut {short:.3g} mm into the contour', row)
-        if self._told is not None:
-            self._told(fault)
-            return
-        if before >= LEADS or end >= 0 or after - before < 2:
+        if self._told is None:
             raise fault
-        self._pending.append((before, after, fault))
+        self._told(fault)
 
     def end(self) -> Iterable[FloatArray]:
         rows, self._rows = self._rows, []
-        if self._pending:
-            raise self._pending[0][2]
+        if self._first:
+            self._close(0, self._first[0][1])  # without a loop, all of it is kept
         if not rows or self._last is None:
             return rows
         self._rows = rows

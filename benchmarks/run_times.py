@@ -26,10 +26,10 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run.time_fit import (
     Fitted,
     Motion,
-    Run,
     TimedProgram,
     TimeFit,
     Trace,
+    TracedRun,
     measured_override,
 )
 from cnc_interp.settings.options import Settings
@@ -59,7 +59,7 @@ def section_times(
 
 
 def fit(traces: list[tuple[TimedProgram, Trace]], machine: Machine) -> Fitted:
-    runs = [Run.of(program, trace) for program, trace in traces]
+    runs = [TracedRun.of(program, trace) for program, trace in traces]
     found = TimeFit(machine, runs, lambda text: print(f'    {text}', flush=True)).solve()
     for key, (value, width) in found.values.items():
         print(f'    {key:50s} {value:9.4g} +- {width:.2g}')

@@ -24,6 +24,7 @@ from make_pictures import BLUE, INK, ORANGE, PICTURES, QUIET, STYLE
 from matplotlib import pyplot as plt
 from scipy.optimize import fsolve
 
+from cnc_interp.cam.classical import classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes
 from cnc_interp.cam.iso_scallop import IsoScallopOptions, IsoScallopPaths, iso_scallop_paths
@@ -39,7 +40,6 @@ from cnc_interp.cam.surface_file import read_part
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.commands.cli import main as command
 from cnc_interp.core import DEG, MM, UM, FloatArray
-from cnc_interp.papers.classical import classical_paths
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / 'benchmarks'))

@@ -31,11 +31,11 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.papers.parametrization import STEP as PAPER_STEP
 from cnc_interp.program import Program, read_program
-from cnc_interp.report.dense_blocks import lengths
+from cnc_interp.report.corners import lengths
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import top_parameters
+from cnc_interp.smoothing.corners.paper_parametrization import STEP as PAPER_STEP
 from cnc_interp.smoothing.segments import CORNER
 
 HERE = Path(__file__).parent

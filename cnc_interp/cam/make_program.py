@@ -5,7 +5,6 @@ import json
 import sys
 import time
 from dataclasses import asdict
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -223,8 +222,9 @@ def _followed(
         planes = iso_scallop_paths(surface, cutter, normal, _choices(options), show)
         progress.end(complete=True)
         return planes
-    classical = import_module('cnc_interp.papers.classical').classical_paths
-    paths = classical(
+    from cnc_interp.cam.classical import classical_paths
+
+    paths = classical_paths(
         surface, cutter, normal, _left_by_passes(options), options.tilt * DEG, progress=show
     )
     progress.end(complete=not paths.loop)

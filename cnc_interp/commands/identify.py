@@ -89,7 +89,7 @@ def fit_limits_command(options: Namespace) -> int:
     from cnc_interp.core.small_files import read_yaml
     from cnc_interp.machine_model.machine import Machine, find_machine_file
     from cnc_interp.report.identified import fitted_text, time_rows, value_text, write_fitted
-    from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
+    from cnc_interp.run.time_fit import TimedProgram, TimeFit, Trace, TracedRun, measured_override
 
     if len(options.pairs) % 2:
         raise InterpError('each TRACE needs its PROGRAM after it')
@@ -101,7 +101,7 @@ def fit_limits_command(options: Namespace) -> int:
         plain = programs.setdefault((path, 1.0), TimedProgram.load(path, machine, settings))
         override = measured_override(plain, trace)
         program = programs.setdefault((path, override), plain.overridden(override))
-        runs.append(Run.of(program, trace))
+        runs.append(TracedRun.of(program, trace))
         print(f'{file.name}: {len(runs[-1].windows)} windows, feed override {override:.1%}')
     found = TimeFit(machine, runs, lambda text: print(text, flush=True)).solve()
     for key, pair in found.values.items():

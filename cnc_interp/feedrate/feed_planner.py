@@ -20,7 +20,7 @@ hardly have made it faster. One window holds a few such horizons.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -207,8 +207,11 @@ class FeedPlanner:
         self._older: Stretch | None = None
         self._failed = False
         self._problem: PlanningError | None = None
-        law = self.options.law
-        self._law = jerk_stage if law == 'optimal' else import_module(f'cnc_interp.papers.{law}')
+        self._law: ModuleType = jerk_stage
+        if self.options.law == 'vpop':
+            from cnc_interp.feedrate import vpop
+
+            self._law = vpop
         self._tool = tool  # with the drives at the start of the path
         self._scan_again(self.options.window_ratio)
 

@@ -27,7 +27,7 @@ class PlanOptions:
     bound: bool = True  #: Whether the least time is computed; the law is the same.
     below_ceiling: bool = False  #: Whether the jerk stage starts below the ceiling.
     reserve: float = 0.029  #: Part of a limit left free where a law could not brake [-].
-    law: str = 'optimal'  #: 'optimal' for the jerk stage, else a module of ``papers``: 'vpop'.
+    law: str = 'optimal'  #: 'optimal' for the jerk stage, or 'vpop'.
     step: float = 1e-3  #: Longest step of 'vpop' [s].
 
     def finer(self) -> PlanOptions:

@@ -15,7 +15,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import STOPS
 from cnc_interp.report import html
 from cnc_interp.report.series import extremes
-from cnc_interp.run.time_fit import Fitted, Run
+from cnc_interp.run.time_fit import Fitted, TracedRun
 
 #: Length of a window of the measured transfer function [s], and where it is believed.
 WINDOW, COHERENCE = 0.5, 0.8
@@ -181,7 +181,9 @@ def value_text(value: float, half_width: float) -> str:
     return f'{value:.4g}' + (f' +- {half_width:.2g}' if np.isfinite(half_width) else '')
 
 
-def time_rows(runs: Sequence[Run], found: Fitted) -> Iterator[tuple[str, str, str, str, str]]:
+def time_rows(
+    runs: Sequence[TracedRun], found: Fitted
+) -> Iterator[tuple[str, str, str, str, str]]:
     """Yield trace, lines, measured and planned time of the motion between two functions."""
     for run, motion in zip(runs, found.motions, strict=True):
         measured, planned = run.measured, run.planned(motion)
@@ -214,7 +216,7 @@ def fitted_text(content: Mapping[str, Any], found: Fitted, names: Sequence[str])
     return '\n'.join([*head, yaml.safe_dump(whole, sort_keys=False, default_flow_style=None)])
 
 
-def write_fitted(runs: Sequence[Run], found: Fitted, out: Path) -> None:
+def write_fitted(runs: Sequence[TracedRun], found: Fitted, out: Path) -> None:
     values = [(escape(key), value_text(*pair)) for key, pair in found.values.items()]
     heads = 'record', 'lines', 'measured, s', 'planned, s', 'off'
     tables = html.table(('key of the machine file', 'value'), values) + html.table(
@@ -234,7 +236,7 @@ def write_fitted(runs: Sequence[Run], found: Fitted, out: Path) -> None:
     html.write(out, title, f'<h1>{title}</h1>' + ''.join(sections))
 
 
-def _feeds(run: Run, motion: Any) -> Any:
+def _feeds(run: TracedRun, motion: Any) -> Any:
     from plotly.subplots import make_subplots
 
     figure = make_subplots(rows=1, cols=1)

@@ -210,7 +210,7 @@ def measured_velocities(program: TimedProgram, trace: Trace) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Run:
+class TracedRun:
     """A recorded run of a program, divided into windows and tool changes."""
 
     program: TimedProgram
@@ -218,7 +218,7 @@ class Run:
     windows: IntArray  #: (w, 2): Events at which windows of plain motion begin and end.
 
     @staticmethod
-    def of(program: TimedProgram, trace: Trace) -> Run:
+    def of(program: TimedProgram, trace: Trace) -> TracedRun:
         switched, windows, first = program.switched, [], -1
         for event, line in enumerate(trace.line):
             # The line after a function may wait for it, too.
@@ -231,7 +231,7 @@ class Run:
                 first = event
         if not windows:
             raise InterpError(f'{trace.name}: no {SPAN:g} s of motion without a function')
-        return Run(program, trace, np.array(windows))
+        return TracedRun(program, trace, np.array(windows))
 
     @property
     def measured(self) -> FloatArray:
@@ -301,7 +301,7 @@ def with_parameters(machine: Machine, x: FloatArray) -> Machine:
 class TimeFit:
     """The fit to several runs; runs of the same program are planned once."""
 
-    def __init__(self, machine: Machine, runs: Sequence[Run], tell: Callable[[str], None]):
+    def __init__(self, machine: Machine, runs: Sequence[TracedRun], tell: Callable[[str], None]):
         velocity = machine.max_velocity.copy()
         seen = np.max([measured_velocities(run.program, run.trace) for run in runs], axis=0)
         velocity[:3] = np.where(seen > 0.0, seen, velocity[:3])

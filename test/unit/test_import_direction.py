@@ -33,7 +33,6 @@ FLOW = (
     'report',
     'description',
     'cam',
-    'papers',
     'library',
     'problems',
     'batch',
@@ -242,21 +241,7 @@ def test_circles_are_seen():
     assert circles({'a': {'b'}, 'b': {'c'}, 'c': {'d'}, 'd': {'b'}, 'e': {'a'}}) == ['b', 'c', 'd']
 
 
-def test_what_exists_to_compare_is_loaded_by_name_in_its_ports_only():
-    ports = {
-        dotted_name(path): path.read_text().count("import_module('cnc_interp.papers.")
-        + path.read_text().count("import_module(f'cnc_interp.papers.")
-        for path in modules()
-        if 'cnc_interp.papers' in path.read_text() and room_of(dotted_name(path)) != 'papers'
-    }
-    assert ports == {
-        'cnc_interp.cam.make_program': 1,
-        'cnc_interp.feedrate.feed_planner': 1,
-        'cnc_interp.smoothing.corners.connection': 1,
-    }
-
-
-def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_loads_the_papers():
+def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_for_methods_to_compare():
     """A merged file brought scipy.interpolate into every plan and node: a quarter of a second."""
     script = (
         'import sys, cnc_interp.run.chain, cnc_interp.run.run_planner, cnc_interp.commands.cli\n'
@@ -264,7 +249,8 @@ def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_loads_the_papers(
         "print([name for name in heavy if f'scipy.{name}' in sys.modules])\n"
         'import cnc_interp.nodes.feedrate_node, cnc_interp.nodes.lookahead_node\n'
         'import cnc_interp.cam.make_program\n'
-        "print([name for name in sys.modules if name.startswith('cnc_interp.papers')])"
+        "compared = ('vpop', 'paper_parametrization', 'classical')\n"
+        "print([name for name in sys.modules if name.rpartition('.')[2] in compared])"
     )
     done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
     assert done.stdout == '[]\n[]\n', done.stderr

@@ -10,7 +10,7 @@ import yaml
 from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.run import time_fit
-from cnc_interp.run.time_fit import Run, TimedProgram, TimeFit, Trace, measured_override
+from cnc_interp.run.time_fit import TimedProgram, TimeFit, Trace, TracedRun, measured_override
 from cnc_interp.settings.options import Settings
 
 SUITE = Path(__file__).parents[3] / 'shared/suites/nist-box'
@@ -150,7 +150,7 @@ def test_parts_of_a_long_program_take_their_time_in_the_whole(tmp_path, monkeypa
     assert parts == pytest.approx(whole, rel=1e-3)
     # What is left out of a long program counts by the windows that are planned.
     begins = program.motion(machine).until(program.lines[1:])
-    run = Run.of(program, Trace('long', begins, program.lines[1:], np.zeros((0, 2))))
+    run = TracedRun.of(program, Trace('long', begins, program.lines[1:], np.zeros((0, 2))))
     kept = int(program.covers(run.trace.line[run.windows]).sum())
     assert 0 < kept < len(run.windows)
     fit = TimeFit(machine, [run], print)
@@ -170,7 +170,7 @@ def test_sections_of_a_real_machine_are_predicted_from_another_part(tmp_path):
         for number in numbers:
             trace = Trace.load(SUITE / f'{name}_part{number}_blocks.csv')
             program = TimedProgram.load(SUITE / f'{name}.nc', machine, settings)
-            yield Run.of(program.overridden(measured_override(program, trace)), trace)
+            yield TracedRun.of(program.overridden(measured_override(program, trace)), trace)
 
     found = TimeFit(machine, list(recorded_runs('OP2', ('11', '12'))), print).solve()
     for run in recorded_runs('OP3', ('06', '07')):

@@ -11,13 +11,12 @@ to that order, where the length rho of D is free. There are three methods:
             polynomial E, which is zero at both ends. Tip and axis are then C2 (C3).
 ``linear``  f(u) = u and E = 0. Industrial controls do this by default; [B2013] compares with it.
 ``paper``   Newton's method on the discrete third derivative of the axis (Eq. 11); see
-            ``papers/parametrization.py``.
+            ``paper_parametrization.py``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from math import comb
 
 import numpy as np
@@ -78,15 +77,8 @@ def poses(curves: Curves, u: float) -> tuple[FloatArray, FloatArray]:
     return tip, tool / norm(tool)[:, None]
 
 
-def connect(
-    curves: Curves, height: float, axes: FloatArray, rates: FloatArray, method: str
-) -> None:
-    """Compute the connection E and the parametrization f of corners in place."""
-    if method == 'paper':
-        paper = import_module('cnc_interp.papers.parametrization')
-        curves.parametrization[:] = paper.spans(curves, axes, rates)
-    if method != 'exact':
-        return
+def connect(curves: Curves, height: float, axes: FloatArray, rates: FloatArray) -> None:
+    """Compute E and f of corners in place, so that tip and axis are smooth: ``exact``."""
     ends = (
         End(curves.bottom, curves.top, height, axes[:, 0], rates[:, 0]),
         End(curves.bottom[:, ::-1], curves.top[:, ::-1], height, axes[:, 1], -rates[:, 1]),

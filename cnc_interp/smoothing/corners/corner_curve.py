@@ -131,7 +131,12 @@ def build(
     for side in (0, 1):
         leg = top[:, 4 * side] - top[:, 2]
         top[:, 1 + 2 * side] = top[:, 2] + shares[:, side, None] * leg
-    connect(curves, style.height, axes, corners.rates, style.method)
+    if style.method == 'exact':
+        connect(curves, style.height, axes, corners.rates)
+    elif style.method == 'paper':
+        from cnc_interp.smoothing.corners.paper_parametrization import spans
+
+        curves.parametrization[:] = spans(curves, axes, corners.rates)
     return curves
 
 

@@ -18,7 +18,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine_traits import MachineTraits
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.settings.options import Settings
-from cnc_interp.smoothing.dense.curve_fit import Curve, Run, Window
+from cnc_interp.smoothing.dense.curve_fit import Curve, DenseRun, Window
 from cnc_interp.smoothing.dense.end_lines import EndLine, extended, with_end_line
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 from cnc_interp.smoothing.dense.path_rows import Rows, Spans
@@ -49,7 +49,7 @@ class Compressor:
         self._first = row
         self._at = 0  # all blocks before this vertex have been sent
         self._begun = False
-        self._run: Run | None = None
+        self._run: DenseRun | None = None
         self._start = self._next = self._last = 0  # first, next and last vertex of the run
         self._lead: EndLine | None = None  # line before the run, if not sent yet
         self._tail: EndLine | None = None  # line after the run
@@ -169,10 +169,10 @@ class Compressor:
             self._lead, following = leg, leg.vertex + 1
         pole = np.array(self._machine.pole or (), dtype=np.float64)
         curve = Curve(turning, self._height, self._share, pole)
-        self._run = Run(line, jet, longest, curve)
+        self._run = DenseRun(line, jet, longest, curve)
         self._start, self._next = start, following
 
-    def _follow(self, run: Run) -> bool:
+    def _follow(self, run: DenseRun) -> bool:
         """Process one window of the run; return False if more blocks are necessary."""
         skeleton, start = self._skeleton, self._start
         found = None
@@ -200,7 +200,7 @@ class Compressor:
             self._retreat(run, found.t)
         return True
 
-    def _end(self, run: Run, last: int) -> None:
+    def _end(self, run: DenseRun, last: int) -> None:
         v, self._last = self._skeleton.vertices, last
         line, self._tail = run.line, None
         jet = np.concatenate([v.pose[last, :3], v.top[last]])[None]
@@ -210,7 +210,7 @@ class Compressor:
             )
         run.end(line, jet)
 
-    def _commit(self, run: Run, found: Window) -> None:
+    def _commit(self, run: DenseRun, found: Window) -> None:
         skeleton = self._skeleton
         if self._lead is not None:
             lead, self._lead = self._lead, None
@@ -234,7 +234,7 @@ class Compressor:
         elif skeleton.closed[last] or skeleton.corner[last]:
             self._line(last, tail)
 
-    def _retreat(self, run: Run, worst: float) -> None:
+    def _retreat(self, run: DenseRun, worst: float) -> None:
         """End a run earlier, because no curve keeps the tolerance at the position ``worst`` [m].
 
         The run ends at a vertex there, with a corner. If this vertex is too near, the blocks are
@@ -271,7 +271,7 @@ class Compressor:
         self._line(vertex, off=self._share * skeleton.tolerance[vertex])
         self._at, self._run = vertex, None
 
-    def _end_of(self, run: Run) -> int:
+    def _end_of(self, run: DenseRun) -> int:
         return self._last if run.ended else self._next
 
     def _forget(self) -> None:

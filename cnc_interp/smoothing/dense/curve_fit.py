@@ -46,7 +46,7 @@ class Window(NamedTuple):
     deviation: FloatArray
 
 
-class Run:
+class DenseRun:
     """A run of short blocks, and the curve through it as far as it is committed.
 
     The polyline grows while blocks arrive. ``jet`` (m, 6) has value and derivatives at the start

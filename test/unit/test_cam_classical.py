@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cnc_interp.cam.classical import _Run, classical_paths
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.guiding import GuidingPlanes, SurfaceCurve, crossing
 from cnc_interp.cam.shapes import Bumps, Cap, Plane, Torus
@@ -11,7 +12,6 @@ from cnc_interp.cam.spline_pass import SplinePass
 from cnc_interp.cam.surface import SurfaceError
 from cnc_interp.cam.tool_path import LinkOptions, ToolPath, link
 from cnc_interp.core import DEG, MM, UM
-from cnc_interp.papers.classical import _Run, classical_paths
 
 MILL, BALL = Cutter(5 * MM, 1.5 * MM), Cutter(0.0, 5 * MM)
 HEIGHT = 10 * UM

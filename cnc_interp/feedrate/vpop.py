@@ -14,8 +14,7 @@ from cnc_interp.feedrate.limit_use import limit_use
 from cnc_interp.feedrate.motion_law import Stretch
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
-from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients
-from cnc_interp.papers.vpop_steps import (
+from cnc_interp.feedrate.vpop_steps import (
     AT_END,
     BACKWARDS,
     CELL,
@@ -31,6 +30,7 @@ from cnc_interp.papers.vpop_steps import (
     V,
     go_forward,
 )
+from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients
 
 MARGIN = 8.0  #: Number of steps by which a difficult place must be passed.
 SPEEDS = 12  #: Number of speeds that are tried by bisection at one place.

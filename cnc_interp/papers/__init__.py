@@ -1,1 +1,0 @@
-"""What exists to compare with the papers; loaded by name where a user asks for it."""

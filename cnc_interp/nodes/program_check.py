@@ -12,7 +12,7 @@ from cnc_interp.core import BlockError, FloatArray, IntArray, InterpError, Progr
 from cnc_interp.core.small_files import open_named, require_allowed
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import JobSetup, ProgramStream, open_program
-from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, Blocks, BlockSpool
+from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER, WITHIN_MOTION, Blocks, BlockSpool
 from cnc_interp.program.blocks.block_modes import ModesOfBlocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.targets import ProgramChange
@@ -57,7 +57,7 @@ class Prepared:
     def __getitem__(self, rows: slice) -> Blocks:
         blocks = self.blocks[rows]
         first, after = np.searchsorted(self.stops, [rows.start, rows.start + len(blocks)])
-        corner = np.full(len(blocks), ROUND_CORNER)
+        corner = np.where(blocks.corner == WITHIN_MOTION, WITHIN_MOTION, ROUND_CORNER)
         corner[self.stops[first:after] - rows.start] = STOP_CORNER
         return replace(blocks, corner=corner)
 

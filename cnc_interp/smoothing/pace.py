@@ -6,7 +6,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine_entries import BlockPace
-from cnc_interp.program.blocks import Blocks
+from cnc_interp.program.blocks import WITHIN_MOTION, Blocks
 from cnc_interp.settings.options import Settings
 
 KEPT = 3  #: Rows that a pacer keeps: the next one, and those before it.
@@ -70,10 +70,9 @@ class Pacer:
         turn = 2.0 * np.arcsin(np.minimum(half_chord, 1.0))
         turn[(turn > self._sharp) | rows.exact_stop[1:-1]] = 0.0
         own = slice(2, -1)
-        line = rows.line_number
-        # Pieces of one line are an arc, not blocks.
-        alone = (line[2:-1] != line[1:-2]) & (line[2:-1] != line[3:])
-        slow = alone & (length[1:-1] < self._longest) & (length[1:-1] > 1e-9)
+        piece = rows.corner == WITHIN_MOTION
+        piece[1:] |= piece[:-1]
+        slow = ~piece[own] & (length[1:-1] < self._longest) & (length[1:-1] > 1e-9)
         slow &= ~rows.rapid[own] & ~rows.on_spline[own]
         slow &= np.isfinite(rows.feedrate[own])
         k, feed = np.flatnonzero(slow), rows.feedrate.copy()

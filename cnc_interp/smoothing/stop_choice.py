@@ -28,7 +28,7 @@ import numpy as np
 
 from cnc_interp.core import DEG, MM, UM, BoolArray, IntArray, dot, norm
 from cnc_interp.machine_model.machine_traits import MachineTraits
-from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, Blocks
+from cnc_interp.program.blocks import OPEN_CORNER, STOP_CORNER, WITHIN_MOTION, Blocks
 from cnc_interp.smoothing.corners.vertices import ROUND, STOP, Legs
 from cnc_interp.smoothing.dense.path_rows import Rows
 from cnc_interp.smoothing.dense.skeleton import Skeleton
@@ -60,8 +60,8 @@ def doubtful(rows: Rows, legs: Legs, height: float, machine: MachineTraits) -> B
     found = np.zeros(len(rows), dtype=np.bool_)
     found[1:-1] = np.minimum(legs.length[:-1], legs.length[1:]) < MICRO
     found[1:-1] |= turns_fast(rows.blocks, legs, height, machine)
-    # The pieces of one programmed line are a smooth motion, and there may be thousands of them.
-    found[1:-1] &= np.diff(rows.blocks.line_number[1:]) != 0
+    # There may be thousands of pieces. Line numbers do not tell them: a loop repeats its lines.
+    found &= rows.blocks.corner != WITHIN_MOTION
     found[1:-1] |= dot(legs.direction[:-1], legs.direction[1:]) < np.cos(SHARP)
     plain = _plain(rows)
     found[1:-1] &= plain[1:-1] & plain[2:]

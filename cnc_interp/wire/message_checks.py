@@ -45,8 +45,8 @@ def check_block(message: G1Block, extra_count: int = 0, signals: Signals = NO_SI
             raise StreamError(f'{name}: {field} is {value:g} m; it must be greater than 0')
     if message.program_stop > G1Block.OPTIONAL_STOP:
         raise StreamError(f'{name}: program_stop is {message.program_stop}; it must be 0, 1 or 2')
-    if message.corner > G1Block.CORNER_STOP:
-        raise StreamError(f'{name}: corner is {message.corner}; it must be 0, 1 or 2')
+    if message.corner > G1Block.CORNER_WITHIN_MOTION:
+        raise StreamError(f'{name}: corner is {message.corner}; it must be 0, 1, 2 or 3')
     check_functions(name, message.functions, signals)
     if message.settings and message.sequence > 0:
         raise StreamError(f'{name}: settings belong to block 0')

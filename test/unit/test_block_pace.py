@@ -59,6 +59,15 @@ def test_a_block_takes_its_least_time_and_arcs_and_slow_feeds_stay():
     assert len(arc) > 10 and np.array_equal(paced(arc).feedrate, arc.feedrate)
 
 
+def test_the_blocks_of_a_loop_that_repeats_one_line_are_no_arc():
+    loop = 'G21\nG0 X0 Y0 Z0\nG91\n#1=0\no1 while [#1 lt 30]\nG1 X0.3 Y[0.1*#1] F6000\n#1=[#1+1]\n'
+    blocks = read_text(f'{loop}o1 endwhile\nM2\n', 'loop.ngc', XYZ, Settings()).blocks
+    listed = replace(blocks, line_number=np.arange(len(blocks)))
+    feed = paced(blocks).feedrate
+    assert (feed[2:-1] < blocks.feedrate[2:-1]).any()
+    assert np.array_equal(feed, paced(listed).feedrate)
+
+
 @pytest.mark.parametrize('size', [1, 2, 3, 7])
 def test_the_feeds_do_not_depend_on_how_the_blocks_arrive(size):
     blocks = Blocks.concatenate([polygon(5.0, 0.5), polygon(12.0, 0.2)])

@@ -133,6 +133,28 @@ def test_the_pieces_of_one_line_are_no_corners_to_try():
     assert len(blocks) > 100 and len(tried) < 10
 
 
+def in_a_loop(blocks, feed):
+    """A program whose only line of motion is repeated with the next pose of some blocks."""
+    rows = np.c_[blocks.tip / MM, blocks.axis]
+    table = [
+        f'#{100 * k + i + 31}={x:.9f}' for i, row in enumerate(rows) for k, x in enumerate(row)
+    ]
+    words = ' '.join(f'{letter}#[{100 * k + 31}+#1]' for k, letter in enumerate('XYZIJK'))
+    loop = ['#1=0', f'o1 while [#1 lt {len(rows)}]', f'G1 {words} F{feed}', '#1=[#1+1]']
+    return '\n'.join(['G21 G90 G43.5', *table, *loop, 'o1 endwhile', 'M2', ''])
+
+
+def test_a_loop_that_repeats_one_line_has_the_stops_of_its_motions():
+    """All blocks of the loop have one line number, as the pieces of an arc do."""
+    settings = Settings(compress=False)
+    blocks = read_text(in_a_loop(beside_the_pole(), 3000), 'loop.ngc', TRANSFORM, settings).blocks
+    moves = np.flatnonzero(np.diff(blocks.line_number) == 0) + 1
+    assert len(moves) == len(beside_the_pole()) - 1
+    listed = replace(blocks, line_number=np.arange(len(blocks)))
+    stops = [segments_of(some, TRANSFORM, settings).stop for some in (blocks, listed)]
+    assert stops[0][:-1].any() and np.array_equal(*stops)
+
+
 def refuse_to_choose(_ways, _others):
     raise AssertionError('nothing is to be tried')
 

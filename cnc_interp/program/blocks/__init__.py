@@ -10,6 +10,7 @@ from cnc_interp.program.blocks.block_table import (
     ROUND_CORNER,
     STOP,
     STOP_CORNER,
+    WITHIN_MOTION,
     Blocks,
     BlockSpool,
 )
@@ -24,6 +25,7 @@ __all__ = [
     'ROUND_CORNER',
     'STOP',
     'STOP_CORNER',
+    'WITHIN_MOTION',
     'BlockSpool',
     'Blocks',
 ]

@@ -11,8 +11,9 @@ from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.columns import Table, column
 
 GO_ON, STOP, OPTIONAL_STOP = 0, 1, 2  #: Values of ``Blocks.program_stop``: continue, M0, M1.
-#: Values of ``Blocks.corner``: whether a stop is faster is tried, or known.
-OPEN_CORNER, ROUND_CORNER, STOP_CORNER = 0, 1, 2
+#: Values of ``Blocks.corner``: whether a stop is faster is tried, or known; or the block is a
+#: piece of a longer motion that goes on smoothly, such as an arc.
+OPEN_CORNER, ROUND_CORNER, STOP_CORNER, WITHIN_MOTION = 0, 1, 2, 3
 #: Values of ``Blocks.interpolation``: what runs linearly in a block.
 POSES, ROTARY_LINEAR, AXES_LINEAR = 0, 1, 2
 
@@ -56,7 +57,8 @@ class Blocks(Table):
     #: Rotary positions at the start of rows whose rotary axes run linearly [rad], else NaN.
     rotary_from: FloatArray = column(2, default=nan)
     #: ROUND_CORNER or STOP_CORNER if it is known which is faster at the end of the block, where
-    #: the path is not smooth and need not rest. Otherwise OPEN_CORNER.
+    #: the path is not smooth and need not rest; WITHIN_MOTION where the motion goes on smoothly.
+    #: Otherwise OPEN_CORNER.
     corner: IntArray = column(default=OPEN_CORNER)
 
     @staticmethod

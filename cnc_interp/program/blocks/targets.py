@@ -10,7 +10,16 @@ import numpy as np
 
 from cnc_interp.core import DEG, FloatArray, IntArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP, Blocks
+from cnc_interp.program.blocks import (
+    GO_ON,
+    OPEN_CORNER,
+    OPTIONAL_STOP,
+    POSES,
+    ROTARY_LINEAR,
+    STOP,
+    WITHIN_MOTION,
+    Blocks,
+)
 from cnc_interp.program.blocks.block_modes import NONE, ModesOfBlocks
 from cnc_interp.program.blocks.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
 from cnc_interp.program.blocks.start_line import StartLine
@@ -276,6 +285,7 @@ def blocks_of(
         extra=moves.extra(row, u)[:, [column - col.EXTRA.start for column in extra]],
         interpolation=interpolation,
         rotary_from=rotary_from,
+        corner=np.where(final, OPEN_CORNER, WITHIN_MOTION),
     )
     return blocks, row
 

@@ -25,7 +25,7 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.client.served_node import SPIN, ServedNode
 from cnc_interp.core import InterpError
-from cnc_interp.nodes.node_main import PREPARED, WAITING, WITHOUT
+from cnc_interp.nodes.node_main import PREPARED, TOOL, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 
@@ -116,6 +116,7 @@ class OperatorClient(ServedNode):
         self.waiting = ''
         self.prepared: float | None = None  # share of what the program waits for
         self.waits_for = ''  # what that is, in words
+        self.tool_wanted: int | None = None  # the tool that the operator must put in
         self.uncompensated: float | None = None  # largest contour error of this run [m]
         self.program: LoadedProgram | None = None
         self.modes: ModalState | None = None  # of the lines by hand
@@ -189,6 +190,7 @@ class OperatorClient(ServedNode):
             values = {pair.key: pair.value for pair in status.values}
             if WAITING in values:
                 self.waiting = values[WAITING]
+                self.tool_wanted = int(values[TOOL]) if TOOL in values else None
                 waits = PREPARED in values
                 self.waits_for = status.message if waits else ''
                 self.prepared = float(values[PREPARED]) if waits else None

@@ -19,7 +19,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.nodes.qos import LOADED
 from cnc_interp.program import JobSetup
 from cnc_interp.program.geometry.frames import rotation
-from cnc_interp.program.job import ROTATION
+from cnc_interp.program.job import ROTATION, TOOL_SIZES, Tool
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,14 @@ class SetupClient:
         return self._nodes.ask(service, client=self._who, **request)
 
 
+def whole_tool(number: int, tool: Tool) -> dict[str, Any]:
+    """Return the request of ``set_tool`` after which the table has exactly this tool."""
+    sizes = {name: getattr(tool, name) for name in TOOL_SIZES}
+    given = {name: size for name, size in sizes.items() if size is not None}
+    given |= {'pocket': tool.pocket, 'remark': tool.remark}
+    return {'number': number, 'fields': list(given), **given}
+
+
 def of_axes(values: dict[str, float]) -> dict[str, Any]:
     return {'axes': list(values), 'values': list(values.values())}
 
@@ -139,6 +147,10 @@ class SetupConsole:
         assert state is not None
         return table, self._setup.setup, state
 
+    @property
+    def tools(self) -> Mapping[int, Tool]:
+        return self._setup.setup.tools
+
     def values(self, words: dict[str, float]) -> dict[str, Any]:
         return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
@@ -169,7 +181,10 @@ class SetupConsole:
 
     def tools_text(self) -> str:
         setup = self._setup.setup
-        lines = [f'{"tool":<8}{"length":>12}{"radius":>12}{"corner":>12}  remark']
+        lines = [
+            f'{"tool":<8}{"length":>12}{"radius":>12}{"corner":>12}{"wear Z":>10}{"wear R":>10}'
+            f'{"pocket":>8}  remark'
+        ]
         for number in sorted({*setup.tools} | ({setup.tool} if setup.tool else set())):
             star = ' *' if number == setup.tool else ''
             tool = setup.tools.get(number)
@@ -179,7 +194,11 @@ class SetupConsole:
                     f'{"" if v is None else MILLIMETRES.length(v):>12}'
                     for v in (tool.length, tool.radius, tool.corner_radius)
                 )
-                values = f'{sizes}  {tool.remark}'
+                wear = ''.join(
+                    f'{MILLIMETRES.length(v) if v else "":>10}'
+                    for v in (tool.length_wear, tool.radius_wear)
+                )
+                values = f'{sizes}{wear}{tool.pocket or "":>8}  {tool.remark}'
             lines.append(f'{number}{star:<{8 - len(str(number))}}{values}'.rstrip())
         return '\n'.join([*lines, self._file_text()])
 

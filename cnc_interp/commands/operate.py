@@ -15,7 +15,7 @@ from cnc_interp.commands.parser import (
     command,
     positive,
 )
-from cnc_interp.core import DEG, MM, UM, InterpError
+from cnc_interp.core import DEG, INCH, MM, UM, InterpError
 
 
 def add_operate_commands(commands: Any) -> None:
@@ -59,7 +59,14 @@ def add_operate_commands(commands: Any) -> None:
     tools.option('--radius', 'its radius', float, 'MM')
     text = 'radius of its corner: 0 for a flat end, the radius for a ball'
     tools.option('--corner-radius', text, float, 'MM')
+    tools.option('--length-wear', 'what is added to its length', float, 'MM')
+    tools.option('--radius-wear', 'what is added to its radius', float, 'MM')
+    tools.option('--pocket', 'its place in the tool changer; 0: none', int)
     tools.option('--remark', 'what tells it from others', metavar='TEXT')
+    text = 'take the tools of a tool.tbl of LinuxCNC, or of a CSV file'
+    tools.option('--import', text, Path, 'FILE', dest='from_file')
+    tools.option('--export', 'write the table, as CSV or tool.tbl by its name', Path, 'FILE')
+    tools.flag('--inch', 'lengths in these files are in inches')
     tools.flag('--remove', 'take it out of the table')
     tools.flag('--load', 'it is in the spindle; 0: none is')
     example = 'touch-off X 0 Y 0; cnc-interp touch-off Z 10 --offset G55'
@@ -240,10 +247,14 @@ def offsets_command(options: argparse.Namespace) -> int:
 
 def tools_command(options: argparse.Namespace) -> int:
     """Show or change the tool table of a running machine."""
-    names = ('length', 'radius', 'corner_radius', 'remark')
-    given = {name: getattr(options, name) for name in names}
+    from cnc_interp.program.job import TOOL_SIZES
+    from cnc_interp.program.setup_table import TOOL_FIELDS
+
+    if options.from_file or options.export:
+        return _tool_files(options)
+    given = {name: getattr(options, name) for name in TOOL_FIELDS}
     given = {
-        name: value if name == 'remark' else value * MM
+        name: value * MM if name in TOOL_SIZES else value
         for name, value in given.items()
         if value is not None
     }
@@ -253,6 +264,23 @@ def tools_command(options: argparse.Namespace) -> int:
         wanted = {'number': number, 'fields': list(given), **given}
         wanted |= {'remove': options.remove, 'load': options.load}
     return _do(options, 'set_tool', wanted)
+
+
+def _tool_files(options: argparse.Namespace) -> int:
+    from cnc_interp.client.setup_client import setup_console, whole_tool
+    from cnc_interp.core.small_files import write_whole
+    from cnc_interp.program.tool_files import csv_text, tbl_text, tools_of_file
+
+    unit = INCH if options.inch else MM
+    found = tools_of_file(options.from_file, unit) if options.from_file else {}
+    with setup_console(options.namespace, options.domain) as console:
+        for number, tool in found.items():
+            console.ask('set_tool', **whole_tool(number, tool))
+        if options.export:
+            text = csv_text if options.export.suffix == '.csv' else tbl_text
+            write_whole(options.export, text(console.tools, unit))
+        print(console.tools_text())
+    return FINE
 
 
 def touch_off_command(options: argparse.Namespace) -> int:

@@ -136,6 +136,8 @@ class Switching:
             return ''
         step = self._queue[0].step
         told = self._signals.text(step.output, self._queue[0].value)
+        if self._signals.is_change(step):
+            return f'put {told} into the spindle, then press cycle start'
         if step.wait == ASK:
             return f'{told}: cycle_start when that is done'
         if step.wait == NO_WAIT or self._waited <= step.limit:

@@ -40,6 +40,8 @@ HOME = 'home_'  #: Inputs of reference switches, as home_x.
 #: Values of ``Step.wait`` without an input; ``TIMED``: its value is how long it rests [s].
 NO_WAIT, ASK, TIMED = 0, -(1 << 30), -(1 << 29)
 DWELL = 'dwell'  #: Value of G4 [s].
+TOOL = 'tool'  #: State: the tool that the operator puts in, where no function does it.
+MOST_TOOL = 1e6  #: Largest number of a tool that a program may name.
 #: Outputs and inputs of the spindle [rev/min; 0 or 1; rev, more of it with ``FORWARD``].
 SPEED, FORWARD, REVERSE = 'spindle_speed', 'spindle_forward', 'spindle_reverse'
 ANGLE, AT_SPEED = 'spindle_angle', 'spindle_at_speed'
@@ -147,11 +149,20 @@ class Signals:
     @property
     def spindle(self) -> tuple[int, ...]:
         """Numbers of ``SPEED``, ``FORWARD``, ``REVERSE``, ``ANGLE``, first state; () without."""
-        if self.wired == len(self.outputs):
-            return ()
         names = [signal.name for signal in self.outputs]
+        if SPEED not in names:
+            return ()
         found = [names.index(name) if name in names else -1 for name in (SPEED, FORWARD, REVERSE)]
         return (*found, self.input(ANGLE), self.wired)
+
+    @property
+    def changed_by_hand(self) -> bool:
+        """Whether the operator changes the tool at M6."""
+        return bool(self.outputs) and self.outputs[-1].name == TOOL
+
+    def is_change(self, step: Step) -> bool:
+        """Tell whether a step waits until the operator has put a tool in."""
+        return self.changed_by_hand and step.output == len(self.outputs) - 1
 
     def input(self, name: str) -> int:
         """Return the number of an input; -1 without."""
@@ -211,7 +222,7 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
     """
     given = content.get('signals')
     if given is None:
-        return Signals()
+        return _with_tool_change(Signals())
     if isinstance(given, str):
         file = Path(config_directory() / 'signals' / f'{given}.yaml')
         try:
@@ -256,7 +267,22 @@ def signals(content: Mapping[str, Any], index: Iterable[str] = ()) -> Signals:
         if last and (not found.probe or (last.output, last.value) != (found.probe[0], armed)):
             text = f'must end with {ARMED}: {armed:g}, and {PROBE} must be an input'
             raise MachineError(text, f'signals.functions.{word}')
-    return found
+    return _with_tool_change(found)
+
+
+def _with_tool_change(found: Signals) -> Signals:
+    """Let M6 stop the spindle and wait for the operator, unless it is a function already."""
+    if 'M6' in found.words:
+        return found
+    stops = [replace(found.steps[k], word='M6') for k in found.words.get('M5', ())]
+    change = Step('M6', len(found.outputs), 'T', ASK)
+    first = len(found.steps)
+    return replace(
+        found,
+        outputs=(*found.outputs, Signal(TOOL, True, high=MOST_TOOL)),
+        steps=(*found.steps, *stops, change),
+        words={**found.words, 'M6': range(first, first + len(stops) + 1)},
+    )
 
 
 def _refuse_old_answers(

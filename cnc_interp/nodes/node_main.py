@@ -205,6 +205,7 @@ class Pace:
 
 
 WAITING = 'waiting'  #: Key under which program_node names the programs that wait.
+TOOL = 'tool'  #: Key of the number of the tool that the operator must put in now.
 PREPARED = 'prepared'  #: Key of the share of what a program waits for before it moves [-].
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'

@@ -97,7 +97,7 @@ def prepare(
         return ProgramStream(source, transform, settings, setup)
 
     stream = opened()
-    stream.wait_at_probes()
+    stream.read_live()
     found = check(stream, setup, text, transform, settings, told)
     if found.probe is None:
         return found

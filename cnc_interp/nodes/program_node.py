@@ -23,6 +23,7 @@ from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.node_main import (
     OK,
     PREPARED,
+    TOOL,
     WAITING,
     WARN,
     Diagnostics,
@@ -304,6 +305,8 @@ class ProgramNode(Node):
         text, waits_for = f'running {run.name}', run.waits_for(self._peers)
         if waits_for is not None and not run.trouble:
             text, values[PREPARED] = waits_for
+        if (tool := run.tool_wanted(self._peers.state, self._signals)) is not None:
+            values[TOOL] = tool
         text += f'; then {waiting}' if waiting else ''
         level, text = (WARN, run.trouble) if run.trouble else (OK, text)
         self._diagnostics.say('program', level, text, **values)

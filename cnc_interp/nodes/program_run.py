@@ -269,6 +269,19 @@ class ProgramRun:
         text = f'{blocks} blocks taken, {share:.0%} of the motion with which it starts'
         return f'planning {self.name}: {text}', share
 
+    def tool_wanted(self, state: MachineState | None, signals: Signals) -> int | None:
+        """Return the tool that the operator must put in now; None while nothing waits for one."""
+        program = self.preparation.prepared
+        if state is None or program is None or not state.functions or self.phase not in SENDING:
+            return None
+        mine = self.rests_throughout or state.program_id == self.run_id.program_id
+        waits = state.reason == MachineState.REASON_FUNCTION and state.may_resume
+        last = int(state.functions) - 1
+        if not (mine and waits and last < len(program.functions)):
+            return None
+        step = signals.steps[int(program.functions.step[last])]
+        return int(program.functions.value[last]) if signals.is_change(step) else None
+
     def may_go_on(self) -> bool:
         return self.phase is Phase.LOST and not self.missing and self.recovery.is_due
 

@@ -2,18 +2,19 @@
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Any
 
 from nicegui import ui
 
 from cnc_interp.client.operator_client import Answer
-from cnc_interp.client.setup_client import SetupClient, of_axes, position_of
+from cnc_interp.client.setup_client import SetupClient, of_axes, position_of, whole_tool
 from cnc_interp.core import InterpError, SettingsError
 from cnc_interp.page.contact import Command, act_on_shown, key
 from cnc_interp.page.readings import ShownUnit
-from cnc_interp.program.job import ROTATION, WORK_OFFSETS
+from cnc_interp.page.tool_rows import ToolRows
+from cnc_interp.program.job import ROTATION, WORK_OFFSETS, Tool
 from cnc_interp.program.motion.probing import Cycle, cycles
 from cnc_interp.settings.option_kinds import Choice
 from cnc_interp.settings.options import Settings, filled_in, offered, settings_filled_in
@@ -106,16 +107,20 @@ class SettingsDialog:
         await self._use(settings)
 
 
-LENGTHS = ('length', 'radius', 'corner_radius')
-
-
 class SetupDialog:
-    def __init__(self, setup: SetupClient, unit: ShownUnit, command: Command):
+    def __init__(
+        self,
+        setup: SetupClient,
+        unit: ShownUnit,
+        command: Command,
+        give_line: Callable[[str], Awaitable[None]],
+    ):
         self._setup, self._unit, self._command = setup, unit, command
+        self.give_line = give_line
         self._dialog = ui.dialog()
         self._fields: dict[str, Any] = {}
         self._known: dict[str, tuple[str, float]] = {}  # text of a field, and its value in SI
-        unit.follow(lambda _: self.open() if self._dialog.value else None)
+        unit.follow(lambda _: self.show_again())
 
     def open(self) -> None:
         table = self._setup.table
@@ -134,36 +139,32 @@ class SetupDialog:
                     ui.label(text).classes('name')
                 for name in (*WORK_OFFSETS, 'G92'):
                     self._offset_row(name, axes)
-            self._title('tools [mm]')
-            with ui.element('div').classes('rows tools'):
-                for text in ('number', 'length', 'radius', 'corner', 'remark', '', '', ''):
-                    ui.label(text).classes('name')
-                for number in sorted(self._setup.setup.tools):
-                    self._tool_row(number)
-                self._tool_row(None)
+            self._tools = ToolRows(self._setup.setup, self._unit.now, self)
             place = table.file or 'program_node only, until it ends'
             ui.label(f'kept in {place}').classes('small')
             if table.change:
                 told = ui.label(f'last change by {table.changed_by} [mm, deg]: {table.change}')
                 told.classes('small').props('data-mark="setup change"')
             with ui.element('div').classes('ends'):
-                empty = key('no tool in the spindle', 'load tool 0', partial(self._load, 0))
-                empty.classes('changes')
                 key('close', 'close setup', self._dialog.close)
         self._dialog.open()
+
+    def show_again(self) -> None:
+        if self._dialog.value:  # not where its user has closed it meanwhile
+            self.open()
 
     # Building -----------------------------------------------------------------------------------
 
     def _title(self, text: str) -> None:
         ui.label(self._unit.now.named(text)).classes('title')
 
-    def _field(self, mark: str, text: str, value: float | None = None) -> None:
+    def field(self, mark: str, text: str, value: float | None = None) -> None:
         field = ui.input(value=text).props(f'dense data-mark="{mark}"')
         self._fields[mark] = field
         if value is not None:
             self._known[mark] = text, value
 
-    def _reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
+    def reading_key(self, text: str, mark: str, act: Callable[[], Awaitable[None]]) -> None:
         made = key(text, mark).classes('changes')
         act_on_shown(made, 'click', self._fields.values(), act)
 
@@ -176,43 +177,27 @@ class SetupDialog:
         for letter in letters:
             value = position.get(letter)
             text = '' if value is None else self._unit.now.shown(letter, value)
-            self._field(f'{name} {letter}', text, value)
+            self.field(f'{name} {letter}', text, value)
         if name == 'G92':
             ui.label('')
-        self._reading_key('set', f'set {name}', partial(self._set_offset, name, letters))
-        ask = partial(self._ask, 'set_offset', offset=name)
+        self.reading_key('set', f'set {name}', partial(self._set_offset, name, letters))
+        ask = partial(self.ask, 'set_offset', offset=name)
         key('clear', f'clear {name}', partial(ask, clear=True)).classes('changes')
         if name == 'G92':
             ui.label('')
         else:
             key('use', f'use {name}', partial(ask, activate=True)).classes('changes')
 
-    def _tool_row(self, number: int | None) -> None:
-        setup = self._setup.setup
-        mark = 'new tool' if number is None else f'tool {number}'
-        if number is None:
-            self._field(f'{mark} number', '')
-        else:
-            ui.label(f'{number} ●' if number == setup.tool else f'{number}').classes('value')
-        tool = None if number is None else setup.tools[number]
-        for name in LENGTHS:
-            value = None if tool is None else getattr(tool, name)
-            text = '' if value is None else self._unit.now.length(value)
-            self._field(f'{mark} {name}', text, value)
-        self._field(f'{mark} remark', '' if tool is None else tool.remark)
-        self._reading_key('set', f'set {mark}', partial(self._set_tool, mark, number))
-        if number is None:
-            return
-        remove = partial(self._ask, 'set_tool', number=number, remove=True)
-        for text, name, act in (
-            ('remove', f'remove {mark}', remove),
-            ('in the spindle', f'load {mark}', partial(self._load, number)),
-        ):
-            key(text, name, act).classes('changes')
-
     # Commands -----------------------------------------------------------------------------------
 
-    async def _ask(self, service: str, **request: Any) -> None:
+    def text_of(self, mark: str) -> str:
+        return str(self._fields[mark].value or '').strip()
+
+    async def take_tools(self, tools: Mapping[int, Tool]) -> None:
+        for number, tool in tools.items():
+            await self.ask('set_tool', **whole_tool(number, tool))
+
+    async def ask(self, service: str, **request: Any) -> None:
         before = self._setup.table
 
         async def asked() -> Answer:
@@ -223,7 +208,7 @@ class SetupDialog:
                 await asyncio.sleep(0.05)
             if answer.ok:
                 ui.notify(f'[mm, deg] {answer.message.partition(": ")[2]}')
-                self.open()
+                self.show_again()
             return answer
 
         await self._command(asked)
@@ -240,7 +225,7 @@ class SetupDialog:
             raise ValueError
         return number * unit
 
-    def _values(self, marks: dict[str, tuple[str, float]]) -> dict[str, float] | None:
+    def values(self, marks: dict[str, tuple[str, float]]) -> dict[str, float] | None:
         """Return the values of fields that are not empty; None, and say so, if one is wrong."""
         found = {}
         for name, (mark, unit) in marks.items():
@@ -256,24 +241,9 @@ class SetupDialog:
 
     async def _set_offset(self, name: str, axes: list[str]) -> None:
         """Set an offset to what its fields say; an empty field removes the value."""
-        values = self._values({k: (f'{name} {k}', self._unit.now.of(k)) for k in axes})
+        values = self.values({k: (f'{name} {k}', self._unit.now.of(k)) for k in axes})
         if values is not None:
-            await self._ask('set_offset', offset=name, clear=True, **of_axes(values))
-
-    async def _set_tool(self, mark: str, number: int | None) -> None:
-        marks = {name: (f'{mark} {name}', self._unit.now.size) for name in LENGTHS}
-        if number is None:
-            marks['number'] = f'{mark} number', 1.0
-        values = self._values(marks)
-        if values is None:
-            return
-        number = round(min(max(values.pop('number', 0.0), 0.0), 1e9)) if number is None else number
-        remark = str(self._fields[f'{mark} remark'].value or '')
-        fields = [*values, 'remark']
-        await self._ask('set_tool', number=number, fields=fields, remark=remark, **values)
-
-    async def _load(self, number: int) -> None:
-        await self._ask('set_tool', number=number, load=True)
+            await self.ask('set_offset', offset=name, clear=True, **of_axes(values))
 
 
 _BALL = '<circle cx="{}" cy="{}" r="6" fill="#e8c34a"/>'

@@ -15,7 +15,15 @@ from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, ke
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.program_column import Listing, MdiField, StartField
-from cnc_interp.page.readings import NOTHING, Charts, Messages, ShownUnit, progress, readings
+from cnc_interp.page.readings import (
+    NOTHING,
+    Charts,
+    Messages,
+    ShownUnit,
+    change_text,
+    progress,
+    readings,
+)
 from cnc_interp.page.scene import SCALE, VIEWS, MachineView
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.settings.options import Settings
@@ -65,7 +73,7 @@ class Page:
             with ui.element('div').classes('charts'):
                 self._charts = Charts(self._machine.axis_names, self._unit)
         self._settings = SettingsDialog(self._use)
-        self._setup = SetupDialog(desk.setup, self._unit, self._command_in_sight)
+        self._setup = SetupDialog(desk.setup, self._unit, self._command_in_sight, self._mdi.give)
         self._keyboard = keyboard_list()
         ui.on('inch', self._use_unit)
         ui.on('pick_point', self._pick_point)
@@ -349,6 +357,8 @@ class Page:
         self._view.show_way(way)
         if self._changed('laid', desk.laid):
             self._start.fill()
+        if (tool := desk.nodes.tool_wanted) is not None:
+            return change_text(tool, desk.setup.setup, self._unit.now)
         if in_program(desk.nodes.state):
             return way.text if way is not None else ''
         return desk.start.text

@@ -53,6 +53,8 @@ def readings(desk: Desk, unit: LengthUnit) -> dict[str, str]:
 def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
     """Return why the machine is in its state; after a single block also where it rests."""
     modes = desk.modes()[1]
+    if (tool := desk.nodes.tool_wanted) is not None:
+        return change_text(tool, desk.setup.setup, unit)
     if state.reason != MachineState.REASON_SINGLE_BLOCK or modes is None:
         return str(state.message or desk.nodes.waits_for)
     beside = f'{unit.length(modes.contour_tolerance)} {unit.name}'
@@ -60,6 +62,22 @@ def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
         f'single block: rests after line {state.line_number}, where its corner is rounded up to '
         f'{beside} beside its end. Cycle start executes the next line'
     )
+
+
+def change_text(number: int, setup: JobSetup, unit: LengthUnit) -> str:
+    """Return what the operator must do at a tool change without a tool changer."""
+    if not number:
+        return 'take the tool out of the spindle, then press cycle start'
+    tool = setup.tools.get(number)
+    what = f'put tool {number} into the spindle'
+    if tool is None:
+        return (
+            f'{what}, then press cycle start. Its length is not known: before a program that '
+            'uses it, type it under offsets, touch the tool off, or measure it'
+        )
+    told = [tool.remark, f'length {unit.length(tool.worn.length)} {unit.name}']
+    told += [f'pocket {tool.pocket}'] * bool(tool.pocket)
+    return f'{what}: {", ".join(filter(None, told))}. Then press cycle start'
 
 
 def axis_words(state: MachineState, machine: Machine, unit: LengthUnit) -> dict[str, str]:

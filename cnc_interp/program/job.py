@@ -25,7 +25,9 @@ Position = Mapping[str, float]
 
 #: Longest remark of a tool [characters], and its largest number.
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
-_TOOL_KEYS = {'length', 'radius', 'corner_radius', 'remark'}
+#: What a setup file keeps of a tool: sizes [mm], the pocket, and a text.
+TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear')
+_TOOL_KEYS = {*TOOL_SIZES, 'pocket', 'remark'}
 _DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 
 
@@ -36,11 +38,27 @@ class Tool:
     remark: str = ''  #: Anything that tells it from others, in one line.
     #: Radius of its corner [m]: ``radius`` for a ball, 0 for a flat end.
     corner_radius: float | None = None
+    #: What is added to length and radius, for a tool that has worn [m].
+    length_wear: float = 0.0
+    radius_wear: float = 0.0
+    pocket: int = 0  #: Its place in the tool changer; 0: none.
+
+    @property
+    def worn(self) -> Tool:
+        """The tool as it cuts, its wear added to its sizes."""
+        if not (self.length_wear or self.radius_wear):
+            return self
+        radius, corner = self.radius + self.radius_wear, self.corner_radius
+        if corner is not None:
+            corner = radius if corner == self.radius else min(corner, radius)
+        return Tool(self.length + self.length_wear, radius, self.remark, corner)
 
     @property
     def fault(self) -> str:
-        if self.radius < 0.0:
-            return 'the radius must not be below 0'
+        if min(self.radius, self.radius + self.radius_wear) < 0.0:
+            return 'the radius must not be below 0, with its wear neither'
+        if not 0 <= self.pocket <= MOST_TOOL:
+            return f'the pocket must be from 1 to {MOST_TOOL}, or 0 for none'
         if not 0.0 <= (self.corner_radius or 0.0) <= self.radius:
             return 'the corner radius must be from 0 to the radius'
         if len(self.remark) > LONGEST_REMARK or not self.remark.isprintable():
@@ -111,6 +129,11 @@ class JobSetup:
             words = f'length {_shown(entry.length, MM):g} radius {_shown(entry.radius, MM):g}'
             if entry.corner_radius is not None:
                 words += f' corner radius {_shown(entry.corner_radius, MM):g}'
+            if entry.length_wear or entry.radius_wear:
+                worn = entry.length_wear, entry.radius_wear
+                words += ' wear {:g} {:g}'.format(*(_shown(size, MM) for size in worn))
+            if entry.pocket:
+                words += f' pocket {entry.pocket}'
             return f'{words} {entry.remark}'.strip()
         shown = _position_shown(entry or {}).items()
         return ' '.join(f'{letter} {value:g}' for letter, value in shown) or 'not set'
@@ -168,9 +191,12 @@ def _tool_shown(tool: Tool) -> dict[str, Any]:
         'length': tool.length,
         'radius': tool.radius or None,
         'corner_radius': tool.corner_radius,
+        'length_wear': tool.length_wear or None,
+        'radius_wear': tool.radius_wear or None,
     }
     shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
-    return {**shown, 'remark': tool.remark} if tool.remark else shown
+    others = {'pocket': tool.pocket, 'remark': tool.remark}
+    return shown | {name: value for name, value in others.items() if value}
 
 
 class _Reading:
@@ -240,13 +266,17 @@ class _Reading:
         if 'length' not in words or not set(words) <= _TOOL_KEYS:
             raise self.fault(
                 f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
-                'remark, as {length: 75.0, radius: 5.0, remark: ball}'
+                'remark, as {length: 75.0, radius: 5.0, remark: ball}, and may have length_wear, '
+                'radius_wear and pocket'
             )
         remark = words.pop('remark', '')
         if not isinstance(remark, str):
             raise self.fault(f'tools.{key}.remark: must be a text')
+        pocket = words.pop('pocket', 0)
+        if not isinstance(pocket, int) or isinstance(pocket, bool):
+            raise self.fault(f'tools.{key}.pocket: must be a whole number')
         found = {name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words}
-        tool = Tool(remark=remark, **found)
+        tool = Tool(remark=remark, pocket=pocket, **found)
         if tool.fault:
             raise self.fault(f'tools.{key}: {tool.fault}')
         return tool

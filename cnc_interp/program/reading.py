@@ -85,10 +85,10 @@ class ProgramStream:
             if self.probe is None:
                 self._source.close()
 
-    def wait_at_probes(self) -> None:
-        """Let the blocks end at each probe, until ``go_on`` is called."""
+    def read_live(self) -> None:
+        """Read for a machine: blocks end at each probe until ``go_on``, tools must be known."""
         if isinstance(self._reader, ProgramReader):
-            self._reader.at.waits_at_probes = True
+            self._reader.at.is_live = True
 
     @property
     def probe(self) -> Probe | None:
@@ -211,7 +211,7 @@ class MdiReader:
         notices = Notices()
         reader = self._following(text, notices, setup)
         reader.at.stand_at(stands)
-        reader.at.waits_at_probes = True
+        reader.at.is_live = True
         return MdiLine(reader, notices)
 
     def keep(self, line: MdiLine) -> None:
@@ -241,5 +241,5 @@ class MdiReader:
         reader.at.follow(self._last.at)
         mover, tool = reader.at.mover, setup.tools.get(setup.tool, Tool())
         if not mover.frames.names_length and mover.dialect is not profiles.LINUXCNC:
-            mover.frames.length = 0.0 if mover.tcp else tool.length
+            mover.frames.length = 0.0 if mover.tcp else tool.worn.length
         return reader

@@ -12,11 +12,19 @@ from typing import TextIO
 from cnc_interp.core import MM, InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, write_whole
 from cnc_interp.program.geometry.program_coordinates import ProgramCoordinates
-from cnc_interp.program.job import MOST_TOOL, WORK_OFFSETS, JobSetup, Position, SetupChange, Tool
+from cnc_interp.program.job import (
+    MOST_TOOL,
+    TOOL_SIZES,
+    WORK_OFFSETS,
+    JobSetup,
+    Position,
+    SetupChange,
+    Tool,
+)
 
 LARGEST = 1e5 * MM  #: Larger values are taken for a wrong unit [m, rad].
 #: What can be changed of a tool.
-TOOL_FIELDS = ('length', 'radius', 'corner_radius', 'remark')
+TOOL_FIELDS = (*TOOL_SIZES, 'pocket', 'remark')
 _NAMES = f'{WORK_OFFSETS[0]} to {WORK_OFFSETS[-1]}'
 
 
@@ -150,7 +158,7 @@ def _tool(setup: JobSetup, number: int, given: Mapping[str, float | str]) -> Too
     if unknown:
         raise InterpError(f'tool {number}: no {unknown.pop()}; there are {", ".join(TOOL_FIELDS)}')
     tool = replace(setup.tools.get(number, Tool()), **given)  # type: ignore[arg-type]
-    for name in ('length', 'radius', 'corner_radius'):
+    for name in TOOL_SIZES:
         value = getattr(tool, name) or 0.0
         if not isfinite(value) or abs(value) > LARGEST:
             raise InterpError(f'tool {number}: a {name} beyond 100,000 mm; correct it or its unit')

@@ -320,15 +320,21 @@ def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
     try:
         content = parse_yaml(str(text)) or {}
         tools = content.get('tools', {})
-        if set(content) - {'tools', 'tool'} or any(tool['length'] for tool in tools.values()):
+        if set(content) - {'tools', 'tool'} or any(
+            _worn(tool, 'length') for tool in tools.values()
+        ):
             return None
         found: dict[int, tuple[float, float]] = {}
         for number, tool in tools.items():
             corner = float(tool.get('corner_radius', 'nan')) * MM
-            found[int(number)] = float(tool.get('radius', 0.0)) * MM, corner
+            found[int(number)] = _worn(tool, 'radius') * MM, corner
         return found
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None
+
+
+def _worn(tool: Mapping[str, Any], size: str) -> float:
+    return float(tool.get(size, 0.0)) + float(tool.get(f'{size}_wear', 0.0))
 
 
 def setup_of(text: Any, machine: Machine) -> Setup:
@@ -360,7 +366,9 @@ def setup_of(text: Any, machine: Machine) -> Setup:
                 parameters[G92_ON + 1 + i] = amounts[letter] / (INCH if letter in 'XYZ' else 1.0)
         parameters[G92_ON] = float(content.get('g92_on', bool(content.get('g92'))))
         parameters[ACTIVE] = 1.0 + OFFSETS.index(content.get('active') or OFFSETS[0])
-        lengths = {int(n): tool['length'] * MM for n, tool in content.get('tools', {}).items()}
+        lengths = {
+            int(n): _worn(tool, 'length') * MM for n, tool in content.get('tools', {}).items()
+        }
         return Setup(parameters, lengths, int(content.get('tool', 0)))
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None

@@ -136,6 +136,7 @@ class PlainSettings:
     tool: int = 0  #: The tool in the spindle.
     height: float = float('nan')  #: Flank height, at which an angle of tolerance counts [m].
     after: Collection[str] = ('M2', 'M5', 'M9', 'M30')  #: Words that act after their motion.
+    by_hand: bool = True  #: Whether the operator changes the tool at M6.
     dwells: tuple[float, ...] = (1.0,)  #: What P of a dwell without a point may count [s].
 
 
@@ -166,7 +167,8 @@ class _State:
         self.name, self.names, self.line = name, axis_names, 0
         self.read: list[ReadMove | ReadCall] = []
         self.last = -1  # the place of the last motion among them
-        self.speed, self.tool_number, self.per_turn = 0.0, float(settings.tool), False
+        self.speed, self.per_turn = 0.0, False
+        self.tool_number = self.in_spindle = float(settings.tool)
         self.here = np.zeros(len(axis_names))  # in m and rad
         self.tool: FloatArray | None = None
         self.motion, self.plane, self.unit = '', PLANES['17'], MM
@@ -222,6 +224,10 @@ class _State:
         functions = [('G95' if self.per_turn else 'G94')] * (self.per_turn != was_per_turn)
         functions += [letter for letter in 'ST' if letter in idle and 'G4' not in codes]
         found = [code for code in codes if code[0] == 'M' and code not in STOPS]
+        if 'M6' in found:
+            if self.settings.by_hand and self.tool_number == self.in_spindle:
+                found.remove('M6')  # the operator has nothing to do
+            self.in_spindle = self.tool_number
         functions += sorted(found, key=lambda code: FIRST.get(code, 2))
         fixed = float(idle.get('P', 1.0) == 0.0)
         letters = {'S': self.speed, 'T': self.tool_number, FIXED: fixed}

@@ -126,6 +126,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             setup.tool,
             plan.flank_height,
             machine.signals.after,
+            machine.signals.changed_by_hand,
             (1.0,) if linuxcnc else {'fanuc': (1e-3,)}.get(dialect, (1.0, 1e-3, 0.0)),
         )
         moves = read_plainly(text, str(program), names, plain)

@@ -154,3 +154,48 @@ def test_a_page_that_looks_may_hold_and_a_wrong_token_gets_a_reason(panel, tmp_p
     guest.wait(lambda: guest.run(f'document.body.textContent.includes("{NO_TOKEN}")'))
     first.show()
     panel.reset(first)
+
+
+def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
+    program = tmp_path / 'two_tools.ngc'
+    program.write_text('G21 G90\nG0 X1 Y0 Z50\nG1 X5 F2000\nT5 M6\nG43 H5\nG1 X8 Z50\nM30\n')
+    tab = panel.open_in_charge(width=1500, height=900)
+    panel.load(tab, program)
+    stood = here(panel)
+    # A length that nobody knows is no length of zero.
+    tab.wait(lambda: 'WARNING' in tab.run('document.querySelector(".alarms").textContent'))
+    tab.click_with_mouse('cycle start')
+    tab.wait(lambda: tab.run('document.body.textContent.includes("has no length of this tool")'))
+    assert (here(panel) == stood).all()
+    tab.click_with_mouse('offsets')
+    for name, text in {'number': '5', 'length': '75.5', 'pocket': '12', 'remark': 'ball'}.items():
+        write(tab, f'new tool {name}', text)
+    tab.click_with_mouse('set new tool')
+    panel.spin_until(lambda: 5 in panel.setup.tools)
+    tab.wait(lambda: 'tool 5: not set -> length 75.5' in (tab.text('setup change') or ''))
+    tab.click_with_mouse('close setup')
+    tab.wait(lambda: tab.text('status') == 'planned')
+    tab.click_with_mouse('cycle start')
+    wanted = 'put tool 5 into the spindle: ball, length 75.500 mm, pocket 12'
+    tab.wait(lambda: wanted in tab.text('why') and wanted in tab.text('start'))
+    assert tab.text('state') == 'held' and panel.setup.tool == 0
+    # It rests at the end of the line, and waits for as long as nobody confirms.
+    stands = panel.next_state().commanded_positions
+    assert tab.text('work X') == '5.000'
+    time.sleep(1.5)
+    assert panel.next_state().commanded_positions == stands and panel.setup.tool == 0
+    tab.click_with_mouse('cycle start')
+    panel.spin_until(lambda: panel.peers.state.completed)
+    panel.spin_until(lambda: panel.setup.tool == 5)
+    assert here(panel)[0] - stands[0] == pytest.approx(3e-3, abs=1e-9)
+    # The tool is there now: nothing to confirm.
+    tab.wait(lambda: tab.text('status') == 'planned' and tab.text('start') == '')
+    runs = len(panel.loaded)
+    tab.click_with_mouse('cycle start')
+    panel.spin_until(lambda: len(panel.loaded) > runs and panel.peers.state.completed)
+    tab.click_with_mouse('offsets')
+    tab.click_with_mouse('load tool 0')
+    tab.wait(lambda: 'tool 5 -> no tool' in (tab.text('setup change') or ''))
+    tab.click_with_mouse('remove tool 5')
+    tab.wait(lambda: '-> not set' in (tab.text('setup change') or ''))
+    tab.click_with_mouse('close setup')

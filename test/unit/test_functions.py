@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
 from cnc_interp.core import MachineError, ProgramError
+from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.machine_entries import Standstill
-from cnc_interp.machine_model.signals import Signals, signals
+from cnc_interp.machine_model.signals import signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.job import JobSetup
+from cnc_interp.program.notices import warnings_of
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source
 from cnc_interp.proof.plan_files import read_plan
@@ -81,10 +85,53 @@ def test_functions_act_before_or_after_the_motion_of_their_block() -> None:
     assert [notice[:11] for notice in stream.notices] == ['line 10: M0']
 
 
-def test_a_machine_without_outputs_keeps_its_notices() -> None:
+def test_a_machine_without_outputs_tells_what_it_needs_by_hand() -> None:
     found, stream = functions_of(PROGRAM, Machine.load('xyz'))
-    assert not found
-    assert any('the spindle is NOT started' in notice for notice in stream.notices)
+    assert found == [(0, 'tool 5')]
+    warnings = warnings_of(stream.notices)
+    for word, name in (('M3', 'spindle'), ('M8', 'coolant')):
+        assert any(f'{word}: WARNING: the {name} is NOT' in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    ('words', 'changes'),
+    [
+        ('T5 M6', [(2, 5)]),
+        ('T5\nX2\nM6', [(3, 5)]),
+        ('T3 M6', []),  # which is in the spindle
+        ('T5 M6\nX2\nT3 M6', [(2, 5), (3, 3)]),
+        ('T5 M6 T3\nX2\nM6\nT3 M6', [(2, 5), (3, 3)]),
+        ('T0 M6', [(2, 0)]),
+        ('M61 Q5\nT5 M6', []),  # Q5 is in the spindle: there was no change
+    ],
+)
+def test_m6_without_a_tool_changer_waits_for_another_tool(tmp_path, words, changes) -> None:
+    text = f'G0 X0 Y0 Z0\nG1 X1 F1000\n{words}\nX9\nX8\nM30\n'
+    machine, settings = Machine.load('vmc'), Settings()
+    milling = dict(yaml.safe_load((config_directory() / 'signals/milling.yaml').read_text()))
+    milling['functions'] = {k: v for k, v in milling['functions'].items() if k != 'M6'}
+    machine = replace(machine, signals=signals({'signals': milling}))
+    step = machine.signals.steps[machine.signals.words['M6'][-1]]
+    assert step.rests and machine.signals.is_change(step)
+    setup = JobSetup(tool=3)
+    stream = ProgramStream(Source.of_text(text, 'p.ngc'), Transform.of(machine), settings, setup)
+    plan_to_files(stream, machine, tmp_path)
+    found = stream.functions
+    waits = found.step == machine.signals.words['M6'][-1]
+    assert [*zip(found.block[waits], found.value[waits], strict=True)] == changes
+    # The spindle stops before anybody reaches for the tool.
+    names = {machine.signals.outputs[machine.signals.steps[k].output].name for k in found.step}
+    assert ('spindle_forward' in names) >= bool(changes)
+    # It rests where its line ends, and the second reader wants the same changes.
+    plan = read_plan(tmp_path)
+    assert all(plan.blocks['exact_stop'][block - 1] for block, _ in changes)
+    if 'M61' in words or 'M6 T3' in words:
+        return  # which that reader does not know
+    program = tmp_path / 'p.ngc'
+    program.write_text(text)
+    assert not compare_with_text(plan, machine, program).faults
+    program.write_text(text.replace('X9\n', 'T7 M6\nX9\n'))
+    assert any('M6 is due' in fault for fault in compare_with_text(plan, machine, program).faults)
 
 
 @pytest.mark.parametrize(
@@ -390,7 +437,7 @@ def test_functions_do_not_change_the_motion(tmp_path) -> None:
     a, b = (np.load(tmp_path / name / 'setpoints.npz') for name in ('with', 'without'))
     assert all(np.array_equal(a[name], b[name]) for name in a.files)
     assert len(np.load(tmp_path / 'with' / 'functions.npz')['block']) == 39 * 2 + 4
-    assert Signals() == Machine.load('xyz').signals and len(Functions.none()) == 0
+    assert set(Machine.load('xyz').signals.words) == {'M6'} and len(Functions.none()) == 0
 
 
 def test_tool_changes_and_the_spindle_take_the_times_of_the_machine_file() -> None:

@@ -34,7 +34,7 @@ def parts_of(text, answers, name='xyz'):
     """Return the tips [m] of each part of a program whose probe answers at axis positions."""
     machine = replace(Machine.load(name), signals=MACHINE.signals)
     stream = ProgramStream(Source.of_text(text, 'p.ngc'), Transform.of(machine), Settings())
-    stream.wait_at_probes()
+    stream.read_live()
     found = [np.concatenate([part.tip for part in stream])]
     for at in answers:
         assert stream.probe is not None

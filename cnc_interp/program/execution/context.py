@@ -58,6 +58,7 @@ class Execution:
         self.cycle: CannedCycle | None = None
         self.called: SiemensCycle | None = None  # by MCALL
         self.tool = self.chosen_tool = setup.tool
+        self.has_tool = False  # whether the last M6 names the tool in the spindle
         self.outputs: dict[str, str] = {}  # the last M code of each output
         #: What functions have set last: G94 or G95, and what ``SURFACE`` names with G96.
         self.states: tuple[str, tuple[float, ...]] = 'G94', ()
@@ -65,7 +66,9 @@ class Execution:
         self.set_here: dict[str, str] = {}  # by modal value, the code of this block
         self.whole = True  # whether more lines can follow, so that it can look ahead
         self.finished = False  # whether M2 or M30 was read
-        self.waits_at_probes = False  # so that what follows is read with its answer
+        #: Whether a machine executes it while it is read: it is read on after each probe, and
+        #: the lengths of its tools must be known.
+        self.is_live = False
         self.probe: Probe | None = None  # that is waited for
 
     @property

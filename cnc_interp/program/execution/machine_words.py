@@ -25,6 +25,7 @@ def choose_tool(at: Execution, words: BlockWords) -> None:
     if changes or not at.tool:
         at.tool = at.chosen_tool
     if changes:
+        at.has_tool = at.tool == at.mover.setup.tool
         at.mover.change(SetupChange('tool', at.tool))
     if 'M19' in words.m and 'G64' not in words.g:
         for letter in 'RPQ':  # where the spindle stops
@@ -71,6 +72,8 @@ def functions_of(at: Execution, words: BlockWords) -> tuple[list[Acting], list[A
         found.remove('S')
     at.states = states
     found = [word for word in found if word in at.signals.words]
+    if at.has_tool and at.signals.changed_by_hand:
+        words.m[:] = [code for code in words.m if code != 'M6']
     found += sorted(words.m, key=lambda code: codes.FIRST_M.get(code, len(codes.FIRST_M)))
     if not found:
         return [], []
@@ -93,8 +96,8 @@ def machine_function(at: Execution, code: str, _: BlockWords) -> None:
     at.outputs |= codes.OUTPUTS.get(code, {})
     if code in at.signals.words:
         return
-    if code in ('M3', 'M4'):
-        at.notice(code, codes.NO_SPINDLE)
+    if code in codes.NO_OUTPUT:
+        at.notice(code, codes.NO_OUTPUT[code])
     else:
         at.notice(code, 'no effect, it does not move the tool')
 

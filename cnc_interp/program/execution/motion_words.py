@@ -78,7 +78,7 @@ def probe(at: Execution, code: str, words: BlockWords) -> None:
     if code.startswith('G38'):
         mover.motion = None
     mover.probed = probing.answer(mover, True)
-    if at.waits_at_probes:
+    if at.is_live:
         at.probe = Probe(code, at.flow.main_line)
     else:
         at.notice(code, probing.ASSUMED)

@@ -61,13 +61,13 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
     if code == 'G43.1':
         length = words.values.pop('Z', 0.0) * mover.unit
     elif code in ('G43', 'G44') or (code in codes.TCP_ON and named is not None):
-        if not tools:
-            at.notice(code, 'no tool lengths are set (--setup); taken as zero')
-        elif number and number not in tools:
-            raise at.fault('the setup has no length of this tool; add it', f'H{number}')
+        if number and number not in tools:
+            if at.is_live or tools:
+                raise at.fault(codes.NO_LENGTH, f'H{number}')
+            at.notice(code, codes.NO_LENGTHS)
         if number in tools:
             mover.used.add(f'tool {number}')
-            length = tools[number].length * (-1.0 if code == 'G44' else 1.0)
+            length = tools[number].worn.length * (-1.0 if code == 'G44' else 1.0)
     # The axes do not move. The same position now has other program coordinates.
     frames.length, frames.names_length = length, frames.names_length or not keeps
     if code in codes.TCP_ON:
@@ -91,7 +91,7 @@ def cutter_of(at: Execution, words: BlockWords) -> Tool:
         why = 'the setup has no radius of this tool; add it (--setup)'
         raise at.fault(why, f'D{number}')
     at.mover.used.add(f'tool {number}')
-    return tools[number] if number else Tool()
+    return tools[number].worn if number else Tool()
 
 
 def write_setup(at: Execution, _: str, words: BlockWords) -> None:
@@ -150,7 +150,8 @@ def _write_tool(at: Execution, kind: int, number: float, words: BlockWords) -> N
             length = float(mover.point[2] - frames.work('G59.3')[2]) - length
     if given:
         raise at.fault('a tool has a length (Z) and a radius (R) only', f'G10 L{kind}')
-    measured = replace(tool, length=length, radius=radius)
+    wear = tool.length_wear if kind == 1 else 0.0  # it was measured as it cuts
+    measured = replace(tool, length=length, radius=radius, length_wear=wear)
     if measured.corner_radius is not None and measured.corner_radius > radius:
         raise at.fault('the corner radius of the tool is larger', words.texts['R'])
     mover.change(SetupChange('tools', measured, int(number)))

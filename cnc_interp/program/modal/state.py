@@ -370,7 +370,7 @@ class ModalState(ModalValues):
             5220: 1.0 + ALL_OFFSETS.index(setup.offset),
             5400: float(tool),
             5403: self.frames.length / self.unit,
-            5410: 2.0 * setup.tools.get(tool, Tool()).radius / self.unit,
+            5410: 2.0 * setup.tools.get(tool, Tool()).worn.radius / self.unit,
         }
         letters = ('X', 'Y', 'Z', *self.rotary_letters)
         machine = dict(zip(letters, [*self.zero.tolist(), 0.0, 0.0], strict=False))

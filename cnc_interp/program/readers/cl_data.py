@@ -344,8 +344,8 @@ class ClReader:
                 )
         elif major.startswith(cl_words.INFORMATION):
             self._notice(cl_words.INFORMATION, 'information of the CAM system, no effect')
-        elif major == 'SPINDL' and minor not in cl_words.OFF:
-            self._notice(major, codes.NO_SPINDLE)
+        elif major in cl_words.NO_OUTPUT and minor not in cl_words.OFF:
+            self._notice(major, cl_words.NO_OUTPUT[major])
         elif major in cl_words.HARMLESS or major in cl_words.OFF_ONLY:
             self._notice(major, 'no effect, it does not move the tool')
         elif major not in cl_words.SILENT:

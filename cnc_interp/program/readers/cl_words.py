@@ -109,6 +109,10 @@ LENGTH_UNITS = {'MM': MM, 'MILLIM': MM, 'INCH': INCH, 'INCHES': INCH}
 FEED_UNITS = {'MMPM': MM, 'IPM': INCH, 'PERMIN': 0.0}
 
 
+#: What statements tell on a machine without an output for them.
+NO_OUTPUT = {'SPINDL': codes.NO_SPINDLE, 'COOLNT': codes.NO_COOLANT}
+
+
 def machine_words(major: str, minor: str) -> tuple[list[str], dict[str, float]]:
     fields = [field.strip() for field in minor.split(',')]
     numbers = [float(field) for field in fields if re.fullmatch(r'\d+\.?\d*', field)]

@@ -102,7 +102,7 @@ class GcodeReader(ProgramReader):
                 return match[0]
 
         text = _PARAMETER.sub(value, text).strip()
-        if self.mover.probed and not self.at.waits_at_probes:
+        if self.mover.probed and not self.at.is_live:
             text += ' (before the probe answers)'
         self.mover.notices.once(text, self.flow.line_number, text)
 

@@ -26,6 +26,20 @@ NO_SPINDLE = (
     f'{WARNING}the spindle is NOT started, the machine file has no output for it; write '
     'signals: milling there, or start the spindle by hand before the tool cuts'
 )
+NO_COOLANT = (
+    f'{WARNING}the coolant is NOT switched on, the machine file has no output for it; write '
+    'signals: milling there, or switch it on by hand'
+)
+NO_LENGTH = (
+    'the tool table has no length of this tool; enter it, touch the tool off or measure it '
+    '(tools on the page, cnc-interp tools, --setup)'
+)
+NO_LENGTHS = (
+    f'{WARNING}no tool lengths are known (--setup), they are taken as zero; a machine rejects '
+    'this program until its tools are in the table'
+)
+#: What M codes tell on a machine without an output for them.
+NO_OUTPUT = {'M3': NO_SPINDLE, 'M4': NO_SPINDLE, 'M7': NO_COOLANT, 'M8': NO_COOLANT}
 HARMLESS_G: dict[str, str] = {
     **dict.fromkeys(
         ('G15', 'G50', 'G50.1', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'

@@ -123,7 +123,7 @@ def test_with_tool_tip_programming_the_tip_moves(bench):
 def test_the_modes_of_a_program_are_told_as_the_machine_comes_to_them(bench):
     """All blocks are read and sent long before: at M0 those after it must not be told."""
     text = (
-        'G21 G90 G94 G54 T2 M6 S5000 M3\nG0 X0 Y0 Z0\nG1 X2 F3000\nM0\n'
+        'G21 G90 G94 G54 M61 Q2 S5000 M3\nG0 X0 Y0 Z0\nG1 X2 F3000\nM0\n'
         'G61 M8 S6000\nG1 X4 F1500\nM30\n'
     )
     bench.active.clear()

@@ -53,7 +53,7 @@ PROGRAM = (
     ('motion',),
     ('execution',),
     ('readers',),
-    ('reading', 'setup_table', 'writer'),
+    ('reading', 'setup_table', 'tool_files', 'writer'),
 )
 
 # The proof shares no code with the planner: what it may import, all of it.

@@ -313,21 +313,22 @@ class Setup:
     tool: int = 0  #: The tool in the spindle; 0: none.
 
 
-def cutters_of(text: Any) -> dict[int, tuple[float, float]] | None:
-    """Return radius and corner radius (NaN: unknown) of the tools of a setup without more [m]."""
+def cutters_of(text: Any) -> dict[int, tuple[float, float, float]] | None:
+    """Return radius, corner radius (NaN: unknown) and length of the tools of a setup [m].
+
+    None if the setup has more than tools.
+    """
     if not text:
         return {}
     try:
         content = parse_yaml(str(text)) or {}
         tools = content.get('tools', {})
-        if set(content) - {'tools', 'tool'} or any(
-            _worn(tool, 'length') for tool in tools.values()
-        ):
+        if set(content) - {'tools', 'tool'}:
             return None
-        found: dict[int, tuple[float, float]] = {}
+        found: dict[int, tuple[float, float, float]] = {}
         for number, tool in tools.items():
             corner = float(tool.get('corner_radius', 'nan')) * MM
-            found[int(number)] = _worn(tool, 'radius') * MM, corner
+            found[int(number)] = _worn(tool, 'radius') * MM, corner, _worn(tool, 'length') * MM
         return found
     except (UnreadableError, AttributeError, KeyError, TypeError, ValueError) as problem:
         raise InterpError(f'summary.json: its setup cannot be read: {problem}') from None

@@ -113,6 +113,7 @@ class ReadMove:
     normal: FloatArray | None = None
     cutter: tuple[float, float] = (0.0, 0.0)  #: Radius beyond its corner, and of the corner [m].
     turn_feed: float = float('nan')  #: Its feed if only rotary axes turn [rad/s].
+    length: float = 0.0  #: Tool length along the tool beyond the tip of the machine file [m].
 
 
 @dataclass(frozen=True)
@@ -131,8 +132,8 @@ class PlainSettings:
 
     feed: float | None = None  #: Feed of a program without F [m/s].
     skip: bool = False  #: Whether lines that begin with a slash are left out.
-    #: Radius and corner radius of the tools, by their numbers [m].
-    tools: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    #: Radius, corner radius and length of the tools, by their numbers [m].
+    tools: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
     tool: int = 0  #: The tool in the spindle.
     height: float = float('nan')  #: Flank height, at which an angle of tolerance counts [m].
     after: Collection[str] = ('M2', 'M5', 'M9', 'M30')  #: Words that act after their motion.
@@ -163,7 +164,7 @@ class _State:
         self.settings, self.height, self.turns = settings, settings.height, 1
         self.rests = self.rests_once = self.worded = self.on_circle = False
         self.tools, self.cutter = settings.tools, (0.0, 0.0)
-        self.by_normals, self.normal = False, np.zeros(3)
+        self.by_normals, self.normal, self.length = False, np.zeros(3), 0.0
         self.name, self.names, self.line = name, axis_names, 0
         self.read: list[ReadMove | ReadCall] = []
         self.last = -1  # the place of the last motion among them
@@ -218,6 +219,7 @@ class _State:
                 raise self.refuse(rest.split()[0])
             rest = rest[(named or word).end() :]  # type: ignore[union-attr]
         was_per_turn = self.per_turn
+        self.measure(codes, idle.get('H'))
         self.codes(codes)
         self.speed = self.speed if 'G4' in codes else idle.get('S', self.speed)
         self.tool_number = float(round(min(abs(idle.get('T', self.tool_number)), 1e6)))
@@ -298,12 +300,28 @@ class _State:
         number = int(float(found['D'][1])) if found['D'] else -1
         if number not in self.tools:
             raise self.refuse('G41.2 without D of a tool')
-        radius, corner = self.tools[number]
+        radius, corner, _ = self.tools[number]
         corner = words.pop('R') * self.unit if 'R' in words else corner
         if found['Q'] and found['P']:
             radius -= float(found['Q'][1]) * self.unit
             corner -= float(found['P'][1]) * self.unit
         self.by_normals, self.cutter = True, (radius - corner, corner)
+
+    def measure(self, codes: list[str], number: float | None) -> None:
+        """Take the tool length of G43.4 H; G43 with a length is for another reader."""
+        known = {0: (0.0, 0.0, 0.0), **self.tools}
+        named = 0 if number is None else int(number)
+        if {'G43', 'G43.4'} & set(codes) and named not in known:
+            raise self.refuse(f'H{named}')
+        before, length = self.length, known[named][2] if named in known else 0.0
+        if ('G43' in codes or (number and 'G43.4' not in codes)) and length:
+            raise self.refuse('G43 with a tool length')
+        if 'G43.4' in codes:
+            self.length = length
+        if {'G43', 'G49', *TCP_OFF} & set(codes):
+            self.length = 0.0
+        if self.length != before:
+            self.unknown = set('XYZ') if self.here[3:].any() else {'Z'}
 
     def codes(self, codes: list[str]) -> None:
         for code in codes:
@@ -325,8 +343,8 @@ class _State:
                 self.inverse, self.per_turn = code == 'G93', code == 'G95'
             if code in (*TCP_ON, *TCP_OFF):
                 changes = self.last >= 0 and self.tcp is not (code in TCP_ON)
-                switched = changes and self.here[3:].any()
-                self.unknown = set('XYZ') if switched else self.unknown
+                if changes and self.here[3:].any():
+                    self.unknown = set('XYZ')
                 self.tcp = code in TCP_ON
             self.ended = self.ended or code in ('M2', 'M30')
 
@@ -441,5 +459,6 @@ class _State:
                 normal=self.normal if self.by_normals else None,
                 cutter=self.cutter,
                 turn_feed=self.turn_feed * turn,
+                length=self.length,
             )
         )

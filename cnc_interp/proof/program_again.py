@@ -232,15 +232,19 @@ class _Comparison:
                 axis = np.array([0.0, 0.0, 1.0])
                 if self.machine.has_rotary:
                     axis = self.transform.tool_axis(move.rotary[None])[0]
-            if move.normal is not None:
-                return _tip_of(move, axis), axis
-            return move.end, axis
+            end = move.end if move.normal is None else _tip_of(move, axis)
+            return end + move.length * axis, axis
         q = self.zero.copy()
         q[0, :3] += move.end
         q[0, 3 : 3 + len(move.rotary)] = move.rotary
         q[0, 3 + len(move.rotary) :] = move.extra
         tip, axes = self.transform.forward(q)
         return tip[0], axes[0]
+
+    def end_of(self, move: ReadMove, length: float) -> FloatArray:
+        """Return where the tip of a tool of another length is at the end of a motion, (3,) [m]."""
+        end, axis = self.pose(move)
+        return np.asarray(end - length * axis)
 
     def room(self, move: ReadMove) -> float:
         room = _place(move)
@@ -299,7 +303,7 @@ class _Comparison:
 
     def points(self, move: ReadMove) -> FloatArray:
         if move.tcp or not self.machine.has_rotary:
-            return self.blocks['tip']
+            return np.asarray(self.blocks['tip'] - move.length * self.blocks['axis'])
         if self.linear is None:
             rotary = np.nan_to_num(self.blocks['rotary'])
             self.linear = self.transform.linear(self.blocks['tip'], rotary) - self.zero[0, :3]
@@ -314,8 +318,8 @@ class _Comparison:
             return
         if len(rows) < 2 or not (move.tcp or np.allclose(move.rotary, before.rotary)):
             return
-        points = self.blocks['tip'][rows]
-        start, end = self.pose(before)[0], self.pose(move)[0]
+        points = self.blocks['tip'][rows] - move.length * self.blocks['axis'][rows]
+        start, end = (self.end_of(one, move.length) for one in (before, move))
         chord, length = end - start, float(np.linalg.norm(end - start))
         share = (points - start) @ chord / max(length**2, 1e-30)
         off = np.linalg.norm(points - start - np.clip(share, 0, 1)[:, None] * chord, axis=1)
@@ -421,7 +425,7 @@ class _Comparison:
         first, last = rows[0] - 1, rows[-1]
         extra, direction = self.blocks['extra_axes'], self.machine.extra_direction
         if move.tcp:
-            start, end = self.pose(before)[0], self.pose(move)[0]
+            start, end = (self.end_of(one, move.length) for one in (before, move))
         else:
             start, end = self.points(move)[first] - extra[first] @ direction, move.end
         way = float(np.linalg.norm(end - start))

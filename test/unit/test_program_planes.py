@@ -340,8 +340,9 @@ def test_a_tool_length_counts_along_the_tool_that_rests(code):
     np.testing.assert_allclose(axes[0] - axes[1], [[0, 0, 0.04]] * 2, atol=1e-12)
     if 'G68.2' not in code:
         np.testing.assert_allclose(tips * 1e3, [[10, 20, 30], [12, 21, 25]], atol=1e-9)
-        for turn in ('X0 A50', 'A50', 'C90'):
-            with pytest.raises(ProgramError, match='the tool turns'):
-                read_text(f'{text}\n{turn}', 'a.nc', machine, settings, setup)
+        for turn, place in (('X0 A50', [0, 21, 25]), ('A50', [12, 21, 25]), ('C90', [12, 21, 25])):
+            blocks = read_text(f'{text}\n{turn}', 'a.nc', machine, settings, setup).blocks
+            tip = blocks.tip[-1] - 0.06 * blocks.axis[-1]
+            np.testing.assert_allclose(tip * 1e3, place, atol=1e-9)
     with pytest.raises(ProgramError, match='on LinuxCNC'):
         read_text('G43 H7\nM428', 'a.nc', machine, settings, setup)

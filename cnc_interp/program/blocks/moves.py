@@ -59,6 +59,10 @@ class Moves:
             self._along[col.EXTRA_LETTERS.index(letter)] = direction
         self._start = self._starts()
         self._arc = np.isfinite(rows[:, col.SWEEP])
+        # Of a tool whose length turns with it, the programmed tip moves on lines and arcs.
+        self._length = rows[:, col.LENGTH]
+        self._turns_length = self._length != 0.0
+        self._turns_length &= np.abs(rows[:, col.AXIS] - self.axis_before).max(axis=1) > SAME
         # Axis positions and tool tips are equal while the rotary axes are at zero.
         turned = (np.abs(rows[:, col.ROTARY]) > 0.0) | (np.abs(before[:, col.ROTARY]) > 0.0)
         beside = (rows[:, col.EXTRA] != 0.0) | (before[:, col.EXTRA] != 0.0)
@@ -79,6 +83,8 @@ class Moves:
             '_start',
             '_arc',
             '_by_axes',
+            '_length',
+            '_turns_length',
             'interpolation',
             'beside',
             'rests',
@@ -199,34 +205,41 @@ class Moves:
 
     def poses(self, row: IntArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return tool tips [m] and unit tool axes [-] at shares of motions, (m, 3) each."""
-        end, point, final = self.rows[row], self._points(row, u), u == 1.0
-        rotary = self.rotary(row, u)
+        point, rotary = self._points(row, u), self.rotary(row, u)
         by_axes = self._by_axes[row]
         if by_axes.any():
             extra = self.extra(row[by_axes], u[by_axes])
             point[by_axes] = self._tips(point[by_axes], rotary[by_axes], extra)
+        return point, self._axes(row, u, rotary)
+
+    def _axes(self, row: IntArray, u: FloatArray, rotary: FloatArray) -> FloatArray:
+        end = self.rows[row]
         axis = end[:, col.AXIS].copy()
-        between = ~final
+        between = u != 1.0
         circle = between & (end[:, col.GREAT_CIRCLE] != 0.0)
         axis[circle] = great_circle(self.axis_before[row[circle]], axis[circle], u[circle])
         linear = between & (end[:, col.GREAT_CIRCLE] == 0.0)
         if linear.any():
             axis[linear] = self._geometry.tool_axis(rotary[linear])
-        return point, axis
+        return axis
+
+    def _line_ends(self, row: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return start, end and centre of what moves on a line or arc, (m, 3) each [m]."""
+        end, length = self.rows[row], (self._length * self._turns_length)[row, None]
+        before = length * self.axis_before[row]
+        last = end[:, col.POINT] - length * end[:, col.AXIS]
+        return self._start[row] - before, last, end[:, col.CENTRE] - before
 
     def _points(self, row: IntArray, u: FloatArray) -> FloatArray:
-        end, start, arc = self.rows[row], self._start[row], self._arc[row]
-        point = start + u[:, None] * (end[:, col.POINT] - start)
+        end, arc = self.rows[row], self._arc[row]
+        start, last, centre = self._line_ends(row)
+        point = start + u[:, None] * (last - start)
         if arc.any():
-            on_arc = end[arc]
-            point[arc] = arcs.points_on(
-                start[arc],
-                on_arc[:, col.POINT],
-                on_arc[:, col.CENTRE],
-                on_arc[:, col.NORMAL],
-                on_arc[:, col.SWEEP],
-                u[arc],
-            )
+            shape = end[arc, col.NORMAL], end[arc, col.SWEEP]
+            point[arc] = arcs.points_on(start[arc], last[arc], centre[arc], *shape, u[arc])
+        if (turns := self._turns_length[row]).any():
+            axis = self._axes(row[turns], u[turns], self.rotary(row[turns], u[turns]))
+            point[turns] += self._length[row[turns], None] * axis
         final = u == 1.0
         point[final] = end[final, col.POINT]
         return np.asarray(point)
@@ -245,7 +258,7 @@ class Moves:
         turns = (np.abs(self.sweep).max(axis=1) > SAME) & (self.rows[:, col.GREAT_CIRCLE] == 0.0)
         # A rotation with the tip at rest stays whole, because only the rotary axes move.
         turns &= (self.interpolation == POSES) & self._travels()
-        return np.asarray(self._arc | turns)
+        return np.asarray(self._arc | turns | self._turns_length)
 
     def _beside_arcs(self, coming: BoolArray, settings: Settings) -> BoolArray:
         count, arc = len(self._arc), np.concatenate([self._arc, coming])
@@ -268,20 +281,22 @@ class Moves:
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
-        turning |= (self.interpolation == ROTARY_LINEAR) | self.beside
+        turning |= (self.interpolation == ROTARY_LINEAR) | self.beside | self._turns_length
         row = np.flatnonzero(turning & np.isfinite(feedrate))
         if len(row):
-            way = np.linalg.norm(self.rows[row, col.POINT] - self._start[row], axis=1)
+            start, last, _ = self._line_ends(row)
+            way = np.linalg.norm(last - start, axis=1)
             arc = row[self._arc[row]]
-            shape = (col.POINT, col.CENTRE, col.NORMAL, col.SWEEP)
-            way[self._arc[row]] = arcs.lengths(
-                self._start[arc], *(self.rows[arc, column] for column in shape)
-            )
+            shape = (self.rows[arc, column] for column in (col.NORMAL, col.SWEEP))
+            way[self._arc[row]] = arcs.lengths(*self._line_ends(arc), *shape)
             more = np.flatnonzero(self.beside[row] & ~self._arc[row])
             step = (self.rows[:, col.EXTRA] - self._before[:, col.EXTRA])[row[more]]
             tip = self.rows[row[more], col.POINT] - self._start[row[more]] + step @ self._along
             way[more] = np.maximum(np.linalg.norm(tip, axis=1), np.linalg.norm(step, axis=1))
             angle = np.linalg.norm(self.sweep[row], axis=1)
+            by_direction = (angle <= SAME) & self._turns_length[row]
+            directions = self.axis_before[row], self.rows[row, col.AXIS]
+            angle[by_direction] = angle_between(*directions)[by_direction]
             turning = angle / self.rows[row, col.TURN_RATE]
             duration[row] = np.where(way <= SAME, turning, way / feedrate[row])
             feedrate[row] = nan

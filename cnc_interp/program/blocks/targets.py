@@ -64,6 +64,7 @@ class TargetColumns:
         self._emitted = 0  # rows of the blocks so far
         self.modes = ModesOfBlocks()
         self.state = (NONE, NONE, NONE)  # of the next target, as ``ModesOfBlocks.see`` takes it
+        self.length = 0.0  # of the next target: the tool length that turns with the tool [m]
         self._before: FloatArray | None = None  # the last target that became a block
         self.waits_first = False  # for the operator, before the first motion
         self._parts: list[Blocks] = []
@@ -79,7 +80,7 @@ class TargetColumns:
         if len(self._rows) >= self._full:
             self._convert(last=False)
         changed = self._at_last = self.changed if changed is None else changed
-        whole = (*row, self.start.passes, changed, *self.state)
+        whole = (*row, self.start.passes, changed, *self.state, self.length)
         if self._radius is None:
             self._rows.extend(whole)
             return
@@ -113,7 +114,7 @@ class TargetColumns:
             self._convert(last=False)
         rows[:, col.PASSES] = self.start.passes
         rows[:, col.CHANGES] = self._at_last = self.changed
-        rows[:, col.MODES.start] = self.state[0]
+        rows[:, col.MODES.start], rows[:, col.LENGTH] = self.state[0], self.length
         self._rows.frombytes(np.ascontiguousarray(rows).tobytes())
 
     def stop_here(self, kind: float = 1.0) -> None:
@@ -136,7 +137,7 @@ class TargetColumns:
         self._convert(last=True)
         extra = np.tile([end[column] for column in self._extra], (len(curve), 1))
         self._curve, self._before = replace(curve, extra=extra), None
-        self._rows.extend((*end, passes, changed, *self.state))
+        self._rows.extend((*end, passes, changed, *self.state, 0.0))
         self._at_last = changed
 
     @property

@@ -18,7 +18,9 @@ PASSES = 29
 #: How many changes of the setup, and functions, come before it; ``TargetColumns`` counts.
 CHANGES = 30
 #: Its modal state, motion code and feed, as ``ModesOfBlocks.see`` takes them.
-MODES, MOTION, FEED, WIDTH = slice(31, 34), 32, 33, 34
+MODES, MOTION, FEED = slice(31, 34), 32, 33
+#: Tool length that turns with the tool, from the programmed tip to POINT [m].
+LENGTH, WIDTH = 34, 35
 #: Values of EXACT_STOP for M1 and M0. The largest value counts if several stops meet.
 AT_M1, AT_M0 = 2.0, 3.0
 NO_ARC = (nan,) * 7  #: The columns CENTRE, NORMAL and SWEEP of a line that is not an arc.

@@ -26,6 +26,9 @@ _TWO_MEANINGS = (
 )
 _SHORT = 1e-6  #: The tool is drawn back up to so far from the travel [m].
 MOST_TURN = 1e3 * 360.0 * DEG
+#: Shares of the contour tolerance where a tool length turns: of the gauge point, and of the turn;
+#: chords have the rest.
+OF_GAUGE_POINT, OF_TURN = 0.5, 0.4
 
 
 class Mover(ModalState):
@@ -177,7 +180,7 @@ class Mover(ModalState):
         self.named = float(bool(self.rotary_letters))
         if self.targets.empty:
             self.point, self.rotary = point, rotary
-            self._check_aim()
+            self._turn_length()
         else:
             self.go(point, rotary, rapid=True)
 
@@ -211,13 +214,15 @@ class Mover(ModalState):
         self.feed_mode, self.feedrate = kept
         self.act(FREE, {})
 
-    def _check_aim(self) -> None:
+    def _turn_length(self) -> None:
+        """Let the tool length turn with the tool; the programmed tip stays where it is."""
         frames = self.frames
         if self.tcp and frames.length and np.abs(self.tool_axis - frames.along).max() > SAME_AXIS:
-            raise self.fault(
-                'the tool turns with tool-tip programming on and a tool length; turn '
-                'it before, or put the length into the machine file'
-            )
+            if self.held is not None or self.corner.size:
+                raise self.fault('a corner beside a turn of the tool; post it as moves', 'RND')
+            before = frames.along
+            self.aim()
+            self.point = self.point + frames.length * (frames.along - before)
 
     def _has_axes(self, words: BlockWords) -> bool:
         for letter in 'ABC':
@@ -356,10 +361,10 @@ class Mover(ModalState):
             self.vector = vector
         elif self.named and self.vector is not None and not self.tcp:
             self.vector = None
-        self._check_aim()
-        place = point
+        self._turn_length()
+        place = self.point
         if self.contact is not None:
-            place = self.contact.tip(point, self.tool_axis, not rapid, self._contact_fault)
+            place = self.contact.tip(place, self.tool_axis, not rapid, self._contact_fault)
         self.check_point(place)
         axis = (nan, nan, nan) if self.rotary_letters else (0.0, 0.0, 1.0)
         named, circle = self.named, self.on_great_circle
@@ -376,14 +381,14 @@ class Mover(ModalState):
             duration,
             rapid,
             self.stop_always or self.stop_once,
-            self.contour,
-            self.orientation,
+            *self.tolerances(),
             self.flow.main_line,
             self.by_axes,
             turn_rate,
             *arc,
             *self.extra,
         )
+        self.targets.length = self.frames.length if self.tcp else 0.0
         if self.held is not None:
             before = self._make_corner(place, rapid or arc is not NO_ARC)
         corner, self.corner = self.corner, self.corner if self.corner.modal else NO_CORNER
@@ -394,6 +399,13 @@ class Mover(ModalState):
             raise self.fault('stands at the end of a line G1', corner.kind)
         else:
             self.targets.add(row)
+
+    def tolerances(self) -> tuple[float, float]:
+        """Return the tolerances of a target [m], which those of a turning tool length share."""
+        if not (self.tcp and self.frames.length):
+            return self.contour, self.orientation
+        lever = abs(self.frames.length) / self.settings.flank_height
+        return OF_GAUGE_POINT * self.contour, min(self.orientation, OF_TURN * self.contour / lever)
 
     def _make_corner(self, after: FloatArray, is_other: bool) -> FloatArray:
         assert self.held is not None

@@ -42,7 +42,8 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     linear_words, arc_words = values[:, _LINEAR], np.isfinite(values[:, _ARC_WORDS]).any(axis=1)
     on_arc = motion >= 2.0
     rotary_words = np.isfinite(values[:, _ROTARY_WORDS])
-    if mover.tcp and mover.frames.length and rotary_words.any():
+    mover.targets.length = mover.frames.length if mover.tcp else 0.0
+    if mover.targets.length and rotary_words.any():
         return False
     moves = np.isfinite(linear_words).any(axis=1) | rotary_words.any(axis=1) | (on_arc & arc_words)
     others = [i for i, letter in enumerate('ABC') if letter not in mover.rotary_letters]
@@ -75,7 +76,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     per_word = 1.0 if mover.feed_mode == 'G93' else mover.unit / MINUTE
     rows[:, col.FEED] = _filled(values[:, scan.F] * per_word, mover.feed_word)[moves]
     rows[:, col.MOTION] = motion[moves]
-    rows[:, col.CONTOUR], rows[:, col.ORIENTATION] = mover.contour, mover.orientation
+    rows[:, col.CONTOUR], rows[:, col.ORIENTATION] = mover.tolerances()
     rows[:, col.LINE], rows[:, col.AXES] = lines[moves], mover.by_axes
     if mover.rotary_letters and len(rows):
         turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_program_gcode import ThreeAxes
 
+from cnc_interp.core import ProgramError
 from cnc_interp.program import open_program, read_program, read_text
 from cnc_interp.settings.options import Settings
 
@@ -107,6 +108,69 @@ def test_expressions(expression, value):
 )
 def test_three_steps(loop):
     assert xs('G0 X0\n#1=1\n' + loop + '\nM2') == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ('words', 'found'),
+    [
+        ('I1 J2 K3 I4 J5 K6 I7', {4: 1, 5: 2, 6: 3, 7: 4, 8: 5, 9: 6, 10: 7}),
+        ('I1 I4 D5', {4: 1, 7: 5}),  # the last one of both counts
+        ('D5 I1 I4', {4: 1, 7: 4}),
+        ('K1 J2 I3', {6: 1, 8: 2, 10: 3}),
+        ('A1 ' + 'I2 ' * 9 + 'K9', {1: 1, 4: 2, 28: 2, 30: 9}),
+    ],
+)
+def test_sets_of_i_j_k_are_arguments_one_after_the_other(words, found):
+    steps = '\n'.join(f'X#{number}' for number in found)
+    text = f'G0 X0\nG65 P9 {words}\nM30\nO9\nG0 Y1\n{steps}\nM99'
+    blocks = read_text(text, 'part.nc', ThreeAxes(), Settings()).blocks
+    wanted = [x for x, before in zip(found.values(), [0, *found.values()]) if x != before]
+    np.testing.assert_allclose(blocks.tip[2:, 0] * 1e3, wanted)
+    with pytest.raises(ProgramError, match='written twice'):
+        xs('G0 X0\nM98 P9 I1 I2\nO9\nM99')
+    with pytest.raises(ProgramError, match='more than ten sets'):
+        read_text(text.replace(words, 'I1 ' * 11), 'part.nc', ThreeAxes(), Settings())
+
+
+@pytest.mark.parametrize(
+    ('before', 'number', 'value'),
+    [
+        ('G1 X2 F300', 4001, 1),
+        ('G18', 4002, 18),
+        ('G91', 4003, 91),
+        ('G1 X2 F300', 4109, 300),
+        ('G20 G1 X2 F12', 4109, 12),
+        ('S1500', 4119, 1500),
+        ('T7 M6', 4120, 7),
+        ('G55', 4014, 55),
+        ('G81 Z-1 R1 F100', 4009, 81),
+        ('G99', 4010, 99),
+        ('X3 Y4', 5002, 4),
+        ('G92 Y14', 5042, 14),
+        ('Y4\nG92 Y14', 5022, 4),
+    ],
+)
+def test_a_macro_reads_the_modal_words_and_places(before, number, value):
+    text = f'O0001\nG21 G90 G0 X0 Y0 Z5\n{before}\n#100=#{number}\nG80 G90 G21 G0 X#100\nM30'
+    blocks = read_text(text, 'part.nc', ThreeAxes(), Settings()).blocks
+    np.testing.assert_allclose(blocks.tip[-1, 0] * 1e3, value)
+
+
+@pytest.mark.parametrize(
+    ('line', 'part'),
+    [
+        ('#3000=12(NO DIAMETER)', '#3000: the program raises this alarm; NO DIAMETER'),
+        ('IF [#5001 LT 1] THEN #3000=1 (TOO FAR)', '#3000: the program raises this alarm; TOO'),
+        ('#2001=5', '#2001: a variable of the control'),
+        ('#100=#4113', 'the system variable #4113 is not known'),
+    ],
+)
+def test_variables_of_the_control_are_not_set_silently(line, part):
+    with pytest.raises(ProgramError, match=part):
+        read_text(f'O0001\nG0 X0\n{line}\nX1\nM30', 'part.nc', ThreeAxes(), Settings())
+    # A line that is not executed raises nothing; #3006 stops as M0 does.
+    text = 'O0001\nG0 X0\nX1\n#3006=1(LOOK)\nGOTO 9\n#3000=1(BAD)\nN9 X2\nM30'
+    assert read_text(text, 'part.nc', ThreeAxes(), Settings()).blocks.program_stop[1] == 1
 
 
 def test_loops_in_loops():

@@ -9,8 +9,21 @@ from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.splines import CURVE_WORDS
 from cnc_interp.program.text import codes
+from cnc_interp.program.text.dialects import FANUC
 from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.words import BlockWords
+
+ALARM, STOP = 3000, 3006  #: Set by a macro: an alarm with its text, and a stop.
+IDLE = {
+    3001,
+    3002,
+    3003,
+    3004,
+    3005,
+    3007,
+    3008,
+}  #: Timers and switches; setting them moves nothing.
+_TEXT = re.compile(r'3000\s*=[^(]*\(([^()]*)\)')
 
 
 def assign(at: Execution, words: BlockWords) -> None:
@@ -36,6 +49,8 @@ def assign(at: Execution, words: BlockWords) -> None:
             else:  # OTOL is an angle; convert it to the deviation at flank height
                 mover.orientation = min(value, 90.0) * DEG * mover.settings.flank_height
         elif isinstance(name, int):
+            if _set_by_macro(at, name, value, words):
+                continue
             try:
                 at.variables.set_number(name, value)
             except ExpressionError as problem:
@@ -56,3 +71,23 @@ def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
         if others and not re.fullmatch(r'R\d+', name):
             raise at.fault(codes.UNKNOWN_NAME, name)
     at.variables.set_name(name, value)
+
+
+def _set_by_macro(at: Execution, number: int, value: float, words: BlockWords) -> bool:
+    """Execute the assignment to a variable of the control; False if it is one of the program."""
+    if at.mover.dialect is not FANUC or not 1000 <= number < 10_000:
+        return False
+    if number == ALARM:
+        line = at.flow.window.line(at.flow.row)
+        said = text[1].strip() if (text := _TEXT.search(line)) else f'{value:g}'
+        raise at.fault(f'the program raises this alarm; {said}', f'#{number}')
+    if number == STOP:
+        words.m.append('M0')
+    elif number in IDLE:
+        at.notice(f'#{number}', 'no effect, it does not move the tool')
+    else:
+        raise at.fault(
+            'a variable of the control; set tools and offsets with G10, others from #100 on',
+            f'#{number}',
+        )
+    return True

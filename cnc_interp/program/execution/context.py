@@ -13,6 +13,7 @@ from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.job import JobSetup
 from cnc_interp.program.modal.state import modal_words
+from cnc_interp.program.modal.system_variables import named, numbered
 from cnc_interp.program.motion import probing
 from cnc_interp.program.motion.cycles import CannedCycle, SiemensCycle, dwell_of
 from cnc_interp.program.motion.mover import Mover
@@ -42,8 +43,8 @@ class Execution:
     ):
         self.settings = settings
         self.variables = ProgramVariables(
-            lambda: self.mover.system_variables(self.tool),
-            lambda: self.mover.predefined_names(self.tool, self.chosen_tool, self.outputs),
+            lambda: numbered(self.mover, self.tool, self.cycle.code if self.cycle else ''),
+            lambda: named(self.mover, self.tool, self.chosen_tool, self.outputs),
             dialect.readings,
         )
         self.flow = Flow(source, self.variables, settings.most_jumps)

@@ -16,7 +16,7 @@ from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.contact_normal import ContactPath
 from cnc_interp.program.geometry.frames import Frames
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
-from cnc_interp.program.job import ALL_OFFSETS, WORK_OFFSETS, JobSetup, SetupChange, Tool
+from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal.groups import MODES, ModalValues
 from cnc_interp.program.notices import Notices
 from cnc_interp.program.text.dialects import LINUXCNC, PLAIN
@@ -255,9 +255,7 @@ class ModalState(ModalValues):
                 self.point = self.geometry.forward(q)[0][0]
         else:
             self.rotary_of_vector()
-            if self.rotary.any() or self.extra.any():
-                linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
-                self.point = linear - self.zero - self.extra @ self._along
+            self.point = self.axis_positions()[:3] - self.zero
         self.tcp = word
         self.aim()
 
@@ -363,79 +361,13 @@ class ModalState(ModalValues):
             told = 'for a floating holder: feed in, the spindle is reversed, feed out'
         self.notice(code, told)
 
-    def system_variables(self, tool: int) -> dict[int, float]:
-        """Return what LinuxCNC has from #5161 to #5428, and Fanuc as #5001 ..., #5041 ..."""
-        setup = self.setup
-        found = {
-            5210: float(setup.g92_on),
-            5220: 1.0 + ALL_OFFSETS.index(setup.offset),
-            5400: float(tool),
-            5403: self.frames.length / self.unit,
-            5410: 2.0 * setup.tools.get(tool, Tool()).worn.radius / self.unit,
-        }
-        letters = ('X', 'Y', 'Z', *self.rotary_letters)
-        machine = dict(zip(letters, [*self.zero.tolist(), 0.0, 0.0], strict=False))
-        none = dict.fromkeys(letters, 0.0)
-        positions = {5210: none | dict(setup.g92)}
-        for index, name in enumerate(WORK_OFFSETS, start=1):
-            positions[5200 + 20 * index] = machine | dict(setup.work_offsets.get(name, {}))
-            found[5210 + 20 * index] = setup.rotation(name) / DEG
-        for base, name in ((5160, 'G28'), (5180, 'G30')):
-            positions[base] = none | dict(setup.reference_points.get(name, {}))
-        here = dict(zip(letters, self.here().tolist(), strict=False))
-        positions |= dict.fromkeys((5419, 5000, 5040), here)
-        for base, position in positions.items():
-            for letter in letters:
-                i = 'XYZABC'.index(letter)
-                size = self.unit if i < 3 else DEG
-                found[base + 1 + i] = position[letter] / size
-        return found | self.probed
-
-    def predefined_names(
-        self, tool: int, chosen: int, outputs: Mapping[str, str]
-    ) -> dict[str, float]:
-        """Return the named parameters that LinuxCNC sets itself, as ``<_X>``."""
-        letters = ('X', 'Y', 'Z', *self.rotary_letters)
-        machine = [*(self.point + self.zero).tolist(), *self.rotary.tolist()]
-        motion = self.motion if self.motion is not None else 80
-        found = {
-            'METRIC': self.unit == MM,
-            'IMPERIAL': self.unit != MM,
-            'ABSOLUTE': not self.incremental,
-            'INCREMENTAL': self.incremental,
-            'INVERSE_TIME': self.feed_mode == 'G93',
-            'UNITS_PER_MINUTE': self.feed_mode == 'G94',
-            'UNITS_PER_REV': self.feed_mode == 'G95',
-            'PLANE': 10.0 * int(self.plane[1:]),
-            'MOTION_MODE': 10.0 * motion,
-            'CCOMP': 10.0 * float(self.radius_code[1:] or 40),
-            'COORD_SYSTEM': 10.0 * float(self.setup.offset[1:].split()[0]),
-            'TOOL_OFFSET': bool(self.frames.length),
-            'RETRACT_OLD_Z': self.retract_to_start,
-            'RETRACT_R_PLANE': not self.retract_to_start,
-            'IJK_ABSOLUTE_MODE': self.centre_absolute,
-            'LATHE_DIAMETER_MODE': False,
-            'LATHE_RADIUS_MODE': True,
-            'SPINDLE_RPM_MODE': not self.by_surface_speed,
-            'SPINDLE_CSS_MODE': self.by_surface_speed,
-            'SPINDLE_ON': outputs.get('spindle') in ('M3', 'M4'),
-            'SPINDLE_CW': outputs.get('spindle') == 'M3',
-            'MIST': outputs.get('mist') == 'M7',
-            'FLOOD': outputs.get('coolant') == 'M8',
-            'FEED': 0.0 if self.feedrate is None else self.feedrate * MINUTE / self.unit,
-            'RPM': self.spindle_speed,
-            'CURRENT_TOOL': tool,
-            'SELECTED_TOOL': chosen,
-            'LINE': self.flow.line_number,
-            'CALL_LEVEL': self.flow.depth,
-            'TASK': 0.0,
-            'VALUE': self.flow.returned[0],
-            'VALUE_RETURNED': self.flow.returned[1],
-        }
-        for letter, here, there in zip(letters, self.here().tolist(), machine, strict=False):
-            size = self.unit if letter in 'XYZ' else DEG
-            found[letter], found[f'ABS_{letter}'] = here / size, there / size
-        return {f'<_{name}>': float(value) for name, value in found.items()}
+    def axis_positions(self) -> FloatArray:
+        """Return machine coordinates of X Y Z and the rotary axes, (5,) [m, rad]."""
+        linear = self.point + self.zero
+        if self.tcp and (self.rotary.any() or self.extra.any()):
+            linear = self.geometry.linear(self.point[None], self.rotary[None])[0]
+            linear = linear - self.extra @ self._along
+        return np.concatenate([linear, self.rotary])
 
     def why_not(self, letter: str) -> str:
         if letter in self.extra_letters:

@@ -379,6 +379,9 @@ _CONSTANTS = {
 _MOST_VARIABLES = 100_000
 
 UNSET = 'is read before it is set; set it in the program'
+#: The first variable that a control sets itself, and those with its modal words.
+OF_CONTROL, MODAL = 4001, range(4001, 4201)
+UNKNOWN = 'is not known here; write its value'
 
 
 class ProgramVariables:
@@ -424,12 +427,16 @@ class ProgramVariables:
             return found[index]
         if found is not self._numbers and not self._vacant[-1]:
             return 0.0
-        if index >= 5000 and index in (system := self._system()):
+        if index >= OF_CONTROL and index in (system := self._system()):
             return system[index]
+        if index in MODAL:
+            raise ExpressionError(f'the system variable #{index} {UNKNOWN}')
         raise ExpressionError(f'#{index} {UNSET}')
 
     def is_vacant(self, index: int) -> bool:
-        return index not in self._with(index) and (index < 5000 or index not in self._system())
+        return index not in self._with(index) and (
+            index < OF_CONTROL or index not in self._system()
+        )
 
     def set_number(self, index: int, value: float) -> None:
         found = self._with(index)

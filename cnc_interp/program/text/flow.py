@@ -8,7 +8,7 @@ from dataclasses import replace
 from math import floor, inf
 
 from cnc_interp.program.text.cursor import Cursor, Loop, Structure
-from cnc_interp.program.text.expressions import ExpressionError, evaluate, parse
+from cnc_interp.program.text.expressions import MOST_LOCAL, ExpressionError, evaluate, parse
 from cnc_interp.program.text.source import LineStart, subprogram_file
 from cnc_interp.program.text.words import BlockWords
 
@@ -252,9 +252,25 @@ class Flow(Cursor):
             raise self.fault('a subprogram is repeated 0 to 9999 times', f'L{rounds:g}')
         arguments = None
         if word == 'G65':
-            given = [letter for letter in values if letter in G65_ARGUMENTS]
-            arguments = {G65_ARGUMENTS[letter]: values.pop(letter) for letter in given}
+            arguments = self._arguments_of(words)
         return int(number), int(max(rounds, 1) if word == 'G65' else rounds), arguments
+
+    def _arguments_of(self, words: BlockWords) -> dict[int, float]:
+        """Take the arguments of G65: where I J K begin anew, they are #7 #8 #9, and so on."""
+        given = [letter for letter in words.values if letter in G65_ARGUMENTS]
+        found = {G65_ARGUMENTS[letter]: words.values.pop(letter) for letter in given}
+        later, before = 0, ''
+        for letter, value in words.arguments:
+            if letter not in G65_ARGUMENTS:
+                continue
+            if letter in 'IJK':
+                later += 3 * bool(before and letter <= before)
+                before = letter
+            number = G65_ARGUMENTS[letter] + later * (letter in 'IJK')
+            if number > MOST_LOCAL:
+                raise self.fault('more than ten sets of I J K', letter)
+            found[number] = value
+        return found
 
     def condition(self, text: str) -> float:
         return self._values(text, 'condition')[0]

@@ -58,6 +58,8 @@ class BlockWords:
     #: Assignments to parameters (int) and names (str), in the order of the line.
     sets: list[tuple[int | str, float]] = field(default_factory=list)
     second_tool: float | None = None  #: A second T: the tool that follows (Mazak).
+    #: Words after G65, which may have several sets of I J K.
+    arguments: list[tuple[str, float]] = field(default_factory=list)
 
 
 Fault = Callable[[str, str], ProgramError]
@@ -135,7 +137,9 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
     if letter == 'T' and 'T' in words.values and words.second_tool is None:
         words.second_tool = value
         return
-    if letter in words.values:
+    if 'G65' in words.g:
+        words.arguments.append((letter, value))
+    if letter in words.values and not (letter in 'IJK' and words.arguments):
         raise fault(f'{letter} is written twice in one block; keep one of them', text)
     words.values[letter] = value
     words.texts[letter] = text

@@ -20,6 +20,7 @@ from cnc_interp.cam.passes import (
     Angles,
     Pass,
     StripError,
+    StripWidth,
     UnfitError,
     WideStripError,
     constant_tilt,
@@ -130,16 +131,9 @@ class PassRecursion:
         if tilted or o.freedom == 'yaw':
             angles = constant_tilt(curve, o.tilt, o.yaw, self.count(curve))
         else:
-            angles = constant_width(
-                curve,
-                self.cutter,
-                o.scallop_height,
-                self.half_width_at(plane),
-                o.tilt_limits,
-                o.yaw,
-                self.count(curve),
-                o.overrun,
-            )
+            strip = StripWidth(o.scallop_height, self.half_width_at(plane), o.overrun)
+            count = self.count(curve)
+            angles = constant_width(curve, self.cutter, strip, o.tilt_limits, o.yaw, count)
         return self.finished(curve, angles, np.zeros(1, np.int64), fresh=True, number=number)
 
     def next_pass(self, before: Pass, number: int) -> Pass:
@@ -204,16 +198,10 @@ class PassRecursion:
         least = CLOSEST * (plane - start)
         for _ in range(CLOSER_PLANES):
             curve = self.planes.curve(plane)
+            strip = StripWidth(o.scallop_height, self.half_width_at(plane), o.overrun)
+            count = self.count(curve)
             angles = constant_width(
-                curve,
-                self.cutter,
-                o.scallop_height,
-                self.half_width_at(plane),
-                o.tilt_limits,
-                yaw,
-                self.count(curve),
-                o.overrun,
-                strict=False,
+                curve, self.cutter, strip, o.tilt_limits, yaw, count, strict=False
             )
             parts = kept_ranges(curve, angles.s, self.reach(curve, angles), o.overrun)
             try:

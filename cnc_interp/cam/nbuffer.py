@@ -16,7 +16,7 @@ import numpy as np
 
 from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import TILE, Figures, HeightStore, deviations, is_cut
-from cnc_interp.cam.needle_cuts import TOP, cut
+from cnc_interp.cam.needle_cuts import TOP, NeedleGroups, PieceColumns, cut
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid, Needles, patches
 from cnc_interp.core import BoolArray, FloatArray, InterpError
 
@@ -70,27 +70,14 @@ def cut_needles(
 
 def cut_part(needles: Needles, sweep: MotionPieces, device: Device = 'cpu') -> FloatArray:
     needle = np.concatenate([needles.base, needles.normal], axis=2).reshape(-1, 6)
-    R, skin, (stages, widest) = sweep.cutter.tool_radius, sweep.skin, sweep.search
     if device != 'cpu':
         from cnc_interp.cam.warp_cuts import cut_by_warp
 
         return cut_by_warp(needle, sweep, device).reshape(needles.shape)
     height = np.full(len(needle), TOP)
-    cut(
-        needle,
-        *needles.groups(),
-        sweep.first,
-        sweep.middle,
-        sweep.last,
-        sweep.slack,
-        sweep.rough,
-        sweep.batch,
-        stages,
-        widest,
-        R,
-        skin,
-        height,
-    )
+    columns = sweep.first, sweep.middle, sweep.last, sweep.slack, sweep.rough, sweep.batch
+    groups, pieces = NeedleGroups(needle, *needles.groups()), PieceColumns(*columns)
+    cut(groups, pieces, sweep.search, (sweep.cutter.tool_radius, sweep.skin), height)
     return height.reshape(needles.shape)
 
 

@@ -7,6 +7,7 @@ literal that is overwritten in a loop.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
@@ -239,30 +240,41 @@ def _reach(order: IntArray, begin: int, end: int, height: FloatArray) -> float:
     return reach
 
 
+class NeedleGroups(NamedTuple):
+    """Needles, and groups of them that may be skipped together."""
+
+    needle: FloatArray  #: (k, 6): Base [m] and unit normal [-].
+    order: IntArray  #: (k,): Numbers of the needles, group by group.
+    starts: IntArray  #: (groups + 1,): Where groups begin in ``order``.
+    ball: FloatArray  #: (groups, 4): Centre and radius of a ball around the bases of a group [m].
+
+
+class PieceColumns(NamedTuple):
+    """The columns of ``MotionPieces``."""
+
+    first: FloatArray
+    middle: FloatArray
+    last: FloatArray
+    slack: FloatArray
+    rough: BoolArray
+    batch: IntArray
+
+
 @njit(cache=True, nogil=True)
 def cut(
-    needle: FloatArray,
-    order: IntArray,
-    starts: IntArray,
-    ball: FloatArray,
-    first: FloatArray,
-    middle: FloatArray,
-    last: FloatArray,
-    slack: FloatArray,
-    rough: BoolArray,
-    batch: IntArray,
-    stages: int,
-    widest: float,
-    R: float,
-    skin: float,
+    groups: NeedleGroups,
+    pieces: PieceColumns,
+    search: tuple[int, float],
+    mill: tuple[float, float],
     height: FloatArray,
 ) -> None:
     """Cut needles by pieces of motion: ``height`` (k,) is lowered in place [m].
 
-    ``needle`` (k, 6): base [m] and unit normal [-]; ``order`` (k,): numbers of the needles, group
-    by group; ``starts`` (groups + 1,); ``ball`` (groups, 4): centre and radius of a ball around
-    its bases [m]; the others are those of ``MotionPieces``, and its search.
+    ``search`` is that of ``MotionPieces``; ``mill``: radius of the cylinder, and skin [m].
     """
+    needle, order, starts, ball = groups
+    first, middle, last, slack, rough, batch = pieces
+    (stages, widest), (R, skin) = search, mill
     for g in range(len(starts) - 1):
         begin, end = starts[g], starts[g + 1]
         i = 0

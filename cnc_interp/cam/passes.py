@@ -1,6 +1,7 @@
 """Passes along guiding curves: their angles, their width, and the parts that are milled."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -92,18 +93,25 @@ def constant_tilt(curve: GuidingCurve, tilt: float, yaw: float, count: int) -> A
     return Angles(s, np.full(count, tilt), np.full(count, yaw))
 
 
+class StripWidth(NamedTuple):
+    """What a pass leaves and how far it goes: scallop height, half width, overrun [m]."""
+
+    height: float
+    half_width: float
+    overrun: float
+
+
 def constant_width(
     curve: GuidingCurve,
     cutter: Cutter,
-    height: float,
-    half_width: float,
+    strip: StripWidth,
     limits: tuple[float, float],
     yaw: float,
     count: int,
-    overrun: float,
     strict: bool = True,
 ) -> Angles:
     """Find the tilts for which the scallop lies in a plane parallel to the guiding plane."""
+    height, half_width, overrun = strip
     s = np.linspace(0.0, curve.length, count)
     kept = kept_places(curve, s, np.full(count, half_width), overrun)
     bend = curve.frames(s).curvature

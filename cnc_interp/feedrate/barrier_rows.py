@@ -15,10 +15,12 @@ constant: -1 <= g + constant <= 1, because Coulomb friction takes its part of th
 Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left end), 1 (right end),
 2 (left node), and 3 (left node, torque):
 
-    rows          (n_axes, 9, n)     row 3 q + f: factor of term f at place q; the limit is 1
+    factors       (n_axes, 9, n)     row 3 q + f: factor of term f at place q; the limit is 1
                   (n_axes, 13, n)    with four places; row 12 is the constant of place 3
     inverse_caps  (2, n)             1 / largest s_dot^2 in the cell and at its left node [s2/m2]
+    edges         (chunks + 1,)      first cell of each chunk, and the end
     m             (n,)               coefficients: the unknowns [m2/s2]
+    width         (n,)               effective widths of the cells [m]
     terms         (7, n + 1)         terms of the rows;  slopes (14, n + 1): their derivatives
     weight        (n,)               barrier weight of the cell: its share of the time [-]
     slack, dual   (r, n)             w and y: rows 2 (p k + q) and 2 (p k + q) + 1 are both sides
@@ -28,16 +30,46 @@ Arrays for n cells, p places and r = 2 p n_axes + 2 rows; places: q = 0 (left en
     dm            (n + 2,)           step of m, likewise; both ends are zero
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.native import DistinctArrays
-from cnc_interp.feedrate.jerk_rows import slope_rows, term_rows
+from cnc_interp.feedrate.jerk_rows import FloatRows, slope_rows, term_rows
 
 #: Smallest slack, and slack times dual over the time, at the beginning of a warm start.
 WARM_SLACK, WARM_GAP = 1e-2, 1e-4
 CHUNK = 256  #: Most cells that are summed over all axes at a time, and that step alike.
+
+
+class BarrierRows(NamedTuple):
+    """The rows of a part of the path, and how its cells are weighted and divided."""
+
+    factors: FloatArray
+    inverse_caps: FloatArray
+    weight: FloatArray
+    edges: IntArray
+
+
+class Iterate(NamedTuple):
+    """What the iteration moves: coefficients, effective widths, slacks and duals."""
+
+    m: FloatArray
+    width: FloatArray
+    slack: FloatArray
+    dual: FloatArray
+
+
+class Newton(NamedTuple):
+    """The symmetric pentadiagonal matrix of a step, its right-hand side, the dual residual."""
+
+    d0: FloatArray
+    d1: FloatArray
+    d2: FloatArray
+    rhs: FloatArray
+    residual: FloatArray
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -61,33 +93,24 @@ def constant_of(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_rows(
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
+    factors: FloatRows,
     constant: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    s00: FloatArray,
-    s01: FloatArray,
-    s02: FloatArray,
-    s11: FloatArray,
-    s12: FloatArray,
-    s22: FloatArray,
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    u0: FloatArray,
-    u1: FloatArray,
-    u2: FloatArray,
+    terms: FloatRows,
+    sides: FloatRows,
+    squares: FloatRows,
+    forces: FloatRows,
     gap: FloatArray,
     use: FloatArray,
 ) -> None:
-    """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls."""
+    """Add the rows of one axis and place to sums in the terms: squares, pushes and pulls.
+
+    ``sides``: slacks of both sides, then duals; ``forces``: three pushes, then three pulls.
+    """
+    c0, c1, c2 = factors
+    x0, x1, x2 = terms
+    w0, w1, y0, y1 = sides
+    s00, s01, s02, s11, s12, s22 = squares
+    p0, p1, p2, u0, u1, u2 = forces
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
         g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j] + constant[j]
@@ -112,30 +135,11 @@ def _sum_rows(
 
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
-def _sums_by_coefficients(
-    s00: FloatArray,
-    s01: FloatArray,
-    s02: FloatArray,
-    s11: FloatArray,
-    s12: FloatArray,
-    s22: FloatArray,
-    e00: FloatArray,
-    e01: FloatArray,
-    e02: FloatArray,
-    e10: FloatArray,
-    e11: FloatArray,
-    e12: FloatArray,
-    e20: FloatArray,
-    e21: FloatArray,
-    e22: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h02: FloatArray,
-    h11: FloatArray,
-    h12: FloatArray,
-    h22: FloatArray,
-) -> None:
+def _sums_by_coefficients(squares: FloatRows, slopes: FloatRows, out: FloatRows) -> None:
     """Add sums of squares in the terms to the matrix of the cell: h += e s e^T."""
+    s00, s01, s02, s11, s12, s22 = squares
+    e00, e01, e02, e10, e11, e12, e20, e21, e22 = slopes
+    h00, h01, h02, h11, h12, h22 = out
     for j in range(len(e00)):
         a, b, c = e00[j], e01[j], e02[j]
         t0 = s00[j] * a + s01[j] * b + s02[j] * c
@@ -158,24 +162,11 @@ def _sums_by_coefficients(
 
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
-def by_coefficients(
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    e00: FloatArray,
-    e01: FloatArray,
-    e02: FloatArray,
-    e10: FloatArray,
-    e11: FloatArray,
-    e12: FloatArray,
-    e20: FloatArray,
-    e21: FloatArray,
-    e22: FloatArray,
-    out0: FloatArray,
-    out1: FloatArray,
-    out2: FloatArray,
-) -> None:
+def by_coefficients(forces: FloatRows, slopes: FloatRows, out: FloatRows) -> None:
     """Add forces on the terms to the forces on m_{i-1}, m_i, m_{i+1} of each cell."""
+    p0, p1, p2 = forces
+    e00, e01, e02, e10, e11, e12, e20, e21, e22 = slopes
+    out0, out1, out2 = out
     for j in range(len(e00)):
         out0[j] += p0[j] * e00[j] + p1[j] * e01[j] + p2[j] * e02[j]
         out1[j] += p0[j] * e10[j] + p1[j] * e11[j] + p2[j] * e12[j]
@@ -184,32 +175,17 @@ def by_coefficients(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _time_of_cells(
-    width: FloatArray,
-    v0: FloatArray,
-    v1: FloatArray,
-    l0: FloatArray,
-    r0: FloatArray,
-    l1: FloatArray,
-    r1: FloatArray,
-    bl0: FloatArray,
-    br0: FloatArray,
-    bl1: FloatArray,
-    br1: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h02: FloatArray,
-    h11: FloatArray,
-    h12: FloatArray,
-    h22: FloatArray,
-    g0: FloatArray,
-    g1: FloatArray,
-    g2: FloatArray,
+    width: FloatArray, start: FloatRows, end: FloatRows, hessian: FloatRows, gradient: FloatRows
 ) -> None:
     """Write gradient g and Hessian h of the time t = 2 H/S of each cell, S = v_i + v_{i+1}.
 
-    d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative. ``l`` and ``r`` are the derivatives of v
-    at a node by the coefficients left and right of it, ``bl`` and ``br`` those of v^2.
+    d2t = 2 t/S^2 dS dS^T - t/S d2S, and d2S is negative. A node has v, its derivatives ``l`` and
+    ``r`` by the coefficients left and right of it, and those of v^2, ``bl`` and ``br``.
     """
+    v0, l0, r0, bl0, br0 = start
+    v1, l1, r1, bl1, br1 = end
+    h00, h01, h02, h11, h12, h22 = hessian
+    g0, g1, g2 = gradient
     for j in range(len(width)):
         sum_v = v0[j] + v1[j]
         time = 2 * width[j] / sum_v
@@ -230,26 +206,21 @@ def _time_of_cells(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _sum_caps(
-    cap0: FloatArray,
-    cap1: FloatArray,
+    caps: FloatRows,
     m: FloatArray,
-    b: FloatArray,
-    bl: FloatArray,
-    br: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    h00: FloatArray,
-    h01: FloatArray,
-    h11: FloatArray,
-    push0: FloatArray,
-    push1: FloatArray,
-    pull0: FloatArray,
-    pull1: FloatArray,
+    node: FloatRows,
+    sides: FloatRows,
+    squares: FloatRows,
+    forces: FloatRows,
     gap: FloatArray,
     use: FloatArray,
 ) -> None:
+    """Add both caps: of the coefficient m, and of v^2 at the left node."""
+    cap0, cap1 = caps
+    b, bl, br = node
+    w0, w1, y0, y1 = sides
+    h00, h01, h11 = squares
+    push0, push1, pull0, pull1 = forces
     for j in range(len(m)):
         g0, g1 = m[j] * cap0[j], b[j] * cap1[j]
         use[j] = max(use[j], max(g0, g1))
@@ -273,154 +244,103 @@ def add_to(total: FloatArray, part: FloatArray, factor: float) -> None:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
+def three_rows(x: FloatArray, first: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return x[first], x[first + 1], x[first + 2]
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def factors_of(problem: BarrierRows, k: int, q: int, lo: int, hi: int) -> FloatRows:
+    """Return the factors of the three terms in the rows of an axis at a place, in cells."""
+    c, rows = 3 * q, problem.factors
+    return rows[k, c, lo:hi], rows[k, c + 1, lo:hi], rows[k, c + 2, lo:hi]
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def sides_of(slack: FloatArray, dual: FloatArray, r: int, lo: int, hi: int) -> FloatRows:
+    """Return the slacks of two rows in cells, then their duals."""
+    return slack[r, lo:hi], slack[r + 1, lo:hi], dual[r, lo:hi], dual[r + 1, lo:hi]
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
 def add_rows(
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
+    problem: BarrierRows,
+    point: Iterate,
     v: FloatArray,
     terms: FloatArray,
     slopes: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    edges: IntArray,
-    d0: FloatArray,
-    d1: FloatArray,
-    d2: FloatArray,
-    residual: FloatArray,
-    rhs: FloatArray,
+    newton: Newton,
     weighted: FloatArray,
 ) -> tuple[float, float]:
-    """Write Newton matrix ``d0`` to ``d2``, right-hand side of the predictor step and residual.
+    """Write the Newton matrix, the right-hand side of the predictor step and the residual.
 
-    ``width`` has the effective widths [m], ``v`` s_dot at the nodes. ``weighted``: of each chunk,
-    the sum of dual times slack over the cell weights. Returns the sum without weights, and the
-    largest violation of a row.
+    ``v``: s_dot at the nodes. ``weighted``: of each chunk, the sum of dual times slack over the
+    cell weights. Returns the sum without weights, and the largest violation of a row.
     """
-    n_axes, places = rows.shape[0], places_of(rows)
+    n_axes, places = len(problem.factors), places_of(problem.factors)
+    slack, dual, edges = point.slack, point.dual, problem.edges
     total_gap, most = 0.0, 0.0
-    for out in (d0, d1, d2, residual, rhs):
+    for out in newton:
         out[:] = 0.0
     # Rows of x: the matrix of each cell (6), its right-hand side (3), its dual residual (3).
     s, x = np.empty((12, CHUNK)), np.empty((12, CHUNK))
     gap, use, zero = np.empty(CHUNK), np.empty(CHUNK), np.zeros(CHUNK)
     e = slopes
+    squares = (*three_rows(s, 0), *three_rows(s, 3))
+    forces = (*three_rows(s, 6), *three_rows(s, 9))
+    hessian = (*three_rows(x, 0), *three_rows(x, 3))
     for chunk in range(len(weighted)):
         lo, hi = edges[chunk], edges[chunk + 1]
         left, right = slice(lo, hi), slice(lo + 1, hi + 1)
         gap[:], use[:] = 0.0, 0.0
-        _time_of_cells(
-            width[left],
-            v[left],
-            v[right],
-            e[11, left],
-            e[12, left],
-            e[11, right],
-            e[12, right],
-            e[9, left],
-            e[10, left],
-            e[9, right],
-            e[10, right],
-            x[0],
-            x[1],
-            x[2],
-            x[3],
-            x[4],
-            x[5],
-            x[6],
-            x[7],
-            x[8],
-        )
+        start = v[left], e[11, left], e[12, left], e[9, left], e[10, left]
+        end = v[right], e[11, right], e[12, right], e[9, right], e[10, right]
+        _time_of_cells(point.width[left], start, end, hessian, three_rows(x, 6))
         x[9:12] = x[6:9]
         for q in range(places):
             s[:] = 0.0
-            x0, x1, x2 = term_rows(terms, q, lo, hi)
+            at = term_rows(terms, q, lo, hi)
             for k in range(n_axes):
-                c, r = 3 * q, 2 * (places * k + q)
-                _sum_rows(
-                    rows[k, c, left],
-                    rows[k, c + 1, left],
-                    rows[k, c + 2, left],
-                    constant_of(rows, k, q, lo, hi, zero),
-                    x0,
-                    x1,
-                    x2,
-                    slack[r, left],
-                    slack[r + 1, left],
-                    dual[r, left],
-                    dual[r + 1, left],
-                    s[0],
-                    s[1],
-                    s[2],
-                    s[3],
-                    s[4],
-                    s[5],
-                    s[6],
-                    s[7],
-                    s[8],
-                    s[9],
-                    s[10],
-                    s[11],
-                    gap,
-                    use,
-                )
+                constant = constant_of(problem.factors, k, q, lo, hi, zero)
+                sides = sides_of(slack, dual, 2 * (places * k + q), lo, hi)
+                factors = factors_of(problem, k, q, lo, hi)
+                _sum_rows(factors, constant, at, sides, squares, forces, gap, use)
             z = slope_rows(slopes, q, lo, hi)
-            _sums_by_coefficients(
-                s[0], s[1], s[2], s[3], s[4], s[5], *z, x[0], x[1], x[2], x[3], x[4], x[5]
-            )
-            by_coefficients(s[6], s[7], s[8], *z, x[6], x[7], x[8])
-            by_coefficients(s[9], s[10], s[11], *z, x[9], x[10], x[11])
-        r = 2 * places * n_axes
+            _sums_by_coefficients(squares, z, hessian)
+            by_coefficients(three_rows(s, 6), z, three_rows(x, 6))
+            by_coefficients(three_rows(s, 9), z, three_rows(x, 9))
         _sum_caps(
-            inverse_caps[0, left],
-            inverse_caps[1, left],
-            m[left],
-            terms[4, left],
-            e[9, left],
-            e[10, left],
-            slack[r, left],
-            slack[r + 1, left],
-            dual[r, left],
-            dual[r + 1, left],
-            x[0],
-            x[1],
-            x[3],
-            x[6],
-            x[7],
-            x[9],
-            x[10],
+            (problem.inverse_caps[0, left], problem.inverse_caps[1, left]),
+            point.m[left],
+            (terms[4, left], e[9, left], e[10, left]),
+            sides_of(slack, dual, 2 * places * n_axes, lo, hi),
+            (x[0], x[1], x[3]),
+            (x[6], x[7], x[9], x[10]),
             gap,
             use,
         )
         weighted[chunk] = 0.0
         for j in range(hi - lo):
             total_gap += gap[j]
-            weighted[chunk] += gap[j] / weight[lo + j]
+            weighted[chunk] += gap[j] / problem.weight[lo + j]
             most = max(most, use[j])
         for c, (square, beside) in enumerate(((0, 1), (3, 4), (5, -1))):
             first, last = lo + c, hi + c
-            add_to(d0[first:last], x[square], 1.0)
-            add_to(rhs[first:last], x[6 + c], -1.0)
-            add_to(residual[first:last], x[9 + c], 1.0)
+            add_to(newton.d0[first:last], x[square], 1.0)
+            add_to(newton.rhs[first:last], x[6 + c], -1.0)
+            add_to(newton.residual[first:last], x[9 + c], 1.0)
             if beside >= 0:
-                add_to(d1[first:last], x[beside], 1.0)
-        add_to(d2[lo:hi], x[2], 1.0)
+                add_to(newton.d1[first:last], x[beside], 1.0)
+        add_to(newton.d2[lo:hi], x[2], 1.0)
     return total_gap, most - 1.0
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def start_rows(
     total: float,
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m: FloatArray,
-    terms: FloatArray,
-    width: FloatArray,
+    problem: BarrierRows,
+    point: Iterate,
     v: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
+    terms: FloatArray,
     warm: bool,
 ) -> None:
     """Set the cell weights by time, and start slacks and duals.
@@ -428,6 +348,7 @@ def start_rows(
     ``total`` is the time of the starting point [s]. A warm start, from nearly the same problem,
     keeps larger duals.
     """
+    rows, weight, m, width = problem.factors, problem.weight, point.m, point.width
     n, n_axes, places = len(m), rows.shape[0], places_of(rows)
     least, level = (WARM_SLACK, WARM_GAP) if warm else (1.0, 0.3)
     for i in range(n):
@@ -442,13 +363,13 @@ def start_rows(
             use[:] = c0 * x0 + c1 * x1 + c2 * x2 + constant_of(rows, k, q, 0, n, zero)
             taking_part[:] = (c0 != 0.0) | (c1 != 0.0) | (c2 != 0.0)
         else:
-            cap = inverse_caps[row - places * n_axes]
+            cap = problem.inverse_caps[row - places * n_axes]
             use[:] = cap * (m if q == 0 else terms[4, :n])
             taking_part[:] = cap != 0.0
         sides = 2 if k < n_axes else 1
         first = 2 * row if k < n_axes else 2 * places * n_axes + q
         for side in range(sides):
-            w, y = slack[first + side], dual[first + side]
+            w, y = point.slack[first + side], point.dual[first + side]
             for i in range(n):
                 w[i] = max(1.0 - use[i] if side == 0 else 1.0 + use[i], least)
                 balanced = level * total / n * weight[i] / w[i]

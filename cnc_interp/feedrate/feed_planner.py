@@ -34,7 +34,7 @@ from cnc_interp.feedrate.motion_law import MotionLaw, Stretch
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.feedrate.time_bound import time_bound
-from cnc_interp.kinematics.axis_path import AxisPath, cut, refine
+from cnc_interp.kinematics.axis_path import AxisPath, PathCells, cut, refine
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -62,10 +62,7 @@ def _stopping_distance(v: float, acceleration: float, jerk: float) -> float:
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _window_end(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
+    path: PathCells,
     table: FloatArray,
     last: int,
     ratio: float,
@@ -78,6 +75,7 @@ def _window_end(
     ``most_cells``. ``state``: start [m], guessed speed, longest stopping distance [m], cells
     counted.
     """
+    s, left, right, feed = path
     bounds = speed_bounds(s[1 : last + 1] - s[:last], left, right, feed, table)
     for i in range(last):
         # The guess uses twice the jerk and more acceleration: a window may be too long, not short.
@@ -92,15 +90,9 @@ def _window_end(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def commit_node(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
-    table: FloatArray,
-    v: FloatArray,
-) -> int:
+def commit_node(path: PathCells, table: FloatArray, v: FloatArray) -> int:
     """Find the last grid point with a whole horizon between it and the end of the plan."""
+    s, left, right, feed = path
     bounds = speed_bounds(s[1:] - s[:-1], left, right, feed, table)
     n = len(bounds)
     farthest = 0.0
@@ -141,8 +133,8 @@ class WindowScan:
             self.stop = before + last
         if self.full is not None:
             return
-        curve = part.s, part.cell_left, part.cell_right, part.cell_feed, self.table
-        found = _window_end(*curve, last, self.ratio, self.most_cells, self.state)
+        within = self.ratio, self.most_cells
+        found = _window_end(part.cells, self.table, last, *within, self.state)
         if found > 0:
             self.full = before + found
 
@@ -326,8 +318,7 @@ class FeedPlanner:
         cells = len(stretch.nodes) - 1
         if not at_stop:
             fine, s = stretch.path, stretch.path.s
-            curve = s, fine.cell_left, fine.cell_right, fine.cell_feed, self._table
-            node = commit_node(*curve, stretch.v)
+            node = commit_node(fine.cells, self._table, stretch.v)
             due = int(np.searchsorted(stretch.nodes, node, side='right')) - 1
             least = int(np.searchsorted(s[stretch.nodes], 0.75 * s[0] + 0.25 * s[-1]))
             if due < least and not self._scan.crowded:

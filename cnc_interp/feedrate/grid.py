@@ -7,6 +7,7 @@ line; cells too short for double precision always do.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,7 +22,13 @@ from cnc_interp.core.limits_by_position import (
     limit_at,
 )
 from cnc_interp.feedrate import speed_guess
-from cnc_interp.kinematics.axis_path import AxisPath, refine, septic_coefficients, septic_jet
+from cnc_interp.kinematics.axis_path import (
+    AxisPath,
+    PathCells,
+    refine,
+    septic_coefficients,
+    septic_jet,
+)
 
 SAMPLES = 96  #: Number of intervals in which a cell is sampled before it is subdivided.
 #: Growth of the cell time per unit of time at constant speed, and its largest factor [-].
@@ -146,19 +153,21 @@ class PlanGrid:
     guess: FloatArray  #: (n + 1,): Guessed s_dot at the nodes [m/s].
 
 
+class Guess(NamedTuple):
+    """A guess of the motion on n path cells, from which the planner cells are chosen."""
+
+    bounds: FloatArray  #: (n, 6): As of ``speed_bounds``.
+    v: FloatArray  #: (n + 1,): s_dot at the grid points [m/s].
+    inside: FloatArray  #: (n,): s_dot in the middle of each cell [m/s].
+    wanted: FloatArray  #: (n + 1,): Wanted cell times there [s].
+
+
 @njit(cache=True, nogil=True, error_model='numpy')
 def _grid_nodes(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    table: FloatArray,
-    bounds: FloatArray,
-    v: FloatArray,
-    inside: FloatArray,
-    wanted: FloatArray,
-    most_bend: float,
-    whole: int,
+    path: PathCells, table: FloatArray, guess: Guess, most_bend: float, whole: int
 ) -> FloatArray:
+    s, left, right, _ = path
+    bounds, v, inside, wanted = guess
     n = len(bounds)
     found = np.empty(4096)
     total = 0
@@ -218,15 +227,9 @@ def _lies_on_line(
 @njit(cache=True, nogil=True, error_model='numpy')
 def _group_cells(
     kept: FloatArray,
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
+    path: PathCells,
     table: FloatArray,
-    bounds: FloatArray,
-    v: FloatArray,
-    inside: FloatArray,
-    wanted: FloatArray,
+    guess: Guess,
     most_bend: float,
     given: FloatArray,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -234,6 +237,8 @@ def _group_cells(
 
     Only at points that were ``given`` a group may hold more than one wanted cell time.
     """
+    s, left, right, feed = path
+    bounds, v, inside, wanted = guess
     n, count, point = len(bounds), 0, 0
     nodes = np.zeros(n + 1, dtype=np.int64)
     for end in kept:
@@ -270,10 +275,7 @@ def _group_cells(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _divided(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
+    path: PathCells,
     table: FloatArray,
     start: tuple[float, float],
     cell_time: tuple[float, float],
@@ -281,8 +283,9 @@ def _divided(
     ease: float,
     most_bend: float,
     whole: int,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return bounds, speed at and in cells, wanted cell times, and where cells are divided."""
+) -> tuple[Guess, FloatArray]:
+    """Return the guess of the motion, and where cells are divided."""
+    s, left, right, feed = path
     h = s[1:] - s[:-1]
     bounds = speed_guess.speed_bounds(h, left, right, feed, table)
     v = speed_guess.guess_speed(h, bounds, *start)
@@ -290,8 +293,8 @@ def _divided(
     time = speed_guess.guess_time(h, v, inside)
     tau = min(max(share * time, cell_time[0]), cell_time[1], time / RAMP_CELLS)
     wanted = cell_times(s, feed, bounds, v, inside, capped, tau)
-    new = _grid_nodes(s, left, right, table, bounds, v, inside, ease * wanted, most_bend, whole)
-    return bounds, v, inside, wanted, new
+    eased = Guess(bounds, v, inside, ease * wanted)
+    return Guess(bounds, v, inside, wanted), _grid_nodes(path, table, eased, most_bend, whole)
 
 
 def planning_grid(
@@ -306,16 +309,14 @@ def planning_grid(
     whole = int(np.searchsorted(path.s, kept[-1])) if len(kept) else 0
     given = path.s
     for attempt in range(MOST_ROUNDS + 1):
-        curve = path.s, path.cell_left, path.cell_right, path.cell_feed, table
         # Later rounds refine only where the first guess was too coarse, so they are less strict.
         ease = 1.0 if attempt == 0 else 1.6
-        *guess, wanted, new = _divided(
-            *curve, start, cell_time, share, ease, ease**2 * most_bend, whole
-        )
+        most = ease**2 * most_bend
+        guess, new = _divided(path.cells, table, start, cell_time, share, ease, most, whole)
         if len(new) == 0 or attempt == MOST_ROUNDS or len(path.s) + len(new) > MOST_NODES:
             break
         path = refine(path, new)
-    return PlanGrid(path, *_group_cells(kept, *curve, *guess, wanted, most_bend / 3, given))
+    return PlanGrid(path, *_group_cells(kept, path.cells, table, guess, most_bend / 3, given))
 
 
 @njit(cache=True, nogil=True, error_model='numpy')

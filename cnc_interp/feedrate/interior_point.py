@@ -12,6 +12,8 @@ are small before the rows hold leave no way to move.
 ``barrier_rows.py`` describes the rows, the arrays and their shapes.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
@@ -19,35 +21,48 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.core.native import DistinctArrays
 from cnc_interp.feedrate import barrier_rows as barrier
 from cnc_interp.feedrate import jerk_rows
+from cnc_interp.feedrate.barrier_rows import BarrierRows, Iterate, Newton, three_rows
+from cnc_interp.feedrate.jerk_rows import FloatRows
 
 #: Part of the longest step with positive slacks and duals that is taken [-].
 KEPT_STEP = 0.98
 SOLVED, STALLED, BROKEN = 0, 1, 2
 
 
+class Linearised(NamedTuple):
+    """Coefficients and terms of the rows after a whole step."""
+
+    m: FloatArray
+    terms: FloatArray
+
+
+class Aims(NamedTuple):
+    """For each cell, the wanted product of slack and dual per cell weight; factor of dw dy."""
+
+    target: FloatArray
+    second_order: FloatArray
+
+
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _predict_rows(
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
+    factors: FloatRows,
     constant: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    a0: FloatArray,
-    a1: FloatArray,
-    a2: FloatArray,
-    b0: FloatArray,
-    b1: FloatArray,
-    b2: FloatArray,
+    terms: FloatRows,
+    sides: FloatRows,
+    by_target: FloatRows,
+    by_factor: FloatRows,
     square: FloatArray,
     worst: FloatArray,
 ) -> None:
-    """Predict the steps of the rows of one axis and place; x are the linearised terms."""
+    """Predict the steps of the rows of one axis and place from the linearised terms.
+
+    Adds forces on the terms: ``by_target`` of the barrier, and ``by_factor`` of dw dy.
+    """
+    c0, c1, c2 = factors
+    x0, x1, x2 = terms
+    w0, w1, y0, y1 = sides
+    a0, a1, a2 = by_target
+    b0, b1, b2 = by_factor
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
         g = f0 * x0[j] + f1 * x1[j] + f2 * x2[j] + constant[j]
@@ -95,15 +110,10 @@ def _add_product(total: FloatArray, part: FloatArray, factor: FloatArray) -> Non
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def predict(
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m_reached: FloatArray,
-    reached: FloatArray,
+    problem: BarrierRows,
+    predicted: Linearised,
     slopes: FloatArray,
-    weight: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
-    edges: IntArray,
+    point: Iterate,
     forces: FloatArray,
     step: FloatArray,
     square: FloatArray,
@@ -113,14 +123,15 @@ def predict(
     With t = dw/w the slack stays positive up to a step length of -1/t. The dual step is dy = -y (1
     + t), so the dual stays positive up to 1/(1 + t). The corrector wants w dy + y dw = target
     weight - w y - factor dw dy: ``forces`` of each cell on its three coefficients, (6, n), first
-    by the target, then by the factor. ``m_reached`` and ``reached`` are coefficients and
-    linearised terms after the whole predictor step. Of each chunk, ``step`` is the longest step
+    by the target, then by the factor. ``predicted`` is after the whole
+    predictor step. Of each chunk, ``step`` is the longest step
     length, at most 1, and ``square`` the sum of dw dy over the cell weights.
     """
-    n_axes, places = rows.shape[0], barrier.places_of(rows)
+    n_axes, places = len(problem.factors), barrier.places_of(problem.factors)
+    slack, dual, edges, reached = point.slack, point.dual, problem.edges, predicted.terms
     # Rows of x: dw dy, 1 / step length.
     s, x = np.empty((6, barrier.CHUNK)), np.empty((2, barrier.CHUNK))
-    zero = np.zeros(barrier.CHUNK)
+    zero, by_target, by_factor = np.zeros(barrier.CHUNK), three_rows(s, 0), three_rows(s, 3)
     forces[:] = 0.0
     for chunk in range(len(step)):
         lo, hi = edges[chunk], edges[chunk + 1]
@@ -128,58 +139,29 @@ def predict(
         x[:] = 0.0
         for q in range(places):
             s[:] = 0.0
-            x0, x1, x2 = jerk_rows.term_rows(reached, q, lo, hi)
+            terms = jerk_rows.term_rows(reached, q, lo, hi)
             for k in range(n_axes):
-                c, r = 3 * q, 2 * (places * k + q)
-                _predict_rows(
-                    rows[k, c, here],
-                    rows[k, c + 1, here],
-                    rows[k, c + 2, here],
-                    barrier.constant_of(rows, k, q, lo, hi, zero),
-                    x0,
-                    x1,
-                    x2,
-                    slack[r, here],
-                    slack[r + 1, here],
-                    dual[r, here],
-                    dual[r + 1, here],
-                    s[0],
-                    s[1],
-                    s[2],
-                    s[3],
-                    s[4],
-                    s[5],
-                    x[0],
-                    x[1],
-                )
+                factors = barrier.factors_of(problem, k, q, lo, hi)
+                constant = barrier.constant_of(problem.factors, k, q, lo, hi, zero)
+                sides = barrier.sides_of(slack, dual, 2 * (places * k + q), lo, hi)
+                _predict_rows(factors, constant, terms, sides, by_target, by_factor, x[0], x[1])
             z = jerk_rows.slope_rows(slopes, q, lo, hi)
-            barrier.by_coefficients(
-                s[0], s[1], s[2], *z, forces[0, here], forces[1, here], forces[2, here]
+            out = forces[0, here], forces[1, here], forces[2, here]
+            barrier.by_coefficients(by_target, z, out)
+            out = forces[3, here], forces[4, here], forces[5, here]
+            barrier.by_coefficients(by_factor, z, out)
+        for which in range(2):
+            r = 2 * places * n_axes + which
+            _predict_cap(
+                problem.inverse_caps[which, here],
+                predicted.m[here] if which == 0 else reached[4, here],
+                slack[r, here],
+                dual[r, here],
+                s[2 * which],
+                s[2 * which + 1],
+                x[0],
+                x[1],
             )
-            barrier.by_coefficients(
-                s[3], s[4], s[5], *z, forces[3, here], forces[4, here], forces[5, here]
-            )
-        r = 2 * places * n_axes
-        _predict_cap(
-            inverse_caps[0, here],
-            m_reached[here],
-            slack[r, here],
-            dual[r, here],
-            s[0],
-            s[1],
-            x[0],
-            x[1],
-        )
-        _predict_cap(
-            inverse_caps[1, here],
-            reached[4, here],
-            slack[r + 1, here],
-            dual[r + 1, here],
-            s[2],
-            s[3],
-            x[0],
-            x[1],
-        )
         barrier.add_to(forces[1, here], s[0], 1.0)
         barrier.add_to(forces[4, here], s[1], 1.0)
         left, right = slopes[9, here], slopes[10, here]
@@ -189,7 +171,7 @@ def predict(
         _add_product(forces[4, here], s[3], right)
         worst, square[chunk] = 1.0, 0.0
         for j in range(hi - lo):
-            square[chunk] += x[0, j] / weight[lo + j]
+            square[chunk] += x[0, j] / problem.weight[lo + j]
             worst = max(worst, x[1, j])
         step[chunk] = 1.0 / worst
 
@@ -206,31 +188,26 @@ def _dual_step(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_rows(
-    target: FloatArray,
-    second_order: FloatArray,
-    c0: FloatArray,
-    c1: FloatArray,
-    c2: FloatArray,
+    aims: FloatRows,
+    factors: FloatRows,
     constant: FloatArray,
-    p0: FloatArray,
-    p1: FloatArray,
-    p2: FloatArray,
-    x0: FloatArray,
-    x1: FloatArray,
-    x2: FloatArray,
-    weight: FloatArray,
-    w0: FloatArray,
-    w1: FloatArray,
-    y0: FloatArray,
-    y1: FloatArray,
-    dw0: FloatArray,
-    dw1: FloatArray,
-    dy0: FloatArray,
-    dy1: FloatArray,
-    primal: FloatArray,
-    adjoint: FloatArray,
+    predicted: FloatRows,
+    reached: FloatRows,
+    sides: FloatRows,
+    steps: FloatRows,
+    most: FloatRows,
 ) -> None:
-    """Write the steps of the rows of one axis and place; p, x are terms after both steps."""
+    """Write the steps of the rows of one axis and place, as their ``sides``, and the most used.
+
+    ``aims``: target, factor of dw dy, and cell weight; then terms after both steps.
+    """
+    target, second_order, weight = aims
+    c0, c1, c2 = factors
+    p0, p1, p2 = predicted
+    x0, x1, x2 = reached
+    w0, w1, y0, y1 = sides
+    dw0, dw1, dy0, dy1 = steps
+    primal, adjoint = most
     for j in range(len(c0)):
         f0, f1, f2 = c0[j], c1[j], c2[j]
         g_p, g_x = f0 * p0[j] + f1 * p1[j] + f2 * p2[j], f0 * x0[j] + f1 * x1[j] + f2 * x2[j]
@@ -245,26 +222,26 @@ def _step_rows(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _step_cap(
-    target: FloatArray,
-    second_order: FloatArray,
+    aims: FloatRows,
     cap: FloatArray,
-    p: FloatArray,
-    x: FloatArray,
-    weight: FloatArray,
-    w: FloatArray,
-    y: FloatArray,
-    dw: FloatArray,
-    dy: FloatArray,
-    primal: FloatArray,
-    adjoint: FloatArray,
+    predicted: FloatArray,
+    reached: FloatArray,
+    side: FloatRows,
+    step: FloatRows,
+    most: FloatRows,
 ) -> None:
+    target, second_order, weight = aims
+    p, x = predicted, reached
+    w, y = side
+    dw, dy = step
+    primal, adjoint = most
     for j in range(len(cap)):
         inverse, there = 1.0 / w[j], 1.0 - w[j]
-        step = there - cap[j] * x[j]
+        moved = there - cap[j] * x[j]
         dy[j], most = _dual_step(
-            there - cap[j] * p[j], step, inverse, y[j], target[j] * weight[j], second_order[j]
+            there - cap[j] * p[j], moved, inverse, y[j], target[j] * weight[j], second_order[j]
         )
-        dw[j], primal[j] = step, max(primal[j], -step * inverse)
+        dw[j], primal[j] = moved, max(primal[j], -moved * inverse)
         adjoint[j] = max(adjoint[j], most)
 
 
@@ -282,29 +259,22 @@ def _blend(values: FloatArray, edges: IntArray, chunk: int, below: bool, out: Fl
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def advance(
-    target: FloatArray,
-    second_order: FloatArray,
-    rows: FloatArray,
-    inverse_caps: FloatArray,
-    m_predicted: FloatArray,
-    predicted: FloatArray,
-    m_reached: FloatArray,
-    reached: FloatArray,
-    weight: FloatArray,
-    edges: IntArray,
-    m: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
+    aims: Aims,
+    problem: BarrierRows,
+    predicted: Linearised,
+    reached: Linearised,
+    point: Iterate,
     floor: FloatArray,
 ) -> None:
     """Take the corrected step while slacks, duals and coefficients stay positive.
 
-    ``target``: wanted product of slack and dual, per unit of cell weight; ``second_order``: factor
-    of dw dy; then coefficients and terms after predictor and corrector. Each chunk moves once the
-    step length of the next one is known, while its steps are still in the cache. Its ``floor``
-    falls with the violation of its rows.
+    ``predicted``, ``reached``: after predictor and corrector. Each chunk moves once the step
+    length of the next one is known, while its steps are still in the cache. Its ``floor`` falls
+    with the violation of its rows.
     """
-    n, n_axes, places, chunks = len(m), rows.shape[0], barrier.places_of(rows), len(edges) - 1
+    m, slack, dual, edges = point.m, point.slack, point.dual, problem.edges
+    n_axes, places = len(problem.factors), barrier.places_of(problem.factors)
+    n, chunks = len(m), len(edges) - 1
     primal, adjoint = np.ones(chunks), np.ones(chunks)
     # Steps of slacks and duals of this chunk and of the one before.
     dw, dy = np.empty((2, len(slack), barrier.CHUNK)), np.empty((2, len(slack), barrier.CHUNK))
@@ -314,54 +284,35 @@ def advance(
             lo, hi = edges[chunk], edges[chunk + 1]
             here, cells, new = slice(lo, hi), slice(0, hi - lo), chunk % 2
             f[:] = 0.0
+            aim = aims.target[here], aims.second_order[here], problem.weight[here]
+            most = f[0], f[1]
             for q in range(places):
-                p = jerk_rows.term_rows(predicted, q, lo, hi)
-                x = jerk_rows.term_rows(reached, q, lo, hi)
+                p = jerk_rows.term_rows(predicted.terms, q, lo, hi)
+                x = jerk_rows.term_rows(reached.terms, q, lo, hi)
                 for k in range(n_axes):
-                    c, r = 3 * q, 2 * (places * k + q)
-                    _step_rows(
-                        target[here],
-                        second_order[here],
-                        rows[k, c, here],
-                        rows[k, c + 1, here],
-                        rows[k, c + 2, here],
-                        barrier.constant_of(rows, k, q, lo, hi, zero),
-                        *p,
-                        *x,
-                        weight[here],
-                        slack[r, here],
-                        slack[r + 1, here],
-                        dual[r, here],
-                        dual[r + 1, here],
-                        dw[new, r, cells],
-                        dw[new, r + 1, cells],
-                        dy[new, r, cells],
-                        dy[new, r + 1, cells],
-                        f[0],
-                        f[1],
-                    )
+                    r = 2 * (places * k + q)
+                    factors = barrier.factors_of(problem, k, q, lo, hi)
+                    constant = barrier.constant_of(problem.factors, k, q, lo, hi, zero)
+                    sides = barrier.sides_of(slack, dual, r, lo, hi)
+                    steps = barrier.sides_of(dw[new], dy[new], r, 0, hi - lo)
+                    _step_rows(aim, factors, constant, p, x, sides, steps, most)
             for which in range(2):
                 r = 2 * places * n_axes + which
                 _step_cap(
-                    target[here],
-                    second_order[here],
-                    inverse_caps[which, here],
-                    m_predicted[here] if which == 0 else predicted[4, here],
-                    m_reached[here] if which == 0 else reached[4, here],
-                    weight[here],
-                    slack[r, here],
-                    dual[r, here],
-                    dw[new, r, cells],
-                    dy[new, r, cells],
-                    f[0],
-                    f[1],
+                    aim,
+                    problem.inverse_caps[which, here],
+                    predicted.m[here] if which == 0 else predicted.terms[4, here],
+                    reached.m[here] if which == 0 else reached.terms[4, here],
+                    (slack[r, here], dual[r, here]),
+                    (dw[new, r, cells], dy[new, r, cells]),
+                    most,
                 )
             primal_worst, dual_worst = KEPT_STEP, KEPT_STEP
             for j in range(hi - lo):
                 primal_worst, dual_worst = max(primal_worst, f[0, j]), max(dual_worst, f[1, j])
             primal[chunk], adjoint[chunk] = KEPT_STEP / primal_worst, KEPT_STEP / dual_worst
             for i in range(max(lo, 1), min(hi, n - 1)):
-                dm = m_reached[i] - m[i]
+                dm = reached.m[i] - m[i]
                 if dm * primal[chunk] < -0.9 * m[i]:
                     primal[chunk] = -0.9 * m[i] / dm
             floor[chunk] *= 1.0 - primal[chunk]
@@ -371,7 +322,7 @@ def advance(
             _blend(primal, edges, chunk - 1, True, f[0])
             _blend(adjoint, edges, chunk - 1, True, f[1])
             for i in range(lo, hi):
-                m[i] += f[0, i - lo] * (m_reached[i] - m[i])
+                m[i] += f[0, i - lo] * (reached.m[i] - m[i])
             for r in range(len(slack)):
                 _add_product(slack[r, lo:hi], dw[new, r], f[0, cells])
                 _add_product(dual[r, lo:hi], dy[new, r], f[1, cells])
@@ -443,35 +394,34 @@ def solve(
     rows: FloatArray,
     caps: FloatArray,
     ends: FloatArray,
-    m: FloatArray,
-    width: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
+    point: Iterate,
     warm: bool,
     tolerance: float,
     most_iterations: int,
 ) -> tuple[int, int, float]:
     """Minimise the time over one part of the path; return status, iterations and time [s].
 
-    ``h`` has the cell widths, ``width`` the effective ones, in and out [m]. ``rows`` are those of
-    ``build_rows``, ``caps`` (n, 2) the largest coefficient of each cell and s_dot^2 at its left
-    node. ``ends`` has s_dot^2 and s_ddot at start and end. ``m`` is a positive starting point,
-    then the solution. With ``warm``, ``m``, ``slack`` and ``dual`` solve the problem with nearly
-    these limits. ``tolerance`` is the accepted gap to the optimum, relative to the time.
+    ``h`` has the cell widths [m]. ``rows`` are those of ``build_rows``, ``caps`` (n, 2) the
+    largest coefficient of each cell and s_dot^2 at its left node. ``ends`` has s_dot^2 and s_ddot
+    at start and end. ``point`` has positive coefficients, then the solution. With ``warm``, it
+    solves the problem with nearly these limits. ``tolerance`` is the accepted gap to the optimum,
+    relative to the time.
     """
+    m, width, slack, dual = point
     n, n_rows = len(h), len(slack)
     b, a, v = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
     terms, slopes = np.zeros((7, n + 1)), np.zeros((14, n + 1))
-    predicted, reached = np.zeros((7, n + 1)), np.zeros((7, n + 1))
-    inverse_caps = _inverse_caps(caps)
+    predicted = Linearised(np.empty(n), np.zeros((7, n + 1)))
+    reached = Linearised(np.empty(n), np.zeros((7, n + 1)))
     d0, d1, d2 = np.empty(n + 2), np.empty(n + 2), np.empty(n + 2)
     rhs, residual = np.empty(n + 2), np.empty(n + 2)
+    newton = Newton(d0, d1, d2, rhs, residual)
     dm, weight, forces = np.zeros(n + 2), np.ones(n), np.empty((6, n))
     edges = barrier.edges_of(n)
-    chunks = len(edges) - 1
+    problem, chunks = BarrierRows(rows, _inverse_caps(caps), weight, edges), len(edges) - 1
     count, weighted = np.ones(chunks), np.empty(chunks)
     step, square, floor = np.empty(chunks), np.empty(chunks), np.empty(chunks)
-    targets, target, second = np.empty(chunks), np.empty(n), np.empty(n)
+    targets, aims = np.empty(chunks), Aims(np.empty(n), np.empty(n))
     inner, calm, total = slice(1, n + 1), False, 0.0
     for iteration in range(most_iterations):
         jerk_rows.node_states(m, width, ends, b, a, v)
@@ -479,30 +429,10 @@ def solve(
         if not np.isfinite(total):
             return BROKEN, iteration, total
         if iteration == 0:
-            barrier.start_rows(
-                total, rows, inverse_caps, m, terms, width, v, weight, slack, dual, warm
-            )
+            barrier.start_rows(total, problem, point, v, terms, warm)
             for c in range(chunks):
                 count[c] = max((dual[:, edges[c] : edges[c + 1]] > 0.0).sum(), 1)
-        gap, violation = barrier.add_rows(
-            rows,
-            inverse_caps,
-            m,
-            width,
-            v,
-            terms,
-            slopes,
-            weight,
-            slack,
-            dual,
-            edges,
-            d0,
-            d1,
-            d2,
-            residual,
-            rhs,
-            weighted,
-        )
+        gap, violation = barrier.add_rows(problem, point, v, terms, slopes, newton, weighted)
         off = 0.0
         for i in range(n):
             off += abs(residual[i + 1]) * m[i]
@@ -514,22 +444,9 @@ def solve(
             return BROKEN, iteration, total
         dm[inner] = rhs[inner]
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
-        jerk_rows.linearise(terms, slopes, dm, predicted)
-        m_predicted = m + dm[inner]
-        predict(
-            rows,
-            inverse_caps,
-            m_predicted,
-            predicted,
-            slopes,
-            weight,
-            slack,
-            dual,
-            edges,
-            forces,
-            step,
-            square,
-        )
+        jerk_rows.linearise(terms, slopes, dm, predicted.terms)
+        predicted.m[:] = m + dm[inner]
+        predict(problem, predicted, slopes, point, forces, step, square)
         # The gap may stay at the tolerance: the jerk rows converge linearly in the meantime.
         least = 0.2 * tolerance * total / (n * (n_rows / 2 + 1))
         for c in range(chunks):
@@ -542,32 +459,18 @@ def solve(
             targets[c] = max(sigma * centre, min(centre, least), floor[c])
         step *= step
         for c in range(chunks):
-            _blend(targets, edges, c, False, target[edges[c] :])
-            _blend(step, edges, c, False, second[edges[c] :])
+            _blend(targets, edges, c, False, aims.target[edges[c] :])
+            _blend(step, edges, c, False, aims.second_order[edges[c] :])
         dm[inner] = rhs[inner]
         for i in range(n):
-            aim = target[i] * weight[i]
+            aim = aims.target[i] * weight[i]
             for c in range(3):
-                dm[i + c] += second[i] * forces[3 + c, i] - aim * forces[c, i]
+                dm[i + c] += aims.second_order[i] * forces[3 + c, i] - aim * forces[c, i]
         dm[1], dm[n] = 0.0, 0.0
         _substitute(d0[inner], d1[inner], d2[inner], dm[inner])
-        jerk_rows.linearise(terms, slopes, dm, reached)
-        advance(
-            target,
-            second,
-            rows,
-            inverse_caps,
-            m_predicted,
-            predicted,
-            m + dm[inner],
-            reached,
-            weight,
-            edges,
-            m,
-            slack,
-            dual,
-            floor,
-        )
+        jerk_rows.linearise(terms, slopes, dm, reached.terms)
+        reached.m[:] = m + dm[inner]
+        advance(aims, problem, predicted, reached, point, floor)
         jerk_rows.node_states(m, width, ends, b, a, v)
         calm = jerk_rows.follow_widths(h, a, v, width) < 1e-3
     return STALLED, most_iterations, total

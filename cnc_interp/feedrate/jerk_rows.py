@@ -39,6 +39,8 @@ from cnc_interp.core.limits_by_position import (
 )
 from cnc_interp.core.native import DistinctArrays
 
+FloatRows = tuple[FloatArray, ...]  #: Rows of one length, none of which overlaps another.
+
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def node_states(
@@ -83,20 +85,16 @@ def _products(
     a: FloatArray,
     b: FloatArray,
     v: FloatArray,
-    va: FloatArray,
-    vb: FloatArray,
-    va_l: FloatArray,
-    va_r: FloatArray,
-    vb_l: FloatArray,
-    vb_r: FloatArray,
-    al: FloatArray,
-    ar: FloatArray,
-    bl: FloatArray,
-    br: FloatArray,
-    vl: FloatArray,
-    vr: FloatArray,
+    products: FloatRows,
+    by_products: FloatRows,
+    by_nodes: FloatRows,
+    by_speed: FloatRows,
 ) -> None:
-    """Write v a and v b at the nodes, and the derivatives of v, v a and v b."""
+    """Write v a and v b at the nodes, and the derivatives of v a, v b and v left and right."""
+    va, vb = products
+    va_l, va_r, vb_l, vb_r = by_products
+    al, ar, bl, br = by_nodes
+    vl, vr = by_speed
     for i in range(len(v)):
         half = 0.5 / v[i] if v[i] > 0.0 else 0.0
         va[i], vb[i] = v[i] * a[i], v[i] * b[i]
@@ -108,18 +106,11 @@ def _products(
 
 @njit(cache=True, nogil=True, error_model='numpy', pipeline_class=DistinctArrays)
 def _jerks(
-    width: FloatArray,
-    a: FloatArray,
-    v: FloatArray,
-    al: FloatArray,
-    ar: FloatArray,
-    vl: FloatArray,
-    vr: FloatArray,
-    j: FloatArray,
-    j_l: FloatArray,
-    j_m: FloatArray,
-    j_r: FloatArray,
+    width: FloatArray, a: FloatArray, v: FloatArray, by_nodes: FloatRows, out: FloatRows
 ) -> None:
+    """Write the jerk of cells, and its derivatives by the coefficients around them."""
+    al, ar, vl, vr = by_nodes
+    j, j_l, j_m, j_r = out
     for i in range(len(width)):
         sum_v = v[i] + v[i + 1]
         twice = 0.5 / width[i]
@@ -153,10 +144,9 @@ def terms_and_time(
     if n > 1:
         e[7, 1], e[9, 1], e[8, n - 1], e[10, n - 1] = 0.0, 0.0, 0.0, 0.0
     terms[3], terms[4], terms[5], terms[6], e[13] = a, b, 0.0, v, 0.0
-    _products(
-        a, b, v, terms[1], terms[2], e[3], e[4], e[5], e[6], e[7], e[8], e[9], e[10], e[11], e[12]
-    )
-    _jerks(width, a, v, e[7], e[8], e[11], e[12], terms[0], e[0], e[1], e[2])
+    products, by_products = (terms[1], terms[2]), (e[3], e[4], e[5], e[6])
+    _products(a, b, v, products, by_products, (e[7], e[8], e[9], e[10]), (e[11], e[12]))
+    _jerks(width, a, v, (e[7], e[8], e[11], e[12]), (terms[0], e[0], e[1], e[2]))
     total = 0.0
     for i in range(n):
         total += 2 * width[i] / (v[i] + v[i + 1])
@@ -195,9 +185,7 @@ def linearise(terms: FloatArray, slopes: FloatArray, dm: FloatArray, out: FloatA
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def term_rows(
-    terms: FloatArray, q: int, lo: int, hi: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def term_rows(terms: FloatArray, q: int, lo: int, hi: int) -> FloatRows:
     """Return the three terms of place q of cells lo ... hi; see ``barrier_rows.py``."""
     if q > 1:
         return terms[3, lo:hi], terms[4, lo:hi], terms[3 + q, lo:hi]
@@ -205,7 +193,7 @@ def term_rows(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def slope_rows(slopes: FloatArray, q: int, lo: int, hi: int) -> tuple[FloatArray, ...]:
+def slope_rows(slopes: FloatArray, q: int, lo: int, hi: int) -> FloatRows:
     """Return the derivatives of the three terms of place q by m_{i-1}, then m_i, then m_{i+1}."""
     e, here, after, zero = slopes, slice(lo, hi), slice(lo + 1, hi + 1), slopes[13, lo:hi]
     if q == 2:

@@ -16,22 +16,23 @@ on as planned until it can brake. So the mean over ``LASTING`` seconds counts.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import ACCELERATION, COULOMB, DRIVE, has_loads, limit_at
+from cnc_interp.feedrate.barrier_rows import Iterate
 from cnc_interp.feedrate.grid import PlanGrid, planning_grid
 from cnc_interp.feedrate.interior_point import BROKEN, SOLVED, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
 from cnc_interp.feedrate.limit_use import limit_use
-from cnc_interp.feedrate.motion_law import Stretch, settle_widths, spread_law
+from cnc_interp.feedrate.motion_law import CellLaw, Stretch, settle_widths, spread_law
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import speed_inside
 from cnc_interp.feedrate.time_bound import time_bound
-from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.kinematics.axis_path import AxisPath, PathCells
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -108,17 +109,13 @@ def without_braking(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _cells(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    nodes: IntArray,
-    bounds: FloatArray,
-    v: FloatArray,
+    path: PathCells, nodes: IntArray, bounds: FloatArray, v: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return widths, both ends and first coefficients of the planner cells.
 
     The coefficients are a moving minimum, then a mean, as no law follows corners.
     """
+    s, left, right, _ = path
     n, h = len(nodes) - 1, s[nodes[1:]] - s[nodes[:-1]]
     first, last = np.empty((4, n, left.shape[2])), np.empty((4, n, left.shape[2]))
     for i in range(n):
@@ -134,35 +131,41 @@ def _cells(
     return h, first, last, m
 
 
+class PlanCells(NamedTuple):
+    """The n planner cells of a stretch, with the limits that they may use."""
+
+    h: FloatArray  #: (n,): Widths [m].
+    left: FloatArray  #: (4, n, n_axes): q, q_s, q_ss, q_sss at both ends.
+    right: FloatArray
+    scale: FloatArray  #: (n, 4, n_axes): Parts of each limit [-].
+    bounds: FloatArray  #: (n, 6): As of ``speed_bounds``.
+
+
 @njit(cache=True, nogil=True, error_model='numpy')
 def solve_cells(
-    first: int,
-    end: int,
-    h: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
+    span: tuple[int, int],
+    cells: PlanCells,
     table: FloatArray,
-    scale: FloatArray,
-    bounds: FloatArray,
     ends: FloatArray,
     more: FloatArray,
-    factors: int,
-    m: FloatArray,
-    width: FloatArray,
-    slack: FloatArray,
-    dual: FloatArray,
+    point: Iterate,
     warm: bool,
     gap: float,
 ) -> int:
-    """Solve cells ``first`` ... ``end`` between two states; ``more`` are rows of the tool."""
-    cells, count, n_axes = slice(first, end), end - first, left.shape[2]
-    some_scale, fast = scale[cells], bounds[cells, 4:].copy()
-    rows = np.zeros((n_axes + len(more), factors, count))
+    """Solve a span of cells between two states; ``more`` are rows of the tool.
+
+    The ``point`` of all cells is the starting point there, then the solution.
+    """
+    (first, end), n_axes = span, cells.left.shape[2]
+    some, count = slice(first, end), end - first
+    some_scale, fast = cells.scale[some], cells.bounds[some, 4:].copy()
+    places = (len(point.slack) - 2) // (2 * (n_axes + len(more)))
+    rows = np.zeros((n_axes + len(more), 13 if places > 3 else 9, count))
     some_left, some_right, some_slack, some_dual = (
-        np.ascontiguousarray(left[:, cells]),
-        np.ascontiguousarray(right[:, cells]),
-        np.ascontiguousarray(slack[:, cells]),
-        np.ascontiguousarray(dual[:, cells]),
+        np.ascontiguousarray(cells.left[:, some]),
+        np.ascontiguousarray(cells.right[:, some]),
+        np.ascontiguousarray(point.slack[:, some]),
+        np.ascontiguousarray(point.dual[:, some]),
     )
     build_rows(some_left, some_right, table, some_scale, rows[:n_axes])
     if len(more) > 0 and count > 2:
@@ -175,61 +178,31 @@ def solve_cells(
     for i in range(count):
         node = fast[i, 0] if i == 0 else min(fast[i, 0], fast[i - 1, 1])
         caps[i, 0], caps[i, 1] = fast[i, 0] * fast[i, 1], node * node
-    status, _, _ = solve(
-        h[cells],
-        rows,
-        caps,
-        ends,
-        m[cells],
-        width[cells],
-        some_slack,
-        some_dual,
-        warm,
-        gap,
-        MOST_ITERATIONS,
-    )
+    part = Iterate(point.m[some], point.width[some], some_slack, some_dual)
+    status, _, _ = solve(cells.h[some], rows, caps, ends, part, warm, gap, MOST_ITERATIONS)
     if status != BROKEN:
-        slack[:, cells], dual[:, cells] = some_slack, some_dual
+        point.slack[:, some], point.dual[:, some] = some_slack, some_dual
     return status
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def _spread(
-    s: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
+    path: PathCells,
     nodes: IntArray,
-    v: FloatArray,
-    a: FloatArray,
-    duration: FloatArray,
+    law: tuple[FloatArray, FloatArray, FloatArray],
     table: FloatArray,
     accepted: FloatArray,
     fresh: BoolArray,
     use: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, float]:
+) -> tuple[CellLaw, float]:
     """Spread a law over the path cells; write the use of the limits in ``fresh`` planner cells."""
-    cells, n_axes, worst = len(s) - 1, left.shape[2], 0.0
-    all_v, all_a = np.empty(cells + 1), np.empty(cells + 1)
-    jerk, all_duration = np.empty(cells), np.empty(cells)
-    spread_law(s, nodes, v, a, duration, all_v, all_a, jerk, all_duration)
+    cells, n_axes, worst = len(path.feed), path.left.shape[2], 0.0
+    v, a, duration = law
+    spread = spread_law(path.s, nodes, v, a, duration)
     all_use, all_fresh = np.empty((2, cells, 4, n_axes)), np.empty(cells, dtype=np.bool_)
     for i in range(len(nodes) - 1):
         all_fresh[nodes[i] : nodes[i + 1]] = fresh[i]
-    limit_use(
-        s[1:] - s[:-1],
-        left,
-        right,
-        feed,
-        all_v,
-        all_a,
-        jerk,
-        all_duration,
-        table,
-        ACCEPTED,
-        all_fresh,
-        all_use,
-    )
+    limit_use(path, spread, table, ACCEPTED, all_fresh, all_use)
     for i in range(len(nodes) - 1):
         for row in range(4):
             for k in range(n_axes):
@@ -240,7 +213,7 @@ def _spread(
                 if fresh[i]:
                     use[0, i, row, k], use[1, i, row, k] = most, np.maximum(start, end)
                 worst = np.maximum(worst, use[0, i, row, k] / accepted[i, row])
-    return all_v, all_a, jerk, all_duration, worst
+    return spread, worst
 
 
 def _spans_around(changed: BoolArray) -> list[tuple[int, int]]:
@@ -270,8 +243,7 @@ class StretchProblem:
         if options.below_ceiling:
             squared = time_bound(path, nodes, table, start[0] ** 2, True).squared
             guess = np.minimum(guess, 0.95 * np.sqrt(squared[nodes]))
-        curve = path.s, path.cell_left, path.cell_right
-        self.h, self.left, self.right, self.m = _cells(*curve, nodes, grid.bounds, guess)
+        self.h, self.left, self.right, self.m = _cells(path.cells, nodes, grid.bounds, guess)
         n, n_axes, k = len(self.h), path.cell_left.shape[2], len(kept.ends)
         self.m[: len(kept.m)] = kept.m
         self.ends = np.array([start[0] ** 2, start[1], 0.0, 0.0])
@@ -331,27 +303,9 @@ class StretchProblem:
         if end < len(m):
             ends[2:] = self.v[end] ** 2, self.a[end]
         more = NO_ROWS if self.tool is None else self.tool.within_parts()
-        return int(
-            solve_cells(
-                first,
-                end,
-                self.h,
-                self.left,
-                self.right,
-                self.table,
-                self.scale,
-                self.grid.bounds,
-                ends,
-                more,
-                13 if self.places > 3 else 9,
-                m,
-                width,
-                self.slack,
-                self.dual,
-                warm,
-                self.options.gap,
-            )
-        )
+        cells = PlanCells(self.h, self.left, self.right, self.scale, self.grid.bounds)
+        point, gap = Iterate(m, width, self.slack, self.dual), self.options.gap
+        return int(solve_cells((first, end), cells, self.table, ends, more, point, warm, gap))
 
     def keep_tool(self, stretch: Stretch) -> tuple[Stretch, bool]:
         if self.tool is None:
@@ -381,12 +335,10 @@ class StretchProblem:
     def with_limit_use(
         self, v: FloatArray, a: FloatArray, duration: FloatArray, fresh: BoolArray
     ) -> Stretch:
-        path, nodes = self.grid.path, self.grid.nodes
-        curve = path.s, path.cell_left, path.cell_right, path.cell_feed
-        v, a, jerk, duration, worst = _spread(
-            *curve, nodes, v, a, duration, self.table, self.accepted, fresh, self.use
-        )
-        return Stretch(path, v, a, jerk, duration, nodes, self.scale.copy(), worst)
+        path, nodes, law = self.grid.path, self.grid.nodes, (v, a, duration)
+        spread, worst = _spread(path.cells, nodes, law, self.table, self.accepted, fresh, self.use)
+        law_of_cells = spread.v, spread.a, spread.jerk, spread.duration
+        return Stretch(path, *law_of_cells, nodes, self.scale.copy(), worst)
 
     def lower_limits(self) -> bool:
         """Lower limits where the last law exceeded them; tell whether it is still a good start.

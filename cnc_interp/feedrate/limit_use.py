@@ -22,7 +22,8 @@ from cnc_interp.core import limits_by_position as by_place
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS
 from cnc_interp.core.native import DistinctArrays
-from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, septic_coefficients
+from cnc_interp.feedrate.motion_law import CellLaw
+from cnc_interp.kinematics.axis_path import UNSEEN, AxisPath, PathCells, septic_coefficients
 from cnc_interp.machine_model.machine import Machine
 
 #: Excess of a bound over the largest value for which it is near enough: part of the limits of
@@ -157,19 +158,25 @@ def _bends(
     out[TORQUE] /= table[DRIVE, k, 0] - table[COULOMB, k, 0]
 
 
+class AxisLimit(NamedTuple):
+    """A limit of an axis in a cell; ``fixed``: whether it does not depend on the position."""
+
+    row: int
+    axis: int
+    sign: float
+    fixed: bool
+
+
 @njit(cache=True, nogil=True, error_model='numpy')
 def _value(
     row: int,
-    q_s: float,
-    q_ss: float,
-    q_sss: float,
-    v: float,
-    a: float,
-    j: float,
+    slopes: tuple[float, float, float],
+    state: tuple[float, float, float],
     sign: float,
     friction: float,
 ) -> float:
     """Return what is limited of an axis: its velocity, acceleration, jerk or torque."""
+    (q_s, q_ss, q_sss), (v, a, j) = slopes, state
     if row == by_place.VELOCITY:
         return q_s * v
     if row == by_place.JERK:
@@ -224,23 +231,19 @@ def _jets(
 @njit(cache=True, nogil=True, error_model='numpy')
 def _hull_use(
     table: FloatArray,
-    row: int,
-    k: int,
-    sign: float,
+    limit: AxisLimit,
     c: FloatArray,
     h: float,
     law: tuple[float, float, float],
-    begin: float,
-    duration: float,
-    fixed: bool,
+    piece: tuple[float, float],
     work: FloatArray,
 ) -> tuple[float, float]:
     """Return the use of a limit in a part of a cell: the largest of its hull and of its values.
 
     ``c``: the septic of the axis; ``law``: s_dot, s_ddot and s_dddot where the cell begins;
-    ``fixed``: whether the limit does not depend on the position.
+    ``piece``: begin and duration of the part.
     """
-    v, a, j = law
+    (v, a, j), (begin, duration), (row, k, sign, fixed) = law, piece, limit
     q, q_s, q_ss, q_sss, u, value, points, up = work
     by_width, friction = 1.0 / h, table[VISCOUS, k, 0]
     for i in range(DEGREE + 1):
@@ -250,7 +253,7 @@ def _hull_use(
     for i in range(DEGREE + 1):
         dt = begin + duration * INSTANTS[i]
         state = v + dt * (a + dt * j / 2), a + dt * j, j
-        value[i] = _value(row, q_s[i], q_ss[i], q_sss[i], *state, sign, friction)
+        value[i] = _value(row, (q_s[i], q_ss[i], q_sss[i]), state, sign, friction)
     _to_points(value, points)
     most_up, most_down = _limits(table, row, k, q[0])
     if fixed:
@@ -265,14 +268,8 @@ def _hull_use(
 
 @njit(cache=True, nogil=True, error_model='numpy')
 def limit_use(
-    h: FloatArray,
-    left: FloatArray,
-    right: FloatArray,
-    feed: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    jerk: FloatArray,
-    duration: FloatArray,
+    path: PathCells,
+    law: CellLaw,
     table: FloatArray,
     accepted: FloatArray,
     fresh: BoolArray,
@@ -281,11 +278,12 @@ def limit_use(
     """Write the use of velocity, acceleration, jerk and feed by a law in cells, (2, n, 4, n_axes).
 
     First a bound of the largest in the whole cell, then at both ends only; the torque of a drive
-    counts as acceleration, s_dot / F stands in column 0, above 1 where s_dot is negative. ``v, a``
-    (n + 1,) belong to the grid points. Below ``accepted`` (4,) the bound need not be near the use.
-    Only ``fresh`` cells (n,) are evaluated.
+    counts as acceleration, s_dot / F stands in column 0, above 1 where s_dot is negative. Below
+    ``accepted`` (4,) the bound need not be near the use. Only ``fresh`` cells (n,) are evaluated.
     """
-    n, n_axes = len(h), left.shape[2]
+    s, left, right, feed = path
+    v, a, jerk, duration = law
+    n, n_axes = len(feed), left.shape[2]
     c, hull, bends = np.empty(8), np.empty(5), np.empty(4)
     places, work = _place_bounds(table), np.empty((8, DEGREE + 1))
     rows = TORQUE + 1 if np.isfinite(table[DRIVE]).any() else TORQUE
@@ -293,7 +291,7 @@ def limit_use(
         if not fresh[i]:
             continue
         use[:, i] = 0.0
-        t, law = duration[i], (v[i], a[i], jerk[i])
+        h, t, at_start = s[i + 1] - s[i], duration[i], (v[i], a[i], jerk[i])
         # s_dot has its largest or smallest value at an end, or where s_ddot = 0.
         ends = max(v[i], v[i + 1])
         fast, slow = ends, min(v[i], v[i + 1])
@@ -305,25 +303,26 @@ def limit_use(
             use[0, i, 3, 0] = max(use[0, i, 3, 0], 1.0 - slow / (v[i] + v[i + 1]))
         most = fast, max(abs(a[i]), abs(a[i + 1])), abs(jerk[i])
         for k in range(n_axes):
-            septic_coefficients(left[:, i, k], right[:, i, k], h[i], c)
-            _hulls(c, h[i], hull)
+            septic_coefficients(left[:, i, k], right[:, i, k], h, c)
+            _hulls(c, h, hull)
             _bends(table, places, k, hull, *most, bends)
             sign = 1.0 if left[1, i, k] + right[1, i, k] > 0.0 else -1.0
             for row in range(rows):
                 at, ends = by_place.ACCELERATION if row == TORQUE else row, 0.0
                 for node, jet in ((i, left[:, i, k]), (i + 1, right[:, i, k])):
                     state = v[node], a[node], jerk[i]
-                    x = _value(row, jet[1], jet[2], jet[3], *state, sign, table[VISCOUS, k, 0])
+                    x = _value(row, (jet[1], jet[2], jet[3]), state, sign, table[VISCOUS, k, 0])
                     up, down = _limits(table, row, k, jet[0])
                     ends = max(ends, x / up, -x / down)
                 bound = ends + bends[row] * t * t / 8
                 if bound > accepted[at] and bound - ends > CLOSE[at]:
                     fixed = row == TORQUE or places[1, row, k] == 0.0
+                    limit = AxisLimit(row, k, sign, fixed)
                     for parts in PARTS:
                         found, seen = ends, ends
                         for part in range(parts):
                             piece = t * part / parts, t / parts
-                            new = _hull_use(table, row, k, sign, c, h[i], law, *piece, fixed, work)
+                            new = _hull_use(table, limit, c, h, at_start, piece, work)
                             found, seen = max(found, new[0]), max(seen, new[1])
                         bound = min(bound, found)
                         if bound <= accepted[at] or bound - seen <= CLOSE[at]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -113,6 +114,15 @@ def _axis_motion(
     return out, cell, place
 
 
+class CellLaw(NamedTuple):
+    """A law on the grid of a path, as ``Stretch`` has it."""
+
+    v: FloatArray
+    a: FloatArray
+    jerk: FloatArray
+    duration: FloatArray
+
+
 @dataclass(frozen=True)
 class Stretch:
     """A planned part of the path that ends at rest: N path cells in n planner cells."""
@@ -217,12 +227,10 @@ def spread_law(
     v_node: FloatArray,
     a_node: FloatArray,
     duration_node: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    jerk: FloatArray,
-    duration: FloatArray,
-) -> None:
+) -> CellLaw:
     """Spread the law of the planner cells between ``nodes`` over the path cells inside them."""
+    v, a = np.empty(len(s)), np.empty(len(s))
+    jerk, duration = np.empty(len(s) - 1), np.empty(len(s) - 1)
     for i in range(len(nodes) - 1):
         first, last = nodes[i], nodes[i + 1]
         total = duration_node[i]
@@ -240,3 +248,4 @@ def spread_law(
             duration[c] = t - before
             before = t
     v[nodes[-1]], a[nodes[-1]] = v_node[-1], a_node[-1]
+    return CellLaw(v, a, jerk, duration)

@@ -11,7 +11,7 @@ from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate.jerk_stage import ACCEPTED
 from cnc_interp.feedrate.limit_use import limit_use
-from cnc_interp.feedrate.motion_law import Stretch
+from cnc_interp.feedrate.motion_law import CellLaw, Stretch
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.feedrate.vpop_steps import (
@@ -323,21 +323,9 @@ def plan(
         return None
     n, n_axes = len(s) - 1, path.cell_left.shape[2]
     v, a, jerk, duration = (rows[:, column].copy() for column in (V, A, J, D))
+    law = CellLaw(v, a, jerk[:-1], duration[:-1])
     use = np.empty((2, n, 4, n_axes))
-    limit_use(
-        np.diff(fine.s),
-        fine.cell_left,
-        fine.cell_right,
-        fine.cell_feed,
-        v,
-        a,
-        jerk[:-1],
-        duration[:-1],
-        table,
-        ACCEPTED,
-        np.ones(n, dtype=np.bool_),
-        use,
-    )
+    limit_use(fine.cells, law, table, ACCEPTED, np.ones(n, dtype=np.bool_), use)
     largest = float((use[0].max(axis=2) / ACCEPTED).max())
     if not largest <= 1.0:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 
 UNSEEN = 1e-12  #: A step of an axis [m, rad]; its third difference: see ``limits_at``.
+
+
+class PathCells(NamedTuple):
+    """What kernels need of a path: s (N,), both ends of the cells, and their feed (N - 1,)."""
+
+    s: FloatArray
+    left: FloatArray
+    right: FloatArray
+    feed: FloatArray
 
 
 @dataclass(frozen=True)
@@ -35,6 +45,10 @@ class AxisPath:
     def __post_init__(self) -> None:
         for column in vars(self).values():
             column.flags.writeable = False
+
+    @property
+    def cells(self) -> PathCells:
+        return PathCells(self.s, self.cell_left, self.cell_right, self.cell_feed)
 
     @property
     def q(self) -> FloatArray:

@@ -146,20 +146,16 @@ class PathAtPole:
         rotary = np.array([0.0, 0.0, branch, self.height])
         rotary[outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
-        q = axes.sample(
-            self.transform.packed,
-            segments.kind[i],
+        segment = axes.Segment(
+            int(segments.kind[i]),
             axes.FOLLOWING,
             self.shapes[i],
             self.beside[i],
             segments.parametrization[i],
-            segments.length[i],
-            rotary,
-            axes.NO_GUIDE,
-            0.0,
-            u,
-            inside,
-        )[0]
+            float(segments.length[i]),
+        )
+        packed = self.transform.packed
+        q = axes.sample(packed, segment, rotary, axes.NO_GUIDE, 0.0, u, inside)[0]
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:
@@ -202,18 +198,16 @@ class PathAtPole:
             slope = slope[1:] * np.arange(1, len(slope)) / length
             turning[order - 1] = np.abs(TO_BEZIER[order - 1] @ slope).max()
         exact = EXACT * np.maximum(segments.room, 1e-9) / self.height
-        bounds = polar.gap_bounds(
-            self.transform.packed,
+        columns = axes.SegmentRows(
             segments.kind,
+            np.full(len(segments), axes.FOLLOWING),
             self.shapes[rows],
             self.beside[rows],
             segments.parametrization,
             segments.length,
-            guides,
-            self.rates[rows],
-            turning,
-            exact,
         )
+        packed, rates = self.transform.packed, self.rates[rows]
+        bounds = polar.gap_bounds(packed, columns, guides, rates, turning, exact)
         return np.asarray(bounds), float(turning[0])
 
 

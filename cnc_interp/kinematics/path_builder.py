@@ -198,12 +198,7 @@ class AxisPathBuilder:
             self.transform.packed,
             float(np.sin(self.machine.singular_cone)),
             self._axes,
-            segments.kind,
-            axes.shapes_of(segments),
-            axes.beside_of(segments),
-            segments.parametrization,
-            segments.length,
-            motion,
+            axes.SegmentRows.of(segments, motion),
             guides,
             rotary,
         )

@@ -205,11 +205,7 @@ def lengths_of(
 @njit(cache=True, nogil=True)
 def gap_bounds(
     packed: FloatArray,
-    kinds: IntArray,
-    shapes: FloatArray,
-    beside: FloatArray,
-    f: FloatArray,
-    lengths: FloatArray,
+    segments: axes.SegmentRows,
     guides: FloatArray,
     rates: FloatArray,
     turning: FloatArray,
@@ -218,13 +214,14 @@ def gap_bounds(
     """Bound by what angle the tool axis deviates where the outer axis is given, shape (n,) [rad].
 
     ``turning`` bounds both derivatives of the outer axis by path length, ``allowed`` says how
-    exact each bound should be [rad]; ``rates`` as ``rates_of``, others as in ``sample``.
+    exact each bound should be [rad]; ``rates`` as ``rates_of``.
     """
-    bounds = np.zeros(len(kinds))
+    bounds = np.zeros(len(segments.kind))
     _, w = outer_and_inner(packed)
     latitude = atan2(abs(w[2]), sqrt(w[0] * w[0] + w[1] * w[1]))
-    for i in range(len(kinds)):
-        kind, shape, spans, length, guide = kinds[i], shapes[i], f[i], lengths[i], guides[i]
+    for i in range(len(bounds)):
+        kind, _, shape, beside, spans, length = axes.segment_at(segments, i)
+        guide = guides[i]
         first, last = max(0.0, guide[axes.GUIDE_FROM]), min(1.0, guide[axes.GUIDE_TO])
         if last <= first:
             continue
@@ -248,11 +245,9 @@ def gap_bounds(
         for k in range(count + 1):
             u = first + k * step
             if k == 0 or (before < 0.5) != (u <= 0.5):
-                way = way_to(kind, shape, beside[i], length, u)
+                way = way_to(kind, shape, beside, length, u)
             else:
-                way += axes.arc_length(
-                    kind, axes.FOLLOWING, shape, beside[i], 0.0, length, before, u
-                )
+                way += axes.arc_length(kind, axes.FOLLOWING, shape, beside, 0.0, length, before, u)
             o = axes.pose_jets(kind, shape, spans, u, u)[1]
             gap = guided_gap(packed, o, axes.guide_jet(guide, way)[0])
             worst, before = max(worst, abs(gap)), u

@@ -10,6 +10,7 @@ from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
+from cnc_interp.kinematics.segment_axes import SegmentRows
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
 CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -86,12 +87,7 @@ def sample_segments(
     packed: FloatArray,
     cone_sine: float,
     axes: IntArray,
-    kinds: IntArray,
-    shapes: FloatArray,
-    extra: FloatArray,
-    f: FloatArray,
-    lengths: FloatArray,
-    motion: IntArray,
+    segments: SegmentRows,
     guides: FloatArray,
     rotary: FloatArray,
 ) -> tuple[
@@ -111,7 +107,7 @@ def sample_segments(
     cut; cells of each segment, and those before u = 0.5; path lengths of the cells [m]; axes and
     three derivatives at both ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
     """
-    n, n_axes = len(kinds), len(axes)
+    n, n_axes = len(segments.kind), len(axes)
     counts, early = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     capacity = 8 * n + MOST_CELLS
     steps = np.empty(capacity)
@@ -120,15 +116,14 @@ def sample_segments(
     ends = np.empty(MOST_CELLS)  # right ends of the cells still to do, the next one last
     status, count, row, height = FINE, 0, 0, rotary[segment_axes.HEIGHT]
     for row in range(n):
-        kind, shape, spans, length = kinds[row], shapes[row], f[row], lengths[row]
-        beside, guide, way = extra[row], guides[row], 0.0
+        segment, guide, way = segment_axes.segment_at(segments, row), guides[row], 0.0
+        kind, how, shape, beside, spans, length = segment
         guided = guide[segment_axes.GUIDE_FROM] < 1.0
         if count + MOST_CELLS > capacity:
             capacity = 2 * capacity + MOST_CELLS
             steps, left = roomier(steps, capacity), roomier(left, capacity)
             right = roomier(right, capacity)
             tips, tools = roomier(tips, capacity + 1), roomier(tools, capacity + 1)
-        how = motion[row]
         free = how == segment_axes.FOLLOWING or guided
         least = cone_sine * cone_sine if free and not guided else 0.0
         rounds = kind == CORNER and how >= segment_axes.LINEAR
@@ -142,43 +137,28 @@ def sample_segments(
         if kind == SPLINE and segment_axes.tip_rests(shape):
             status = STANDSTILL
             break
-        q_a, tip, tool, sine = segment_axes.sample(
-            packed, kind, how, shape, beside, spans, length, rotary, guide, 0.0, 0.0, 0.0
-        )
+        q_a, tip, tool, sine = segment_axes.sample(packed, segment, rotary, guide, 0.0, 0.0, 0.0)
         if count == 0:
             tips[0], tools[0] = tip, tool
         while waiting > 0 and sine >= least:
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = segment_axes.sample(
-                    packed, kind, how, shape, beside, spans, length, rotary, guide, way, a, middle
-                )[0]
+                q_a = segment_axes.sample(packed, segment, rotary, guide, way, a, middle)[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
                 rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_a[0, 3], q_a[0, 4]
             h = segment_axes.arc_length(kind, how, shape, beside, height, length, a, b)
             half = segment_axes.arc_length(kind, how, shape, beside, height, length, a, middle)
             q_m, _, _, sine = segment_axes.sample(
-                packed,
-                kind,
-                how,
-                shape,
-                beside,
-                spans,
-                length,
-                rotary,
-                guide,
-                way + half,
-                middle,
-                middle,
+                packed, segment, rotary, guide, way + half, middle, middle
             )
             if sine < least:
                 break
             if free:
                 rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_m[0, 3], q_m[0, 4]
             q_b, tip, tool, sine = segment_axes.sample(
-                packed, kind, how, shape, beside, spans, length, rotary, guide, way + h, b, middle
+                packed, segment, rotary, guide, way + h, b, middle
             )
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
             fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)

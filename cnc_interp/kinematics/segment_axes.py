@@ -1,10 +1,13 @@
 """Axes and derivatives at one point of a segment; ``inside`` selects the piece at a break."""
 
+from __future__ import annotations
+
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, jet
+from cnc_interp.core import FloatArray, IntArray, jet
 from cnc_interp.core.bspline import corner_spline_jet, quintic_jet
 from cnc_interp.core.jet import Jet, VectorJet
 from cnc_interp.core.kernels import njit
@@ -49,15 +52,44 @@ def shapes_of(segments: PathSegments) -> FloatArray:
     return np.concatenate(parts, axis=1)
 
 
+class Segment(NamedTuple):
+    """What kernels need of a segment."""
+
+    kind: int
+    motion: int
+    shape: FloatArray  #: (20 or 22, 3): See ``shapes_of``.
+    beside: FloatArray  #: (6, 2 + k): Control values of rotary axes [rad] and k extra axes [m].
+    f: FloatArray  #: (spans, 8): Parametrization.
+    length: float  #: [m].
+
+
+class SegmentRows(NamedTuple):
+    """The same of consecutive segments, as columns."""
+
+    kind: IntArray
+    motion: IntArray
+    shape: FloatArray
+    beside: FloatArray
+    f: FloatArray
+    length: FloatArray
+
+    @staticmethod
+    def of(segments: PathSegments, motion: IntArray) -> SegmentRows:
+        shape, beside = shapes_of(segments), beside_of(segments)
+        f, length = segments.parametrization, segments.length
+        return SegmentRows(segments.kind, motion, shape, beside, f, length)
+
+
+@njit(cache=True, nogil=True)
+def segment_at(rows: SegmentRows, i: int) -> Segment:
+    shape, beside = rows.shape[i], rows.beside[i]
+    return Segment(rows.kind[i], rows.motion[i], shape, beside, rows.f[i], rows.length[i])
+
+
 @njit(cache=True, nogil=True)
 def sample(
     packed: FloatArray,
-    kind: int,
-    motion: int,
-    shape: FloatArray,
-    beside: FloatArray,
-    f: FloatArray,
-    length: float,
+    segment: Segment,
     rotary: FloatArray,
     guide: FloatArray,
     way: float,
@@ -66,12 +98,12 @@ def sample(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the axes at one point of a segment.
 
-    ``beside`` (6, 2 + k): control values of rotary axes [rad] and k extra axes [m]; ``way``: path
-    length from the start to u [m]. Axes that follow keep the branch and the whole turns nearest to
-    ``rotary``. Returns the axes with three derivatives by path length (4, 5 + k); tool tip and
-    axis, of no meaning where the rotary axes are coordinates; and the squared sine of the tilt
-    from the pole, negative when unreachable, 1 unless it is solved.
+    ``way``: path length from the start to u [m]. Axes that follow keep the branch and the whole
+    turns nearest to ``rotary``. Returns the axes with three derivatives by path length (4, 5 + k);
+    tool tip and axis, of no meaning where the rotary axes are coordinates; and the squared sine of
+    the tilt from the pole, negative when unreachable, 1 unless it is solved.
     """
+    kind, motion, shape, beside, f, length = segment
     if kind == kinds.CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)
         o = p

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from feedrate_paths import XYZAC, polyline_path, random_polyline
 
+from cnc_interp.feedrate.barrier_rows import Iterate
 from cnc_interp.feedrate.grid import planning_grid
 from cnc_interp.feedrate.interior_point import SOLVED, _blend, solve
 from cnc_interp.feedrate.jerk_rows import build_rows
@@ -31,10 +32,7 @@ def iterations(lines: int) -> int:
         rows,
         caps,
         stretch.ends,
-        stretch.m,
-        stretch.reset_widths(),
-        stretch.slack,
-        stretch.dual,
+        Iterate(stretch.m, stretch.reset_widths(), stretch.slack, stretch.dual),
         False,
         options.gap,
         80,

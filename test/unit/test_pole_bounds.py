@@ -15,11 +15,13 @@ from cnc_interp.core.bspline import (
 )
 from cnc_interp.kinematics.pole_bounds import gap_bounds, near_pole, pole_sine, rates_of, way_to
 from cnc_interp.kinematics.segment_axes import (
+    FOLLOWING,
     GUIDE,
     GUIDE_FROM,
     GUIDE_LENGTH,
     GUIDE_TO,
     NO_GUIDE,
+    SegmentRows,
     beside_of,
     guide_jet,
     pose_jets,
@@ -157,11 +159,7 @@ def test_deviation_is_within_its_bound_at_every_place(machine):
             turning[order] = np.abs(slope).sum()  # on [0, 1] no polynomial is larger
         bound = gap_bounds(
             transform.packed,
-            segments.kind[one],
-            shapes[one],
-            beside[one],
-            spans[one],
-            segments.length[one],
+            SegmentRows.of(segments[one], np.full(1, FOLLOWING)),
             guides,
             rates_of(segments)[one],
             turning,

@@ -15,6 +15,7 @@ largest error at any Chebyshev point of the corner.
 """
 
 from math import comb, cos, expm1, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,15 @@ TURN, OUTER = range(2)  #: Columns of the last of these rows: rotation per metre
 #: Errors below this value are rounding errors of coordinates [m].
 ROUNDING = 1e-14
 BINOMIAL = np.array([[float(comb(n, k)) for k in range(8)] for n in range(8)])
+
+
+class CornerCurve(NamedTuple):
+    """The curves of one corner; ``lift`` has the power coefficients of its connection."""
+
+    bottom: FloatArray
+    top: FloatArray
+    lift: FloatArray
+    parametrization: FloatArray
 
 
 @njit(cache=True, nogil=True)
@@ -79,13 +89,16 @@ def bound_interval(
     tip: FloatArray,
     tool: FloatArray,
     lines: FloatArray,
-    side: int,
-    top_side: int,
+    sides: tuple[int, int],
     height: float,
     largest_seen: float,
     both: bool,
 ) -> tuple[float, float]:
-    """Return a proven bound of the errors on an interval, and the largest error seen so far."""
+    """Return a proven bound of the errors on an interval, and the largest error seen so far.
+
+    ``sides``: of the corner on which the interval lies on the bottom and on the top curve.
+    """
+    side, top_side = sides
     swing, tips, axes = (
         np.empty((DEGREE + 1, 3)),
         np.empty((DEGREE + 1, 3)),
@@ -230,10 +243,7 @@ def orientation_bounds(
 ) -> FloatArray:
     return np.asarray(
         _bounds_of(
-            curves.bottom,
-            curves.top,
-            curves.connection,
-            curves.parametrization,
+            (curves.bottom, curves.top, curves.connection, curves.parametrization),
             legs,
             rates,
             outer,
@@ -246,10 +256,7 @@ def orientation_bounds(
 
 @njit(cache=True, nogil=True)
 def _bounds_of(
-    bottom: FloatArray,
-    top: FloatArray,
-    connection: FloatArray,
-    parametrization: FloatArray,
+    curves: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     legs: FloatArray,
     rates: FloatArray,
     outer: FloatArray,
@@ -257,19 +264,17 @@ def _bounds_of(
     least: FloatArray,
     both: BoolArray,
 ) -> FloatArray:
+    bottom, top, connection, parametrization = curves
     bounds = least.copy()
     for i in range(len(bottom)):
         lift, largest_seen = _powers(connection[i]), least[i]
+        curve = CornerCurve(bottom[i], top[i], lift, parametrization[i])
         lines = _programmed_lines(bottom[i], top[i], legs[i], rates[i], outer[i], height)
         breaks = corner_breaks(parametrization[i])
         for k in range(len(breaks) - 1):
             largest_seen, bounds[i] = _bound_piece(
-                breaks[k],
-                breaks[k + 1],
-                bottom[i],
-                top[i],
-                lift,
-                parametrization[i],
+                (breaks[k], breaks[k + 1]),
+                curve,
                 lines,
                 height,
                 largest_seen,
@@ -344,12 +349,8 @@ def _shifted(coefficients: FloatArray, place: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _bound_piece(
-    low: float,
-    high: float,
-    bottom: FloatArray,
-    top: FloatArray,
-    lift: FloatArray,
-    parametrization: FloatArray,
+    part: tuple[float, float],
+    curve: CornerCurve,
     lines: FloatArray,
     height: float,
     largest_seen: float,
@@ -358,16 +359,16 @@ def _bound_piece(
 ) -> tuple[float, float]:
     """Return the largest error seen and the bound, raised to those of one smooth piece [m]."""
     stack = np.empty((HALVINGS + 2, 3))
-    stack[0, 0], stack[0, 1], stack[0, 2] = low, high, 0.0
+    stack[0, 0], stack[0, 1], stack[0, 2] = part[0], part[1], 0.0
     count = 1
     while count > 0:
         count -= 1
         start, end, depth = stack[count, 0], stack[count, 1], stack[count, 2]
         middle = 0.5 * (start + end)
         half = 0.5 * (end - start)
-        tip, tool, late, outside = _taylor(middle, half, bottom, top, lift, parametrization)
+        tip, tool, late, outside = _taylor(middle, half, curve)
         bound, largest_seen = bound_interval(
-            half, tip, tool, lines, int(middle > 0.5), int(late), height, largest_seen, both
+            half, tip, tool, lines, (int(middle > 0.5), int(late)), height, largest_seen, both
         )
         bound += 4.0 * height * outside / sqrt(scalar_product(tool[0], tool[0]))
         if bound <= max(CLOSE * largest_seen, proven, ROUNDING) or depth >= HALVINGS:
@@ -381,12 +382,7 @@ def _bound_piece(
 
 @njit(cache=True, nogil=True)
 def _taylor(
-    u: float,
-    half: float,
-    bottom: FloatArray,
-    top: FloatArray,
-    lift: FloatArray,
-    parametrization: FloatArray,
+    u: float, half: float, curve: CornerCurve
 ) -> tuple[FloatArray, FloatArray, bool, float]:
     """Return the Taylor coefficients at u of tip, shape (4, 3), and tool vector, shape (m, 3).
 
@@ -394,6 +390,7 @@ def _taylor(
     The third value tells whether the top curve is in its second half. The last one bounds the
     error of the polynomial within u +- half if f crosses 0.5 there, in metres.
     """
+    bottom, top, lift, parametrization = curve
     tip, spline = np.empty((4, 3)), np.empty((4, 3))
     for c in range(3):
         tip[0, c], tip[1, c], tip[2, c], tip[3, c] = corner_spline_jet(bottom, c, u, u > 0.5)

@@ -24,27 +24,24 @@ ADVANCE = 0.01
 @njit(cache=True, nogil=True)
 def _hull(
     points: FloatArray,
-    a: float,
-    b: float,
-    first: FloatArray,
-    last: FloatArray,
-    tool: FloatArray,
-    turn: float,
+    part: tuple[float, float],
+    line: tuple[FloatArray, FloatArray, FloatArray, float],
     height: float,
     turning: bool,
     work: FloatArray,
 ) -> tuple[float, float]:
-    """Bound contour and orientation deviation of a part a ... b of a quintic span [m].
+    """Bound contour and orientation deviation of a part of a quintic span from a line [m].
 
     The top point is p + h D/|D|, where D = top - bottom. So the component of D along the tool axis
     has no effect on it. Primes mark the line. With d = D - D' and the direction o' of D',
 
         |p + h D/|D| - p' - h o'| <= |p - p' + d - (d . o') o'| + 2.3 |d|^2/h + (h/|D'| - 1) |d|.
 
-    o' turns by ``turn`` along the line. Its middle direction ``tool`` is used, which adds |d|
-    turn. ``first`` and ``last`` (6,) are tip and top of the line at a and b.
+    The ``line`` has tip and top (6,) at both ends of the part, the middle direction of o', which
+    is used, and the angle by which o' turns, which adds |d| turn.
     """
-    quintic_part(points, a, b, work)
+    first, last, tool, turn = line
+    quintic_part(points, part[0], part[1], work)
     contour, top, across = 0.0, 0.0, 0.0
     for k in range(6):
         share = k / 5.0
@@ -131,12 +128,8 @@ def certify(
                         tool[i] /= sqrt(size)
                     contour, top = _hull(
                         points[s],
-                        (a - start) / d,
-                        (b - start) / d,
-                        first,
-                        last,
-                        tool,
-                        turn * (y - x),
+                        ((a - start) / d, (b - start) / d),
+                        (first, last, tool, turn * (y - x)),
                         height,
                         turning,
                         work,

@@ -10,7 +10,7 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense import knots as spacing
 from cnc_interp.smoothing.dense.certificate import certify
 from cnc_interp.smoothing.dense.polyline import Polyline, pieces
-from cnc_interp.smoothing.dense.tube_fit import STIFFNESS, TYPICAL, fit
+from cnc_interp.smoothing.dense.tube_fit import STIFFNESS, TYPICAL, QuinticBasis, fit
 from cnc_interp.smoothing.orientation import rotation_between, share_near_pole
 
 #: Spans in a window, spans committed of it, and most spans in the last window of a run.
@@ -44,6 +44,15 @@ class Window(NamedTuple):
     origin: IntArray
     #: (n, 3): Contour and orientation deviation, and what is left of that tolerance [m].
     deviation: FloatArray
+
+
+class RunEnds(NamedTuple):
+    """Whether a run, or a window of it, begins and ends where the tool is led by lines."""
+
+    begun: bool  #: Whether a part of the curve is committed already.
+    ended: bool  #: Whether the end of the run is known.
+    jet: FloatArray  #: (m, 6): Value and derivatives over factorials at the start of what is left.
+    end_jet: FloatArray  #: The same at the end; no rows if it is free.
 
 
 class DenseRun:
@@ -106,10 +115,7 @@ class DenseRun:
             self.t,
             limit,
             self._longest,
-            self.begun,
-            self.ended,
-            self._jet,
-            self._end_jet,
+            RunEnds(self.begun, self.ended, self._jet, self._end_jet),
         )
         if not enough:
             return None
@@ -139,10 +145,7 @@ def fit_window(
     t: float,
     limit: float,
     longest: float,
-    begun: bool,
-    ended: bool,
-    jet: FloatArray,
-    end_jet: FloatArray,
+    ends: RunEnds,
 ) -> tuple[bool, Window]:
     """Fit a window from t on, with knots up to a limit; False if more blocks are necessary."""
     left = _left_over(line, curve)
@@ -150,25 +153,15 @@ def fit_window(
     window = _nothing(t)
     for attempt, (fewest, most, aim, factor) in enumerate(ATTEMPTS):
         knots = spacing.place_knots(line.u, wanted, t, limit, factor, LAST)
-        last = ended and knots[-1] >= limit
-        if not ended and (len(knots) <= WINDOW or knots[WINDOW] > limit):
+        last = ends.ended and knots[-1] >= limit
+        if not ends.ended and (len(knots) <= WINDOW or knots[WINDOW] > limit):
             if attempt == 0:
                 return False, window
             continue
         knots = _to_the_end(knots, line.u[-1]) if last else knots[: WINDOW + 1]
-        window = _fitted(
-            line,
-            curve,
-            left,
-            knots,
-            begun,
-            last,
-            jet,
-            end_jet if last else jet[:0],
-            fewest,
-            most,
-            aim,
-        )
+        end_jet = ends.end_jet if last else ends.jet[:0]
+        of_window = RunEnds(ends.begun, last, ends.jet, end_jet)
+        window = _fitted(line, curve, left, knots, of_window, (fewest, most), aim)
         if window.found:
             break
     return True, window
@@ -230,32 +223,20 @@ def _fitted(
     curve: Curve,
     left: FloatArray,
     knots: FloatArray,
-    begun: bool,
-    last: bool,
-    jet: FloatArray,
-    end_jet: FloatArray,
-    fewest: int,
-    most: int,
+    of_window: RunEnds,
+    sweeps: tuple[int, int],
     aim: float,
 ) -> Window:
     """Return the spans to commit, or the place where the deviation is too large."""
+    begun, last, jet, end_jet = of_window
     height, turning, spans = curve.height, curve.turning, len(knots) - 1
     full = bspline.clamped_knots(knots)
     matrices = bspline.quintic_bezier_matrices(full, spans)
+    basis = QuinticBasis(full, matrices, knots)
     samples = spacing.sample_points(line, left, knots, height)
     narrow, apart = _tolerances(line, knots)
-    coefficients, _ = fit(
-        full,
-        matrices,
-        knots,
-        jet,
-        end_jet,
-        samples,
-        turning,
-        (fewest, most),
-        aim,
-        STIFFNESS * narrow.min() / TYPICAL,
-    )
+    stiffness = STIFFNESS * narrow.min() / TYPICAL
+    coefficients, _ = fit(basis, jet, end_jet, samples, turning, sweeps, aim, stiffness)
     count = spans if last else COMMIT
     points = bspline.quintic_bezier_points(coefficients, matrices, count)
     if last:  # exact to the last bit

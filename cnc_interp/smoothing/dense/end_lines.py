@@ -10,6 +10,7 @@ from cnc_interp.core.kernels import njit
 from cnc_interp.smoothing.dense.knots import AHEAD, LONGEST
 from cnc_interp.smoothing.dense.polyline import (
     Polyline,
+    Programmed,
     line_jet,
     lone_vertex,
     parts_between,
@@ -138,25 +139,15 @@ def with_end_line(
     parts = parts_between(before, pose)
     to = np.empty(6)
     straight = with_room(lone_vertex(before, -1), 1, parts)
-    put(straight, 1, pose, -1, leg.used, leg.tolerance, 1.0, 0, 0, height)
+    put(straight, 1, pose, -1, Programmed(leg.used, leg.tolerance, 1.0, 0, 0), height)
     jet = line_jet(straight, 0 if step > 0 else parts - 1, 0 if step > 0 else parts, height)
     line = with_room(line, n, parts + 2 * len(leg.cuts))
     for i, k in enumerate(leg.pieces):
         inner = i < len(leg.cuts)
         if inner:
             pose_between(before, pose, leg.cuts[i], to)
-        n = put(
-            line,
-            n,
-            to if inner else pose,
-            -1 if inner else vertex,
-            leg.used,
-            leg.tolerance,
-            leg.feed,
-            v.row[k],
-            v.line_number[k],
-            height,
-        )
+        said = Programmed(leg.used, leg.tolerance, leg.feed, v.row[k], v.line_number[k])
+        n = put(line, n, to if inner else pose, -1 if inner else vertex, said, height)
     line = Polyline(
         line.pose[:n],
         line.u[:n],
@@ -178,16 +169,6 @@ def extended(line: Polyline, v: Vertices, first: int, last: int, height: float) 
         more += parts_between(before, v.pose[k])
     line = with_room(line, n, more)
     for k in range(first, last + 1):
-        n = put(
-            line,
-            n,
-            v.pose[k],
-            k,
-            v.used[k],
-            v.narrow[k],
-            v.feed[k],
-            v.row[k],
-            v.line_number[k],
-            height,
-        )
+        said = Programmed(v.used[k], v.narrow[k], v.feed[k], v.row[k], v.line_number[k])
+        n = put(line, n, v.pose[k], k, said, height)
     return line

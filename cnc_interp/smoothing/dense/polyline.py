@@ -107,18 +107,19 @@ def lone_vertex(pose: FloatArray, vertex: int) -> Polyline:
     return line
 
 
+class Programmed(NamedTuple):
+    """What the program says of a segment of a polyline."""
+
+    used: FloatArray  #: (2,): Its deviation from the program [m].
+    tolerance: FloatArray  #: (2,): Its tolerances [m].
+    feed: float
+    row: int
+    line: int
+
+
 @njit(cache=True, nogil=True)
 def put(
-    line: Polyline,
-    n: int,
-    pose: FloatArray,
-    vertex: int,
-    used: FloatArray,
-    tolerance: FloatArray,
-    feed: float,
-    row: int,
-    number: int,
-    height: float,
+    line: Polyline, n: int, pose: FloatArray, vertex: int, said: Programmed, height: float
 ) -> int:
     """Write a vertex after the first n ones, and those that divide its segment; return n after."""
     begin = line.pose[n - 1].copy()
@@ -137,9 +138,9 @@ def put(
         line.u[n] = line.u[n - 1] + sqrt(0.5 * (tips + tops))
         line.vertex[n] = vertex if part == parts else -1
         for i in range(2):
-            line.used[n - 1, i], line.tolerance[n - 1, i] = used[i], tolerance[i]
-        line.feed[n - 1] = feed
-        line.origin[n - 1, 0], line.origin[n - 1, 1] = row, number
+            line.used[n - 1, i], line.tolerance[n - 1, i] = said.used[i], said.tolerance[i]
+        line.feed[n - 1] = said.feed
+        line.origin[n - 1, 0], line.origin[n - 1, 1] = said.row, said.line
         n += 1
     return n
 

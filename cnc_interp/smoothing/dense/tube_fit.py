@@ -9,6 +9,7 @@ weights for Chebyshev approximation work in the same way.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -118,11 +119,17 @@ def _deviations(
     return largest
 
 
+class QuinticBasis(NamedTuple):
+    """The knots of a quintic spline, those with multiple ends, and its Bezier matrices."""
+
+    full: FloatArray
+    matrices: FloatArray
+    knots: FloatArray
+
+
 @njit(cache=True, nogil=True)
 def fit(
-    full: FloatArray,
-    matrices: FloatArray,
-    knots: FloatArray,
+    basis: QuinticBasis,
     start: FloatArray,
     end: FloatArray,
     samples: Samples,
@@ -133,10 +140,11 @@ def fit(
 ) -> tuple[FloatArray, float]:
     """Fit the smoothest quintic spline within the tolerance tube.
 
-    ``full`` is the knot vector with multiple ends, ``start`` and ``end`` (m, 6) have value and
-    derivatives over factorials, ``aim`` is the wanted deviation as part of the tolerance [-].
-    Returns the control points and the largest deviation of a sample.
+    ``start`` and ``end`` (m, 6) have value and derivatives over factorials, ``aim`` is the wanted
+    deviation as part of the tolerance [-]. Returns the control points and the largest deviation of
+    a sample.
     """
+    full, matrices, knots = basis
     x, span, point, tool, allowed, simpson = samples
     columns = 6 if turning else 3
     spans = len(knots) - 1
@@ -148,7 +156,7 @@ def fit(
         fixed[:head] = quintic_end_coefficients(start, full, head, False)[:, :columns]
     if tail:
         fixed[count - tail :] = quintic_end_coefficients(end, full, tail, True)[::-1, :columns]
-    basis = quintic_basis(matrices, knots, x, span)
+    at_samples = quintic_basis(matrices, knots, x, span)
     bend = _bend_bands(matrices, knots)
     weight, off = np.ones(len(x)), np.empty(len(x))
     best, best_off = fixed.copy(), np.inf
@@ -159,9 +167,9 @@ def fit(
             w = weight[m] * simpson[m]
             s = span[m]
             for i in range(6):
-                wi = w * basis[m, i]
+                wi = w * at_samples[m, i]
                 for j in range(i, 6):
-                    bands[s + i, j - i] += wi * basis[m, j]
+                    bands[s + i, j - i] += wi * at_samples[m, j]
                 for c in range(columns):
                     right[s + i, c] += wi * point[m, c]
         for i in range(head):
@@ -178,7 +186,7 @@ def fit(
             break
         coefficients[:] = fixed
         coefficients[head : count - tail] = right[head : count - tail]
-        largest = _deviations(coefficients, basis, span, point, tool, allowed, turning, off)
+        largest = _deviations(coefficients, at_samples, span, point, tool, allowed, turning, off)
         if largest < best_off:
             best_off = largest
             best[:] = coefficients

@@ -1,0 +1,48 @@
+"""Functions take few arguments; what belongs together is one named bundle."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / 'cnc_interp'
+MOST = 8  #: Without ``self`` and ``cls``.
+
+#: Warp gives the functions of one needle to the graphics card: only scalars and rows of arrays.
+WARP = 'cam.needle_cuts.gap', 'cam.needle_cuts.entry', 'cam.needle_cuts.cut_finely'
+ALLOWED = {
+    *WARP,
+    'cam.needle_cuts.entry_at',
+    'feedrate.stop_law._brake',
+    'feedrate.stop_law._first_stop',
+    'machine.cycle.__init__',
+    'program.blocks.moves.__init__',
+    'program.geometry.arcs.arcs_of',
+    'proof.order._follow',
+    'proof.programmed_path._deviation',
+    'proof.verdict.judge',
+}
+
+
+def crowded(source):
+    """Yield the names of functions with too many arguments."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            if sum(a.arg not in ('self', 'cls') for a in given) > MOST:
+                yield node.name
+
+
+def test_functions_take_few_arguments():
+    found = set()
+    for path in PACKAGE.rglob('*.py'):
+        module = '.'.join(path.relative_to(PACKAGE).with_suffix('').parts)
+        found |= {f'{module}.{name}' for name in crowded(path.read_text())}
+    assert not found - ALLOWED, 'bundle what belongs together: NamedTuple or frozen dataclass'
+    assert not ALLOWED - found, 'take it off the list'
+
+
+@pytest.mark.parametrize('more', ['i', '*, i'])
+def test_crowded_functions_are_seen(more):
+    assert list(crowded(f'def f(self, a, b, c, d, e, f, g, h, {more}): pass'))
+    assert not list(crowded('def f(self, a, b, c, d, e, f, g, h): pass'))

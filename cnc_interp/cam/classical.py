@@ -4,7 +4,7 @@
 point with the same tangent. Such passes may turn back or cross themselves; the result says where.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,7 @@ class ClassicalPass:
 class ClassicalPaths:
     passes: list[ClassicalPass]  #: The passes in order.
     loop: str  #: Where and how the next pass would loop; empty if the surface is covered.
+    notes: Sequence[str] = ()
 
 
 def classical_paths(

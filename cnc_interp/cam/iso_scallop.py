@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -439,3 +439,27 @@ def iso_scallop_paths(
     normal = np.asarray(plane_normal, float) / np.linalg.norm(plane_normal)
     recursion = PassRecursion(surface, cutter, normal, options)
     return IsoScallopPaths(recursion.all_passes(progress), recursion.notes)
+
+
+def facts_of(paths: IsoScallopPaths) -> dict[str, Any]:
+    """Return what the summary says of passes along planes."""
+    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
+    planes = np.abs(np.diff([p.plane for p in paths.passes]))
+    marched, refined, second = paths.iterations
+    return {
+        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
+        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
+        'tilt': [float(tilt.min()), float(tilt.max())],
+        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
+    }
+
+
+def facts_in_words(facts: dict[str, Any]) -> list[str]:
+    tilt, steps, counts = facts['tilt'], facts['plane_distance'], facts['iterations']
+    apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
+    return [
+        f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
+        f'planes         {apart}{facts["started_afresh"]} passes started afresh',
+        f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
+        f'a scallop point, {counts["posture"]:.1f} a posture',
+    ]

@@ -127,6 +127,10 @@ class TileWorkers(Protocol):
     ) -> Iterator[Any]: ...
 
 
+#: Returns who cuts tiles: by the address of a scheduler, or a number of processes here.
+Pool = Callable[[str | None, int], TileWorkers]
+
+
 @dataclass(frozen=True)
 class TileProgress:
     #: Tiles with heights, those of an earlier start among them, and all.

@@ -40,6 +40,8 @@ class Strip(Protocol):
 class Strips(Protocol):
     @property
     def passes(self) -> Sequence[Strip]: ...
+    @property
+    def notes(self) -> Sequence[str]: ...
 
 
 @dataclass(frozen=True)

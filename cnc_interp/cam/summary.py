@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import SPACING, MachinedFace, SplinePass
+from cnc_interp.cam.strategies import STRATEGIES, Strategy
 from cnc_interp.core import DEG, MM, UM, FloatArray, cross, dot, norm
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
@@ -118,8 +118,8 @@ class _Turns:
         return True
 
 
-def facts_of(faces: Sequence[MachinedFace]) -> dict[str, Any]:
-    found = [_facts_of(face) for face in faces]
+def facts_of(faces: Sequence[MachinedFace], strategy: Strategy) -> dict[str, Any]:
+    found = [_facts_of(face) | strategy.facts(face.paths) for face in faces]
     if len(faces) == 1:
         return found[0]
     return {'faces': [{'face': face.number, **one} for face, one in zip(faces, found)]}
@@ -133,24 +133,13 @@ def face_facts(summary: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _facts_of(face: MachinedFace) -> dict[str, Any]:
     paths = face.paths
-    found = {
+    return {
         'passes': len(paths.passes),
         'postures': sum(len(p.s) for p in paths.passes),
         'computing_time': face.seconds,
         'length': sum(p.curve.length for p in paths.passes),
         'milled_parts': sum(map(len, face.parts)),
         'milled_length': sum(x.ends[1] - x.ends[0] for parts in face.parts for x in parts),
-    }
-    if not isinstance(paths, IsoScallopPaths):
-        return found
-    tilt = np.concatenate([p.angles.tilt for p in paths.passes])
-    planes = np.abs(np.diff([p.plane for p in paths.passes]))
-    marched, refined, second = paths.iterations
-    return found | {
-        'started_afresh': sum(p.fresh for p in paths.passes) - 1,
-        'plane_distance': [float(planes.min()), float(planes.max())] if len(planes) else [],
-        'tilt': [float(tilt.min()), float(tilt.max())],
-        'iterations': {'march': marched, 'scallop': refined, 'posture': second},
     }
 
 
@@ -179,7 +168,7 @@ def describe(summary: dict[str, Any]) -> str:
         if 'face' in face:
             lines.append(f'face           {face["face"]}')
         if 'passes' in face:
-            lines += _passes_in_words(face)
+            lines += [_passes_in_words(face), *STRATEGIES[summary['strategy']].words(face)]
     if 'program' in summary:
         lines.append(f'program        {summary["program"]}, {summary["blocks"]} blocks')
     if 'pole' in summary:
@@ -194,25 +183,13 @@ def describe(summary: dict[str, Any]) -> str:
     return '\n'.join(lines)
 
 
-def _passes_in_words(face: dict[str, Any]) -> list[str]:
+def _passes_in_words(face: dict[str, Any]) -> str:
     several = face['milled_parts'] != face['passes']
     parts = f' in {face["milled_parts"]} parts' if several else ''
-    return [
+    return (
         f'passes         {face["passes"]}{parts}, {face["milled_length"] / MM:.0f} mm; '
-        f'{face["postures"]} postures in {face["computing_time"]:.2f} s',
-        *(_planes_in_words(face) if 'tilt' in face else []),
-    ]
-
-
-def _planes_in_words(summary: dict[str, Any]) -> list[str]:
-    tilt, steps, counts = summary['tilt'], summary['plane_distance'], summary['iterations']
-    apart = f'{steps[0] / MM:.3f} to {steps[1] / MM:.3f} mm apart, ' if steps else ''
-    return [
-        f'tilt           {tilt[0] / DEG:.2f} to {tilt[1] / DEG:.2f} deg',
-        f'planes         {apart}{summary["started_afresh"]} passes started afresh',
-        f'iterations     {counts["march"]:.1f} to bracket and {counts["scallop"]:.1f} to solve '
-        f'a scallop point, {counts["posture"]:.1f} a posture',
-    ]
+        f'{face["postures"]} postures in {face["computing_time"]:.2f} s'
+    )
 
 
 def heights_in_words(found: dict[str, Any]) -> str:

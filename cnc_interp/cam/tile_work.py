@@ -4,23 +4,21 @@ A page from the disk may load scripts, not files: so each tile is a script with 
 nanometres in three planes of bytes, deflated, in base 64.
 """
 
-import argparse
 import json
 import os
 import sys
 import zlib
 from base64 import b64encode
-from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.cutter import Cutter
 from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
-from cnc_interp.cam.nbuffer import TileProgress, TileWorkers, cut_tiles
+from cnc_interp.cam.nbuffer import TileProgress, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
+from cnc_interp.cam.request import SimulateRequest
 from cnc_interp.cam.simulation import Motion, Section
 from cnc_interp.cam.summary import heights_in_words, ridges_of
 from cnc_interp.cam.surface import SAMPLES, Surface
@@ -28,49 +26,42 @@ from cnc_interp.core import MM, UM, FloatArray, InterpError, norm
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.report.html import STYLE
 
-#: Returns who cuts tiles: address of a scheduler, or number of processes here.
-Pool = Callable[[str | None, int], TileWorkers]
 
-
-def refuse_options(options: argparse.Namespace) -> None:
-    if options.tiles is None:
+def refuse_options(request: SimulateRequest) -> None:
+    if request.tiles is None:
         for name in ('workers', 'scheduler'):
-            if getattr(options, name) is not None:
+            if getattr(request, name) is not None:
                 raise InterpError(f'--{name} is for --tiles DIR')
-    elif options.out:
+    elif request.out:
         raise InterpError('--tiles DIR writes its own page, DIR/index.html; leave out --out')
-    if options.workers is not None and options.workers < 1:
+    if request.workers is not None and request.workers < 1:
         raise InterpError('--workers must be 1 or more')
-    if options.device != 'cpu' and options.scheduler is None:
+    if request.device != 'cpu' and request.scheduler is None:
         from cnc_interp.cam.warp_cuts import warp
 
-        warp(options.device)
+        warp(request.device)
 
 
 def simulate_in_tiles(
-    surface: Surface,
-    cutter: Cutter,
-    motion: Motion,
-    section: Section,
-    options: argparse.Namespace,
+    surface: Surface, motion: Motion, section: Section, request: SimulateRequest
 ) -> dict[str, Any]:
-    out: Path = options.tiles
+    out, cutter = request.tiles, request.cutter
+    assert out is not None
     u, v = surface.grid(SAMPLES, SAMPLES)
     if not surface.contains(u, v).all():
         raise InterpError('--tiles does not follow the boundary of a trimmed face; leave it out')
-    grid = NeedleGrid.on(surface, options.spacing * MM, options.margin * MM)
+    grid = NeedleGrid.on(surface, request.spacing, request.margin)
     about = {
-        'surface': str(options.surface),
-        'motion': str(options.motion),
+        'surface': str(request.surface),
+        'motion': str(request.motion),
         'kind': motion.name,
         'tool_radius': cutter.tool_radius,
         'corner_radius': cutter.corner_radius,
-        'margin': options.margin * MM,
+        'margin': request.margin,
     }
     store = HeightStore(out, grid, about)
-    workers = options.workers or len(os.sched_getaffinity(0))
-    pool: Pool = options.pool
-    bar = ProgressBar(None if options.json else sys.stderr)
+    workers = request.workers or len(os.sched_getaffinity(0))
+    bar = ProgressBar(None if request.json else sys.stderr)
 
     def tell(progress: TileProgress) -> None:
         known = f', {progress.known} known before' if progress.known else ''
@@ -78,18 +69,18 @@ def simulate_in_tiles(
 
     sweep, done = MotionPieces.of(cutter, motion.tip, motion.axis), False
     try:
-        crew = pool(options.scheduler, workers)
-        reached = cut_tiles(grid, sweep, crew, store, tell, options.device)
+        crew = request.pool(request.scheduler, workers)
+        reached = cut_tiles(grid, sweep, crew, store, tell, request.device)
         done = True
     finally:
         bar.end(complete=done)
     figures = store.figures()
-    page = TilePage(store, grid, options.scallop * UM)
+    page = TilePage(store, grid, request.scallop)
     away = store.make_levels(figures.mean, page.add_tile)
     found: dict[str, Any] = figures.statistics(away) | ridges_of(section)
     diameter = 2.0 * (cutter.tool_radius + cutter.corner_radius) / MM
-    words = f'{motion.name} motion of {options.motion}, mill of {diameter:g} mm'
-    page.write(str(options.surface), words, found, figures)
+    words = f'{motion.name} motion of {request.motion}, mill of {diameter:g} mm'
+    page.write(str(request.surface), words, found, figures)
     found['tiles'] = {
         'rows': grid.shape[0],
         'columns': grid.shape[1],

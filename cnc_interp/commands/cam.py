@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from cnc_interp.cam.strategies import STRATEGIES, StrategyOption
 from cnc_interp.commands.parser import (
     CommandParser,
     command,
@@ -24,41 +25,16 @@ def add_cam_commands(commands: Any) -> None:
     make.flag('--ignore-neighbours', text)
     make.option('--out', 'folder to write', Path, 'DIR', required=True)
     _mill(make)
+    meanings = '; '.join(f'{name}: {one.meaning}' for name, one in STRATEGIES.items())
+    first = next(iter(STRATEGIES))
     make.add_argument(
-        '--strategy',
-        choices=('planes', 'classical'),
-        default='planes',
-        help='along parallel planes with a variable tilt, or, to compare, the classical '
-        'iso-scallop path: constant tilt, a ball mill keeps its axis (planes)',
+        '--strategy', choices=tuple(STRATEGIES), default=first, help=f'{meanings} ({first})'
     )
     make.number('--scallop', 10.0, 'scallop height', 'UM')
     text = 'part of the scallop height for smoothing and drives: passes leave the rest'
     make.number('--reserve', 0.0, text, 'UM')
-    make.option(
-        '--stepover',
-        'distance of the guiding planes; without it the largest that --tilt allows, pass by pass',
-        positive,
-        'MM',
-    )
-    make.number(
-        '--tilt', 3.0, 'tilt of a constant start, and the smallest for the largest stepover', 'DEG'
-    )
-    make.add_argument(
-        '--tilt-limits',
-        type=positive,
-        nargs=2,
-        default=(0.5, 60.0),
-        metavar=('LOW', 'HIGH'),
-        help='smallest and largest tilt (0.5 60 deg)',
-    )
-    text = 'the angle that sets the width of a strip (tilt)'
-    make.option('--freedom', text, choices=('tilt', 'yaw'), default='tilt')
-    make.option('--yaw', 'yaw (0 deg)', float, 'DEG', default=0.0)
-    text = 'first pass with constant width, or with constant tilt as in the paper (width)'
-    make.add_argument('--start', choices=('width', 'tilt'), default='width', help=text)
-    text = 'never start afresh: the recursion of the paper, and an error where it ends'
-    make.flag('--no-restart', text)
-    make.option('--points', 'scallop points along a pass (one per 0.8 mm)', int, 'N')
+    for option in dict.fromkeys(one for each in STRATEGIES.values() for one in each.options):
+        _strategy_option(make, option)
     make.option('--linking', 'order (zigzag)', choices=('zigzag', 'one-way'), default='zigzag')
     text = 'native B-splines of tip and axis, CL data, or G-code with rotary words (spline)'
     make.add_argument('--format', choices=('spline', 'cl', 'gcode'), default='spline', help=text)
@@ -108,6 +84,24 @@ def add_cam_commands(commands: Any) -> None:
     simulate.flag('--json', 'print the figures as JSON')
 
 
+def _strategy_option(added: CommandParser, option: StrategyOption) -> None:
+    name = f'--{option.name}'
+    if option.default is False:
+        added.flag(name, option.meaning)
+        return
+    pair = isinstance(option.metavar, tuple)
+    kind: Any = None if option.values else positive if option.positive else option.kind
+    added.add_argument(
+        name,
+        help=option.meaning,
+        default=option.default,
+        type=kind,
+        choices=option.values or None,
+        metavar=option.metavar,
+        nargs=2 if pair else None,
+    )
+
+
 def _mill(added: CommandParser) -> None:
     added.number('--tool-diameter', 13.0, 'diameter of the mill, 2 (R + r_c)')
     added.number('--corner-radius', 1.5, 'corner radius r_c')
@@ -140,15 +134,17 @@ def _cutting(added: CommandParser) -> None:
 def iso_scallop_command(options: argparse.Namespace) -> int:
     """Make a program of constant scallop height along parallel planes."""
     from cnc_interp.cam.make_program import make_program
+    from cnc_interp.cam.request import CamRequest
 
-    return make_program(options)
+    return make_program(CamRequest.of(vars(options)))
 
 
 def simulate_command(options: argparse.Namespace) -> int:
     """Cut a surface with a program or a plan and measure what is left."""
     from cnc_interp.cam.make_program import simulate_motion
+    from cnc_interp.cam.request import SimulateRequest
 
-    return simulate_motion(options)
+    return simulate_motion(SimulateRequest.of(vars(options)))
 
 
 LONGEST = 24.0 * HOUR  #: Longest time of a tile [s].

@@ -1,0 +1,184 @@
+"""The strategies of `cam iso-scallop`: their options, how they make passes, and what is shown.
+
+A strategy is its own module and a row here; command line, program, summary and page follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cnc_interp.core import DEG, MM
+
+if TYPE_CHECKING:
+    from cnc_interp.cam.cutter import Cutter
+    from cnc_interp.cam.spline_pass import Strips
+    from cnc_interp.cam.surface import Surface
+    from cnc_interp.core import FloatArray
+
+    Show = Callable[[float], None]
+    Passes = Callable[[Surface, Cutter, FloatArray, 'Wanted', Show], Strips]
+
+
+@dataclass(frozen=True)
+class StrategyOption:
+    """An option of the command line that only some strategies read."""
+
+    name: str
+    meaning: str  #: For the help, which says the default.
+    default: Any = None  #: As the command line has it; False for a flag.
+    metavar: str | tuple[str, str] | None = None  #: A pair: two values.
+    unit: float = 1.0
+    kind: Any = float
+    positive: bool = False
+    values: tuple[str, ...] = ()
+
+    def value(self, given: Any) -> Any:
+        """Return what was given, in SI."""
+        if isinstance(given, (list, tuple)):
+            return tuple(one * self.unit for one in given)
+        return given * self.unit if isinstance(given, float) else given
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What passes are to be like."""
+
+    ridge: float  #: Scallop height that they leave [m].
+    overrun: float  #: Their length beyond the border [m].
+    choices: Mapping[str, Any]  #: The strategy's own options by name, in SI.
+
+
+@dataclass(frozen=True)
+class Strategy:
+    name: str
+    meaning: str
+    options: tuple[StrategyOption, ...]
+    passes: Passes
+    #: Facts of its passes for the summary, those as lines of text, and figures for the page.
+    facts: Callable[[Any], dict[str, Any]] = lambda paths: {}
+    words: Callable[[dict[str, Any]], Sequence[str]] = lambda facts: ()
+    figures: Callable[[Any], list[tuple[str, str, Any]]] = lambda paths: []
+
+    def choices(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Return its own options by name, in SI."""
+        names = {option: option.name.replace('-', '_') for option in self.options}
+        return {name: option.value(options[name]) for option, name in names.items()}
+
+
+TILT = StrategyOption(
+    'tilt',
+    'tilt of a constant start, and the smallest for the largest stepover (3 deg)',
+    3.0,
+    'DEG',
+    DEG,
+    positive=True,
+)
+
+
+def _planes(
+    surface: Surface, cutter: Cutter, normal: FloatArray, wanted: Wanted, show: Show
+) -> Strips:
+    from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
+
+    chosen = dict(wanted.choices)
+    stray = None if chosen.pop('no_restart') else IsoScallopOptions.stray
+    options = IsoScallopOptions(
+        scallop_height=wanted.ridge, stray=stray, overrun=wanted.overrun, **chosen
+    )
+    return iso_scallop_paths(surface, cutter, normal, options, show)
+
+
+def _planes_facts(paths: Any) -> dict[str, Any]:
+    from cnc_interp.cam.iso_scallop import facts_of
+
+    return facts_of(paths)
+
+
+def _planes_words(facts: dict[str, Any]) -> list[str]:
+    from cnc_interp.cam.iso_scallop import facts_in_words
+
+    return facts_in_words(facts)
+
+
+def _planes_figures(paths: Any) -> list[tuple[str, str, Any]]:
+    from cnc_interp.cam.program_page import tilt_figure
+
+    return [('Tilt', 'Tilt along the passes.', tilt_figure(paths))]
+
+
+def _classical(
+    surface: Surface, cutter: Cutter, normal: FloatArray, wanted: Wanted, show: Show
+) -> Strips:
+    from cnc_interp.cam.classical import classical_paths
+    from cnc_interp.cam.surface import SurfaceError
+
+    tilt = wanted.choices['tilt']
+    paths = classical_paths(surface, cutter, normal, wanted.ridge, tilt, progress=show)
+    if paths.loop:
+        raise SurfaceError(
+            f'the classical path cannot cover this surface: {paths.loop}; take another direction '
+            'or --strategy planes'
+        )
+    strips: Strips = paths
+    return strips
+
+
+_ALL = (
+    Strategy(
+        'planes',
+        'along parallel planes with a variable tilt',
+        (
+            StrategyOption(
+                'stepover',
+                'distance of the guiding planes; without it the largest that --tilt allows, pass '
+                'by pass',
+                metavar='MM',
+                unit=MM,
+                positive=True,
+            ),
+            TILT,
+            StrategyOption(
+                'tilt-limits',
+                'smallest and largest tilt (0.5 60 deg)',
+                (0.5, 60.0),
+                ('LOW', 'HIGH'),
+                DEG,
+                positive=True,
+            ),
+            StrategyOption(
+                'freedom',
+                'the angle that sets the width of a strip (tilt)',
+                'tilt',
+                values=('tilt', 'yaw'),
+            ),
+            StrategyOption('yaw', 'yaw (0 deg)', 0.0, 'DEG', DEG),
+            StrategyOption(
+                'start',
+                'first pass with constant width, or with constant tilt as in the paper (width)',
+                'width',
+                values=('width', 'tilt'),
+            ),
+            StrategyOption(
+                'no-restart',
+                'never start afresh: the recursion of the paper, and an error where it ends',
+                False,
+            ),
+            StrategyOption(
+                'points', 'scallop points along a pass (one per 0.8 mm)', metavar='N', kind=int
+            ),
+        ),
+        _planes,
+        _planes_facts,
+        _planes_words,
+        _planes_figures,
+    ),
+    Strategy(
+        'classical',
+        'to compare, the classical iso-scallop path: constant tilt, a ball mill keeps its axis',
+        (TILT,),
+        _classical,
+    ),
+)
+STRATEGIES = {strategy.name: strategy for strategy in _ALL}

@@ -1,6 +1,9 @@
 """Whole programs in memory: what a caller in Python has in the place of commands and files."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -21,6 +24,9 @@ from cnc_interp.run.plan_writer import block_columns
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
+
+if TYPE_CHECKING:
+    from cnc_interp.collision.path_clearance import Certificates
 
 DEGREE = 5  #: q_ss and q_sss are continuous, as a motion within jerk limits needs.
 
@@ -82,6 +88,8 @@ class Kept:
         self.samples: list[Setpoints] = []
         self.segments, self.piece = self.parts.append, self.pieces.append
         self.setpoints = self.samples.append
+        self.clear: list[Certificates] = []
+        self.certificates = self.clear.append
 
 
 @dataclass(frozen=True)
@@ -117,10 +125,14 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
     """
     settings, kept = settings or Settings(), Kept()
     chain = Chain(machine, settings, kept)
+    if chain.clearance is not None:
+        chain.clearance.rows(program.blocks)
     with at_fault(program.source):
         for batch in batches(program.blocks):
             chain.push(batch)
         chain.finish()
+    if chain.clearance is not None:
+        chain.clearance.require(program.source)
     if not chain.moved:
         raise no_motion(program.source)
     segments, setpoints = PathSegments.concatenate(kept.parts), Setpoints.concatenate(kept.samples)

@@ -67,6 +67,8 @@ def plan_command(options: argparse.Namespace) -> int:
     if summary['cycle_time'] > HOUR:
         tell([f'the motion lasts {summary["cycle_time"] / HOUR:.4g} h; is the feed right?'])
     over = excesses(summary['largest_use'], summary['tolerance_used'], summary['tool_error'])
+    if hits := summary.get('collision', {}).get('hits'):
+        over.append(f'{len(hits)} hit{"s" * (len(hits) > 1)}')
     print(json.dumps(summary, indent=2) if options.json else describe(summary))
     if not options.json:
         if options.look or sys.stdout.isatty():
@@ -103,7 +105,12 @@ def machine_of(options: argparse.Namespace) -> Machine:
 
 
 def describe(summary: dict[str, Any]) -> str:
-    from cnc_interp.run.plan_figures import bound_text, tool_error_text, windows_text
+    from cnc_interp.run.plan_figures import (
+        bound_text,
+        clearance_text,
+        tool_error_text,
+        windows_text,
+    )
 
     notes = summary['start']['notes'] if summary['start'] else []
     switched = [(word, count) for word, count in summary['functions'].items() if count]
@@ -140,6 +147,9 @@ def describe(summary: dict[str, Any]) -> str:
     )
     if error := summary['tool_error']:
         lines.append(tool_error_text(error, summary['flank_height']))
+    if found := summary.get('collision'):
+        lines.append(f'collision      {clearance_text(found)}')
+        lines += found['hits']
     if curves['blocks']:
         lines.append(
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '

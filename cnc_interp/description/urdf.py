@@ -1,9 +1,4 @@
-"""Links and joints of a machine with simple shapes, and its URDF for RViz, Foxglove and others.
-
-One tree from ``base_link``, the machine frame M: X, Y, Z and the axes that carry the tool, down to
-``tool_tip``; the axes that carry the workpiece, down to ``workpiece``, the frame of programs and
-markers. Joints have the names of the axes. With all axes at zero, all frames are parallel to M.
-"""
+"""Simple shapes of the links of a machine, and its URDF for RViz, Foxglove and others."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,12 +8,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import FloatArray
+from cnc_interp.machine_model.links import (
+    BASE,
+    TOOL_TIP,
+    UP,
+    WORKPIECE,
+    ZERO,
+    Joint,
+    Vector,
+    joints_of,
+    vector,
+)
 from cnc_interp.machine_model.machine import Machine
 
-Vector = tuple[float, float, float]
 Colour = tuple[float, float, float, float]
-ZERO: Vector = (0.0, 0.0, 0.0)
-UP: Vector = (0.0, 0.0, 1.0)
 IRON: Colour = (0.33, 0.38, 0.43, 1.0)
 SLIDE: Colour = (0.50, 0.56, 0.62, 1.0)
 TURNING: Colour = (0.24, 0.47, 0.66, 1.0)
@@ -45,11 +48,6 @@ class Shape:
         """Roll, pitch and yaw that turn the z axis into the direction of the cylinder [rad]."""
         x, y, z = self.along
         return 0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x))
-
-
-def vector(values: FloatArray) -> Vector:
-    x, y, z = (float(value) + 0.0 for value in values)
-    return x, y, z
 
 
 def table_radius(machine: Machine) -> float:
@@ -131,22 +129,6 @@ def stock_shape(machine: Machine) -> Shape:
     return Shape((0.1, 0.1, height), (0.0, 0.0, -height / 2), STOCK)
 
 
-BASE, TOOL_TIP, WORKPIECE = 'base_link', 'tool_tip', 'workpiece'
-UNLIMITED = 10.0  #: Travel of a linear axis without limits, because URDF requires numbers [m].
-
-
-@dataclass(frozen=True)
-class Joint:
-    name: str  #: Name of the axis or of the fixed connection.
-    kind: str  #: ``prismatic``, ``revolute``, ``continuous`` or ``fixed``.
-    parent: str
-    child: str
-    origin: Vector  #: Origin of the child in the frame of the parent, with the axis at zero [m].
-    along: Vector = UP  #: Unit direction of the axis [-].
-    travel: tuple[float, float] = (0.0, 0.0)  #: Lowest and highest position [m or rad].
-    max_velocity: float = 0.0  #: Velocity limit [m/s or rad/s].
-
-
 @dataclass(frozen=True)
 class Description:
     name: str  #: Name of the machine.
@@ -172,57 +154,27 @@ class Description:
 
 
 def describe_machine(machine: Machine) -> Description:
+    joints = joints_of(machine)
     links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
-    joints: list[Joint] = []
-
-    def add(joint: Joint, *shapes: Shape) -> str:
-        joints.append(joint)
-        links[joint.child] = shapes
-        return joint.child
-
-    carrier = BASE
-    for k, (name, shape) in enumerate(zip('XYZ', SLIDES, strict=True)):
-        joint = axis_joint(
-            machine, k, carrier, f'{name.lower()}_slide', ZERO, vector(np.eye(3)[k])
-        )
-        carrier = add(joint, shape)
-
-    # The tip is at X Y Z in M while the head is at zero; its pivots lie above the tip.
-    arms = machine.tool_offset[::-1] * any(machine.rotary_on_head)  # primary pivot first
-    on_head, on_table, table = arms.sum(axis=0), np.zeros(3), BASE
-    first = len(machine.axis_names) - len(machine.extra_names)
-    for k, (name, along) in enumerate(
-        zip(machine.extra_names, machine.extra_direction, strict=True), start=first
-    ):
-        joint = axis_joint(machine, k, carrier, f'{name.lower()}_slide', ZERO, vector(along))
-        carrier = add(joint, Shape((0.06, 0.06, 0.5), (0.02, 0.0, 0.45), TURNING))
-    for k in range(3, first):
-        arm, offset = arms[k - 3], machine.offsets[5 - k]
-        letter, along = machine.axis_names[k].lower(), vector(machine.rotary_direction[k - 3])
-        on_table = on_table + offset
-        if machine.rotary_on_head[k - 3]:
-            joint = axis_joint(machine, k, carrier, f'{letter}_head', vector(on_head), along)
-            carrier = add(joint, *head_shapes(along, vector(-arm)))
-            on_head = np.zeros(3)
-        else:
-            joint = axis_joint(machine, k, table, f'{letter}_table', vector(on_table), along)
-            tilts_another = k == 3 and not machine.rotary_on_head[1]
-            table = add(joint, *(cradle_shapes if tilts_another else disc_shapes)(machine))
-            on_table = np.zeros(3)
-        on_head = on_head - arm
-    add(Joint('tool', 'fixed', carrier, TOOL_TIP, vector(on_head)), *TOOL)
-    zero = on_table + machine.offsets[0]
-    add(Joint('clamping', 'fixed', table, WORKPIECE, vector(zero)), stock_shape(machine))
-    return Description(machine.name, links, tuple(joints))
+    links |= {joint.child: shapes_of(machine, joint) for joint in joints}
+    return Description(machine.name, links, joints)
 
 
-def axis_joint(
-    machine: Machine, k: int, parent: str, child: str, origin: Vector, along: Vector
-) -> Joint:
-    axis = machine.axes[k]
-    kind = 'prismatic' if axis.linear else 'continuous' if axis.endless else 'revolute'
-    travel = (-UNLIMITED, UNLIMITED) if axis.endless else axis.travel
-    return Joint(axis.name, kind, parent, child, origin, along, travel, axis.max_velocity)
+def shapes_of(machine: Machine, joint: Joint) -> tuple[Shape, ...]:
+    """Return simple shapes of the link that a joint moves."""
+    k, child = joint.axis, joint.child
+    if child == TOOL_TIP:
+        return TOOL
+    if child == WORKPIECE:
+        return (stock_shape(machine),)
+    if joint.kind == 'prismatic':
+        extra = Shape((0.06, 0.06, 0.5), (0.02, 0.0, 0.45), TURNING)
+        return (SLIDES[k] if k < len(SLIDES) else extra,)
+    if machine.rotary_on_head[k - 3]:
+        arm = machine.tool_offset[::-1][k - 3]
+        return head_shapes(joint.along, vector(-arm))
+    tilts_another = k == 3 and not machine.rotary_on_head[1]
+    return (cradle_shapes if tilts_another else disc_shapes)(machine)
 
 
 HEADER = '<?xml version="1.0"?>\n'

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.description import urdf
+from cnc_interp.machine_model import links
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import WayThere
 
@@ -171,7 +172,7 @@ RAY, RAY_COLOUR = 0.14, '#ffd166'
 WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: What the view of the part leaves out.
-MACHINE_LINKS = (urdf.BASE, 'x_slide', 'y_slide', 'z_slide', urdf.WORKPIECE)
+MACHINE_LINKS = (links.BASE, 'x_slide', 'y_slide', 'z_slide', links.WORKPIECE)
 
 
 class MachineView:
@@ -186,14 +187,14 @@ class MachineView:
         self._legs: tuple[tuple[str, FloatArray], ...] = ()
         self._drawn_way: Any = None
         self._hidden: list[Any] = []
-        self._joints: dict[str, tuple[urdf.Joint, Any]] = {}
+        self._joints: dict[str, tuple[links.Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
         self._scene.classes('scene')
         with self._scene:
             self._root = self._scene.group()
             with self._root:
-                self._build(urdf.BASE)
+                self._build(links.BASE)
         self._look(np.zeros(3), 0.25)
 
     def _build(self, link: str) -> None:
@@ -201,10 +202,10 @@ class MachineView:
             found = self._add(shape)
             if link in MACHINE_LINKS:
                 self._hidden.append(found.visible(False))
-        if link == urdf.TOOL_TIP:
+        if link == links.TOOL_TIP:
             ray = urdf.Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
             self._add(ray).material(RAY_COLOUR)
-        if link == urdf.WORKPIECE:
+        if link == links.WORKPIECE:
             self._workpiece = self._scene.group()
         for joint in self._description.joints:
             if joint.parent == link:
@@ -238,7 +239,7 @@ class MachineView:
                 group.rotate_R(turn.round(6).tolist())
         turn, place = np.eye(3), np.zeros(3)
         if self._of_part:
-            rotation, origin = self._description.pose(urdf.WORKPIECE, positions)
+            rotation, origin = self._description.pose(links.WORKPIECE, positions)
             turn, place = rotation.T, -rotation.T @ origin
         self._root.rotate_R(turn.round(6).tolist())
         self._root.move(*(round(float(x), 6) for x in place))

@@ -70,8 +70,18 @@ FUNCTION_COLUMNS = {
     'before_stop': LOGICAL,
     'sample': WHOLE,
 }
-#: Files that only some plans have: what the program switches, and lines in step with the spindle.
+COLLISION_COLUMNS = {
+    'begin': REAL,
+    'end': REAL,
+    'pair': Column((2,), np.int64),
+    'normal': POINT,
+    'hit': LOGICAL,
+    'witness': Column((6,)),
+}
+#: Files that only some plans have: why nothing hits, what the program switches, and lines in step
+#: with the spindle.
 SELDOM = {
+    'collision': COLLISION_COLUMNS,
     'functions': FUNCTION_COLUMNS,
     'followed': {'block': WHOLE, 'ramp': REAL, 'later': WHOLE, 'angle': REAL, 'position': AXES},
 }
@@ -191,6 +201,8 @@ class PlanFiles:
     functions: Columns = field(
         default_factory=lambda: {name: of.filled(0) for name, of in FUNCTION_COLUMNS.items()}
     )
+    #: Certificates of clearances, and hits; of a plan with a scene only.
+    collision: Columns = field(default_factory=dict)
     #: Setpoints of lines in step with the spindle, and its ``angle`` [rev]; of a record only.
     followed: Columns = field(default_factory=dict)
 

@@ -287,6 +287,12 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
         Given('flank height', f'{plan.flank_height / MM:g} mm', of_summary),
         Given('period', f'{plan.period / MS:g} ms', of_summary),
     ]
+    if scene := plan.settings.get('scene'):
+        found = Path(str(scene))
+        content = found.read_bytes() if found.is_file() else b''
+        told = f'{len(plan.collision.get("begin", ()))} certificates and hits'
+        digest = hashlib.sha256(content).hexdigest()[:DIGITS]
+        rows.append(Given('scene', told, f'{found} with its meshes', digest))
     override = float(summary.get('largest_override', 1.0))
     if override != 1.0:
         rows.append(Given('feed override', f'up to {override:.1%}', of_summary))

@@ -54,6 +54,10 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     prove_followed(ledger, plan, machine)
     if plan.path:
         prove_grid(ledger)
+    if plan.settings.get('scene') or plan.collision:
+        from cnc_interp.proof.clearance import prove_clearance  # loaded with a scene only
+
+        prove_clearance(ledger, machine)
     ledger.plan = plan = with_chords(plan, machine)
     program = ProgramShapes.of(plan, machine)
     plan = _prove_sequence(ledger, plan, program)

@@ -14,6 +14,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import ProgramStream
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.clearance_stage import ClearanceStage
 from cnc_interp.run.parallel_planner import ParallelPlanner, Planning
 from cnc_interp.run.path_chain import PathChain, PathPart, Stopwatch, batches
 from cnc_interp.run.plan_writer import PlanWriter
@@ -25,13 +26,14 @@ from cnc_interp.smoothing.segments import PathSegments
 #: Longest step of the law 'vpop', whose step is the interpolation period otherwise [s].
 LONGEST_STEP = 1e-3
 #: Stages whose time is reported, in order.
-STAGES = ('smoothing', 'kinematics', 'feedrate', 'interpolation')
+STAGES = ('smoothing', 'kinematics', 'collision', 'feedrate', 'interpolation')
 
 
 class Sink(Protocol):
     segments: Callable[[PathSegments], None]
     piece: Callable[[PlannedPiece], None]
     setpoints: Callable[[Setpoints], None]
+    certificates: Callable[[Any], None]
 
 
 class Chain:
@@ -53,6 +55,7 @@ class Chain:
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
         self._planner: ParallelPlanner | FeedPlanner = self._parallel or planning.planner()
         self._interpolator = Interpolator(period)
+        self.clearance = ClearanceStage.of(machine, settings)
         self.moved = False
         self.row_planned = 0  # last row of the program that has been planned
 
@@ -80,6 +83,8 @@ class Chain:
 
     def finish(self) -> None:
         self._plan(self.path.finish(), last=True)
+        if self.clearance is not None and self.clearance.refused:
+            return
         self._pass_on(self._watch.timed('feedrate', self._planner.finish))
         if self.moved:
             self._sink.setpoints(self._interpolator.finish())
@@ -89,6 +94,11 @@ class Chain:
         if self._start is not None:
             segments, path = self._start.segments(segments), self._start.path(path, last)
         self._sink.segments(segments)
+        if path is not None and self.clearance is not None:
+            found = self._watch.timed('collision', self.clearance.check, path)
+            self._sink.certificates(found)
+            self.moved |= self.clearance.refused
+            path = None if self.clearance.refused else path  # only its hits are still of interest
         if path is not None:
             self._pass_on(self._watch.timed('feedrate', self._planner.push, path))
 
@@ -125,7 +135,13 @@ def plan_to_files(
         with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0
             for part in stream:
-                writer.blocks(part if start is None else start.blocks(part))
+                own = part if start is None else start.blocks(part)
+                writer.blocks(own)
+                if chain.clearance is not None:
+                    functions = stream.functions
+                    if start is not None:
+                        functions = start.functions(functions)
+                    chain.clearance.rows(own, functions)
                 rows_read += len(part)
                 for batch in batches(part):
                     chain.push(batch)
@@ -134,6 +150,9 @@ def plan_to_files(
                         told = max(told, stream.share * chain.row_planned / rows_read)
                         progress(told)
             chain.finish()
+            if chain.clearance is not None:
+                chain.clearance.require(stream.source)
+                writer.figures.clearance = chain.clearance.summary()
             stream.note(chain.path.notice)
             writer.functions = stream.functions
             writer.figures.waits_first = stream.waits_first

@@ -88,6 +88,8 @@ class PlanFigures:
         self._tool_error = np.zeros(2)  # of the tip, and of the axis at flank height [m]
         self.functions = Functions.none()
         self.start: StartPlace | None = None  # where the run started, if not at the top
+        #: What was found of clearances, of a plan with a scene.
+        self.clearance: dict[str, Any] | None = None
         self.cut = ''  # where a record ends before the program does
         self.waits_first: bool | None = False  # for the operator (M0); a record does not tell
         self.samples = self._segments = self._blocks = 0
@@ -208,9 +210,19 @@ class PlanFigures:
             'largest_orientation_error': float(self._deviation[1]),
             'tolerance_used': {'contour': float(used[0]), 'orientation': float(used[1])},
             'tool_error': error,
+            **({'collision': self.clearance} if self.clearance else {}),
             'curves': {'blocks': self._curved, 'spans': self._spans},
             'versions': versions(),
         }
+
+
+def clearance_text(found: Mapping[str, Any]) -> str:
+    """Say in one line what the check of clearances found."""
+    hits = len(found['hits'])
+    told = f'{found["bodies"]} bodies, {found["pairs"]} pairs'
+    if not hits:
+        return f'{told} keep their clearances, by {found["certificates"]} certificates'
+    return f'NOT clear: {told}, {hits} hit{"s" * (hits > 1)}'
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:

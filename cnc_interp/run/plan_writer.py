@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 from zipfile import ZipFile
 
 import numpy as np
@@ -27,6 +27,9 @@ from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments
 
+if TYPE_CHECKING:
+    from cnc_interp.collision.path_clearance import Certificates
+
 Columns = Mapping[str, NDArray[Any]]
 #: Columns of shape (4, cells, axes): they grow along their second axis.
 _CELLS = ('cell_left', 'cell_right')
@@ -44,7 +47,7 @@ _AS_IN_BLOCKS = (
     'knot_interval',
     'program_stop',
 )
-SELDOM = 'functions', 'followed'  #: Files that only some plans have.
+SELDOM = 'functions', 'followed', 'collision'  #: Files that only some plans have.
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
@@ -149,6 +152,9 @@ class PlanWriter:
             'stop': path.stop,
         }
         self._archives['path'].append({name: column[rows] for name, column in columns.items()})
+
+    def certificates(self, found: Certificates) -> None:
+        self._archives['collision'].append(found.columns())
 
     def setpoints(self, samples: Setpoints) -> None:
         self._samples.append(samples)

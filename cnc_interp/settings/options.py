@@ -162,6 +162,12 @@ class Settings:
         'largest error that the drives leave at the tool, also at flank height',
         nothing='none',
     )
+    scene: Path | None = kinds.file(  # noqa: RUF009 (a field)
+        PLANNING, 'YAML file of bodies that must keep apart: machine, fixtures, stock and tools'
+    )
+    collision: str = kinds.one_of(
+        ('refuse', 'warn'), PLANNING, 'what happens to a program that hits a body of the scene'
+    )
     from_line: int = kinds.whole_number(
         0, (0, 10**12), START, 'line of the program at which the run starts, 0: at its top'
     )

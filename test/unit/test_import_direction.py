@@ -23,6 +23,7 @@ FLOW = (
     'program',
     'smoothing',
     'kinematics',
+    'collision',
     'drives',
     'feedrate',
     'run',
@@ -59,12 +60,15 @@ PROGRAM = (
 # The proof shares no code with the planner: what it may import, all of it.
 PROOF_ROOM = 'proof'
 PROOF_MAY_IMPORT = (
+    'cnc_interp.collision.scene',
+    'cnc_interp.collision.scene_file',
     'cnc_interp.core.columns',
     'cnc_interp.core.kernels',
     'cnc_interp.core.small_files',
     'cnc_interp.program.blocks',
     'cnc_interp.drives.compensation',
     'cnc_interp.drives.tool_error',
+    'cnc_interp.machine_model.links',
     'cnc_interp.machine_model.machine',
     'cnc_interp.machine_model.signals',
     'cnc_interp.machine_model.transform',

@@ -107,6 +107,8 @@ OTHERS = Settings(
     compensation='identified.yaml',
     learnt=Path('learnt.npz').resolve(),
     tool_error=1.0e-4 / 3.0,
+    scene=Path('scene.yaml').resolve(),
+    collision='warn',
     from_line=12,
     line_pass=3,
     retract=0.1 / 3.0,
@@ -319,6 +321,7 @@ def test_the_form_gives_the_settings_that_filled_it_in():
     hidden = {c.name for c in choices(Settings)} - {c.name for c in offered()}
     compared = {'corner', 'parametrization', 'top', 'septic', 'law'}
     of_nodes = {'interpolation_period', 'compensation', 'learnt', 'tool_error'}
+    of_nodes |= {'scene', 'collision'}
     assert hidden == compared | of_nodes | {'retract', 'plunge_feed', 'from_line', 'line_pass'}
 
 

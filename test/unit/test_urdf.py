@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import yourdfpy
 
-from cnc_interp.description.urdf import TOOL_TIP, WORKPIECE, describe_machine, urdf_of
+from cnc_interp.description.urdf import describe_machine, urdf_of
+from cnc_interp.machine_model.links import TOOL_TIP, WORKPIECE
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
 

@@ -1,0 +1,121 @@
+"""What hits: the line, both pieces, by how much they are too near, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.collision.chain import pose_links
+from cnc_interp.collision.clearance import Route, Space, reach, reach_from, relative_pose
+from cnc_interp.collision.enclosure import position
+from cnc_interp.collision.gjk import nearest
+from cnc_interp.core import MM, BlockError, FloatArray
+from cnc_interp.core.kernels import njit
+from cnc_interp.machine_model.machine import Machine, place_text
+
+PLACES = 33  #: Places along a hit at which its depth is measured.
+DIRECTIONS = 200  #: Directions in which the depth of overlapping pieces is tried at first.
+
+
+class CollisionError(BlockError):
+    """A line of the program brings two bodies nearer than their clearance."""
+
+
+class CollisionsError(CollisionError):
+    """A program hits something in one line or several; the attributes are of the first hit."""
+
+    def __init__(self, hits: list[Hit], machine: Machine, source: str):
+        texts = [hit.text(machine) for hit in hits]
+        super().__init__(texts[0], hits[0].line)
+        self.hits, self.source = tuple(hits), source
+        self._text = '\n'.join(f'{source}:{hit.line}: {hit.text(machine)}' for hit in hits)
+
+    def __str__(self) -> str:
+        return self._text
+
+
+@dataclass(frozen=True)
+class Hit:
+    line: int  #: Line of the program.
+    #: Names of both pieces, and of the bodies that they belong to.
+    names: tuple[str, str]
+    bodies: tuple[str, str]
+    short: float  #: By how much the bodies come nearer than their clearance there [m].
+    s: float  #: Path length where they first do [m].
+    q: tuple[float, ...]  #: Axis positions there [m, rad].
+
+    def text(self, machine: Machine) -> str:
+        one, other = self.names
+        where = place_text(machine.axes, self.q)
+        return (
+            f'hit: line {self.line}, {one} and {other}, {self.short / MM:.3g} mm short at {where}'
+        )
+
+
+@njit(cache=True, nogil=True)
+def apart(space: Space, a: int, b: int, pose: FloatArray, rel: FloatArray) -> float:
+    """Return the distance of two pieces [m]; less than 0 where they overlap, by their depth.
+
+    The depth is that of the best of many directions, so it is never too small.
+    """
+    pieces = space.pieces
+    relative_pose(pose[pieces.link[b]], pose[pieces.link[a]], rel)
+    out = np.empty(9)
+    distance = nearest(pieces, a, b, rel, out)
+    if distance > 0.0:
+        return distance
+    best, n0, n1, n2 = -1e300, 0.0, 0.0, 1.0
+    for k in range(DIRECTIONS):
+        z = 1.0 - (2.0 * k + 1.0) / DIRECTIONS
+        across, angle = np.sqrt(1.0 - z * z), 2.399963229728653 * k
+        n = across * np.cos(angle), across * np.sin(angle), z
+        found = _along(space, a, b, rel, n)
+        if found > best:
+            best, n0, n1, n2 = found, n[0], n[1], n[2]
+    step = 0.1
+    while step > 1e-5:
+        moved = False
+        for k in range(6):
+            way = step if k % 2 else -step
+            x = n0 + way * (k // 2 == 0)
+            y = n1 + way * (k // 2 == 1)
+            z = n2 + way * (k // 2 == 2)
+            length = np.sqrt(x * x + y * y + z * z)
+            found = _along(space, a, b, rel, (x / length, y / length, z / length))
+            if found > best:
+                best, n0, n1, n2, moved = found, x / length, y / length, z / length, True
+        if not moved:
+            step *= 0.5
+    return min(best, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _along(space: Space, a: int, b: int, rel: FloatArray, n: tuple[float, float, float]) -> float:
+    ahead = reach_from(space.pieces, a, rel, n)
+    return -reach(space.pieces, b, (-n[0], -n[1], -n[2])) - ahead
+
+
+@njit(cache=True, nogil=True)
+def least_apart(
+    space: Space, route: Route, a: int, b: int, begin: float, end: float, places: int
+) -> float:
+    """Return the least distance of two pieces at places along a stretch of the path [m]."""
+    pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
+    q, s, least = np.empty(route.bezier.shape[1]), route.s, 1e300
+    for k in range(places):
+        at = begin + (end - begin) * k / (places - 1)
+        after = int(np.searchsorted(s, at, 'right'))
+        cell = max(min(after - 1, len(s) - 2), 0)
+        position(route.bezier, cell, (at - s[cell]) / (s[cell + 1] - s[cell]), q)
+        pose_links(space.chain, q, pose)
+        least = min(least, apart(space, a, b, pose, rel))
+    return least
+
+
+def positions_at(route: Route, s: float) -> FloatArray:
+    """Return the axis positions at a path length [m, rad]."""
+    cell = int(np.clip(np.searchsorted(route.s, s, 'right') - 1, 0, len(route.s) - 2))
+    q = np.empty(route.bezier.shape[1])
+    position(route.bezier, cell, (s - route.s[cell]) / np.diff(route.s)[cell], q)
+    return q

@@ -1,0 +1,217 @@
+"""The check of a whole motion, part by part: certificates, or hits, before anything moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cnc_interp.collision.chain import pose_links
+from cnc_interp.collision.clearance import Found, Route, Space, descend
+from cnc_interp.collision.enclosure import bezier_table
+from cnc_interp.collision.hits import PLACES, CollisionError, Hit, least_apart, positions_at
+from cnc_interp.collision.mesh_file import SceneError
+from cnc_interp.collision.pieces import winding
+from cnc_interp.collision.scene import Placed, Scene
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
+from cnc_interp.core.columns import Table, column
+from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.program.blocks.functions import Functions
+
+MOST_HITS = 1 << 16  #: Hits of one part of the path that are listed.
+TOOL_OUTPUT = 'tool_number'  #: The output that M6 sets to the number of the tool.
+
+
+class Certificates(Table):
+    """Rows of ``collision.npz``: why pieces keep apart in an interval, or where they hit."""
+
+    begin: FloatArray = column()  #: Path length at the begin of the interval, or of a hit [m].
+    end: FloatArray = column()  #: Path length at its end [m].
+    pair: IntArray = column(2)  #: Both pieces, A and B.
+    #: Unit vector from A to B along which they keep apart, in the frame of B's link [-].
+    normal: FloatArray = column(3)
+    hit: BoolArray = column(default=False)  #: Whether they hit at the begin.
+    #: Of a hit: points of A and of B in the frames of their links, nearer than the clearance [m].
+    witness: FloatArray = column(6, default=0.0)
+
+
+@dataclass
+class ClearanceFigures:
+    """What was done: intervals, tests of pairs and certificates, and pairs of bodies."""
+
+    intervals: int = 0
+    tests: int = 0
+    certificates: int = 0
+    pairs: int = 0
+
+
+class PathClearance:
+    """Checks parts of one path in order; ``push`` returns what a further part hits."""
+
+    def __init__(self, machine: Machine, scene: Scene, most_hits: int = MOST_HITS):
+        self.machine, self.scene = machine, scene
+        self.placed = placed = Placed.of(scene, machine)
+        self._space = Space(placed.pieces, placed.chain, *placed.steps(), placed.clearance)
+        count = len(scene.bodies)
+        self._until = np.full((count, count), -np.inf)
+        self._last: dict[tuple[int, int], Hit] = {}  # the last hit of each pair of bodies
+        self._most, self._begun = most_hits, False
+        self._tools = np.zeros(0, np.int64), np.zeros(0, np.int64)  # rows, numbers
+        self.figures = ClearanceFigures(pairs=len(placed.pairs))
+
+    def call_tools(self, functions: Functions) -> None:
+        """Take the functions of the program so far, which tell from which row on a tool is in."""
+        signals = self.machine.signals
+        names = [signals.outputs[step.output].name for step in signals.steps]
+        calls = np.flatnonzero([names[step] == TOOL_OUTPUT for step in functions.step])
+        self._tools = functions.block[calls], functions.value[calls].astype(np.int64)
+        for line, tool in zip(functions.line_number[calls], self._tools[1], strict=True):
+            if tool and tool not in self.scene.tools:
+                text = f'tool {tool} has no body in the scene; add it to tools of '
+                raise CollisionError(f'{text}{self.scene.source}', int(line))
+
+    def push(
+        self, path: AxisPath, rapid: BoolArray, line_of: Callable[[int], int]
+    ) -> tuple[list[Hit], Certificates]:
+        """Check a further part of the path.
+
+        Parameters
+        ----------
+        path : AxisPath
+            The part; it begins where the one before ended.
+        rapid : ndarray, shape (N - 1,)
+            Whether each cell is a rapid, in which the cutter must not touch the stock.
+        line_of : callable
+            Returns the line of a row of the program.
+
+        Returns
+        -------
+        list of Hit
+            First contacts of each line and pair of bodies, in order.
+        Certificates
+            What proves all else, and the hits.
+
+        """
+        lines = np.array([line_of(int(row)) for row in path.cell_block])
+        ends = np.append(np.flatnonzero(np.diff(lines)), len(lines) - 1)
+        line_end = path.s[1 + ends[np.searchsorted(ends, np.arange(len(lines)))]]
+        route = Route(path.s, bezier_table(path), line_end)
+        hits: list[Hit] = []
+        parts: list[Certificates] = []
+        for pair, hit in self._last.items():  # a line that goes on hits once
+            if hit.line == lines[0]:
+                self._until[pair] = line_end[0]
+        for first, last, pairs in self._stretches(path, rapid):
+            self._refuse_inside(route, first, pairs)
+            roots = [
+                (p, q)
+                for a, b in pairs
+                for p in self.placed.roots(a)
+                for q in self.placed.roots(b)
+            ]
+            if not roots:
+                continue
+            table = np.array(roots, dtype=np.int64)
+            found = descend(self._space, route, (first, last), table, self._until, self._most)
+            hits += self._hits(route, lines, found)
+            parts.append(certificates_of(found))
+            self.figures.intervals += int(found.effort[0])
+            self.figures.tests += int(found.effort[1])
+            self.figures.certificates += len(found.span)
+        hits.sort(key=lambda hit: hit.s)
+        if not self._begun and hits and hits[0].s == path.s[0]:
+            raise SceneError(touching_text(self.scene, hits[0]))
+        self._begun = True
+        return hits, Certificates.concatenate(parts) if parts else Certificates.none()
+
+    def _stretches(
+        self, path: AxisPath, rapid: BoolArray
+    ) -> Iterator[tuple[int, int, list[tuple[int, int]]]]:
+        """Yield cells from one to before another, and the pairs of bodies that count there."""
+        tool = self._tool_of(path.cell_block)
+        starts = np.flatnonzero(np.diff(tool, prepend=tool[0] - 1))
+        for first, last in zip(starts, np.append(starts[1:], len(tool)), strict=True):
+            pairs = self.placed.with_tool(int(tool[first]))
+            always = [pair for pair in pairs if self.scene.in_feed(*pair)]
+            yield int(first), int(last), always
+            seldom = [pair for pair in pairs if not self.scene.in_feed(*pair)]
+            if not seldom:
+                continue
+            ends = np.flatnonzero(np.diff(rapid[first:last], prepend=False, append=False))
+            for begin, end in ends.reshape(-1, 2):
+                yield int(first + begin), int(first + end), seldom
+
+    def _tool_of(self, rows: IntArray) -> IntArray:
+        called, numbers = self._tools
+        at = np.searchsorted(called, rows, 'right') - 1
+        tool = np.where(at >= 0, np.append(numbers, 0)[at], self.scene.first_tool)
+        if len(self.scene.tools) > 1 and (tool == 0).any() and not len(called):
+            text = 'no tool is called before the first motion; add the one in the spindle as'
+            raise SceneError(f'{self.scene.source}: {text} tool: NUMBER')
+        return np.asarray(tool)
+
+    def _refuse_inside(self, route: Route, first: int, pairs: list[tuple[int, int]]) -> None:
+        """Refuse a body that lies inside a mesh, of which only the surface can be hit."""
+        meshes = [k for k, body in enumerate(self.scene.bodies) if body.triangles is not None]
+        asked = [pair for pair in pairs if pair[0] in meshes or pair[1] in meshes]
+        if not asked:
+            return
+        poses = self.poses(positions_at(route, float(route.s[first])))
+        for pair in asked:
+            for one, other in (pair, pair[::-1]):
+                mesh = self.scene.bodies[one]
+                if mesh.triangles is None:
+                    continue
+                body = self.scene.bodies[other]
+                (ra, oa), (rb, ob) = (
+                    (poses[k][:9].reshape(3, 3), poses[k][9:])
+                    for k in (self.placed.names.index(b.link) for b in (mesh, body))
+                )
+                leaf = next(k for k, child in enumerate(body.child) if child[0] < 0)
+                point = ra.T @ (rb @ body.pieces[leaf].discs[0, :3] + ob - oa)
+                if winding(mesh.triangles, point) > 0.5:
+                    text = f'{body.name} lies inside {mesh.name} where the motion begins'
+                    raise SceneError(f'{self.scene.source}: {text}; move one of them')
+
+    def poses(self, q: FloatArray) -> FloatArray:
+        """Return rotation and origin of all links at axis positions, (n, 12) [-, m]."""
+        pose = np.empty((len(self.placed.names), 12))
+        pose_links(self.placed.chain, q, pose)
+        return pose
+
+    def _hits(self, route: Route, lines: IntArray, found: Found) -> list[Hit]:
+        hits = []
+        for (begin, end, *_), (a, b) in zip(found.hit, found.hit_pair, strict=True):
+            cell = min(int(np.searchsorted(route.s, begin, 'right')) - 1, len(lines) - 1)
+            bodies = int(self.placed.pieces.body[a]), int(self.placed.pieces.body[b])
+            near = least_apart(self._space, route, a, b, begin, end, PLACES)
+            short = float(self.placed.clearance[bodies] - near)
+            names = self.placed.piece_name(int(a)), self.placed.piece_name(int(b))
+            names_of = self.scene.bodies[bodies[0]].name, self.scene.bodies[bodies[1]].name
+            q = tuple(positions_at(route, float(begin)).tolist())
+            hit = Hit(int(lines[cell]), names, names_of, max(short, 0.0), float(begin), q)
+            self._last[bodies] = self._last[bodies[::-1]] = hit
+            hits.append(hit)
+        return hits
+
+
+def certificates_of(found: Found) -> Certificates:
+    count, hits = len(found.span), len(found.hit)
+    return Certificates(
+        np.concatenate([found.span[:, 0], found.hit[:, 0]]),
+        np.concatenate([found.span[:, 1], found.hit[:, 1]]),
+        np.concatenate([found.pair, found.hit_pair]),
+        np.concatenate([found.normal, np.zeros((hits, 3))]),
+        np.arange(count + hits) >= count,
+        np.concatenate([np.zeros((count, 6)), found.hit[:, 3:]]),
+    )
+
+
+def touching_text(scene: Scene, hit: Hit) -> str:
+    one, other = hit.bodies
+    return (
+        f'{scene.source}: {one} and {other} are too near before anything moves '
+        f'({hit.short / MM:.3g} mm short); move one, or add [{one}, {other}] to ignore'
+    )

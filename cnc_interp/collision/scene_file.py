@@ -1,0 +1,312 @@
+"""The YAML file of a scene; lengths in mm, angles in degrees, as the keys say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cnc_interp.collision import shapes
+from cnc_interp.collision.mesh_file import SceneError, triangles_of
+from cnc_interp.collision.pieces import triangle_tree
+from cnc_interp.collision.scene import Body, Role, Scene
+from cnc_interp.collision.shapes import Piece
+from cnc_interp.core import MM, FloatArray
+from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
+from cnc_interp.machine_model.links import TOOL_TIP
+
+UNITS = {'mm': MM, 'm': 1.0, 'inch': 25.4 * MM}
+#: Largest and smallest extent of a body that is taken for a right unit [m].
+LARGEST, SMALLEST = 50.0, 0.5 * MM
+CLEARANCES = ('default', 'holder_stock', 'shank_stock', 'cutter_stock')
+DEFAULT_CLEARANCE, MOST_CLEARANCE = 0.1 * MM, 50.0 * MM
+SHAPES = ('box_mm', 'cylinder_mm', 'sphere_mm', 'profile_mm', 'hull_mm', 'mesh')
+PLACE = ('link', 'at_mm', 'turn_deg', 'along')
+MESH = ('unit', 'chord_mm')
+BODY = ('name', *SHAPES, *PLACE, *MESH)
+TOOL = ('diameter_mm', 'corner_mm', 'flute_mm', 'shank_mm', 'holder_mm', 'length_mm')
+WHOLE = ('include', 'clearance_mm', 'bodies', 'tools', 'tool', 'stock', 'ignore')
+AXES = {'X': (1.0, 0.0, 0.0), 'Y': (0.0, 1.0, 0.0), 'Z': (0.0, 0.0, 1.0)}
+CHORD = 0.01 * MM
+
+
+def scenes_directory() -> Path:
+    return config_directory() / 'scenes'
+
+
+def find_scene_file(path_or_name: str | Path) -> Path:
+    """Return the file of a scene, or of a bundled one by its name."""
+    path = Path(path_or_name)
+    bundled = scenes_directory() / f'{path_or_name}.yaml'
+    return bundled if not path.is_file() and bundled.is_file() else path
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene; SceneError names the file, the entry and what to do, in one line."""
+    path = find_scene_file(path)
+    scene = _Reading(path).scene(_content(path))
+    if not scene.bodies:
+        raise SceneError(f'{path}: bodies: the scene has no body; add one')
+    return scene
+
+
+def _content(path: Path) -> Any:
+    try:
+        return read_yaml(path)
+    except (OSError, UnreadableError) as problem:
+        text = ' '.join(str(problem).split())
+        raise SceneError(f'{path}: cannot be read as YAML: {text}') from None
+
+
+NO_BODIES = Scene(Path(), (), {'default': DEFAULT_CLEARANCE}, frozenset(), (), 0)
+
+
+class _Reading:
+    def __init__(self, path: Path):
+        self._path = path
+        self._meshes: list[Path] = []
+
+    def _included(self, value: Any) -> Scene:
+        """Return another scene, whose bodies come first; it may include none itself."""
+        if not isinstance(value, str):
+            raise self.fault('include', 'must be a scene file, or the name of a bundled one')
+        beside = self._path.parent / value
+        path = beside if beside.is_file() else find_scene_file(value)
+        content = _content(path)
+        if isinstance(content, dict) and 'include' in content:
+            raise self.fault('include', f'{path} includes another scene itself; include one only')
+        return _Reading(path).scene(content)
+
+    def fault(self, where: str, text: str) -> SceneError:
+        return SceneError(f'{self._path}: {where}: {text}')
+
+    def scene(self, content: Any) -> Scene:
+        whole = self._mapping(content, 'the file', WHOLE)
+        given = self._mapping(whole.get('clearance_mm') or {}, 'clearance_mm', CLEARANCES)
+        before = self._included(whole['include']) if 'include' in whole else NO_BODIES
+        clearances = dict(before.clearances)
+        for key, value in given.items():
+            clearances[key] = self._length(value, f'clearance_mm.{key}', MOST_CLEARANCE)
+        tools = whole.get('tools') or {}
+        bodies = [body for body in before.bodies if not body.tool or not tools]
+        bodies += [
+            self._body(one, f'bodies[{k}]') for k, one in enumerate(self._list(whole, 'bodies'))
+        ]
+        if whole.get('stock') is not None:
+            stock = self._mapping(whole['stock'], 'stock', BODY)
+            bodies.append(self._body({'name': 'stock', **stock}, 'stock', Role.STOCK))
+        names = [body.name for body in bodies if not body.tool]
+        for name in names:
+            if names.count(name) > 1 or name in ('cutter', 'shank', 'holder'):
+                raise self.fault('bodies', f'the name {name!r} is used twice; rename one body')
+        if not isinstance(tools, dict):
+            raise self.fault('tools', 'must hold tools by their numbers, as {3: {diameter_mm: 6}}')
+        for number, tool in tools.items():
+            if isinstance(number, bool) or not isinstance(number, int) or number < 1:
+                raise self.fault(
+                    f'tools.{number}', 'the tool number must be a whole number above 0'
+                )
+            bodies += self._tool(number, self._mapping(tool, f'tools.{number}', TOOL))
+        numbers = tuple(tools) or before.tools
+        first = whole.get('tool', numbers[0] if len(numbers) == 1 else 0)
+        if first and first not in numbers:
+            raise self.fault('tool', f'tool {first} has no entry under tools')
+        names += ['cutter', 'shank', 'holder']
+        ignored = []
+        for k, pair in enumerate(self._list(whole, 'ignore')):
+            if not isinstance(pair, list) or len(pair) != 2:
+                raise self.fault(f'ignore[{k}]', 'must be two names, as [ram, nose]')
+            for name in pair:
+                if name not in names:
+                    raise self.fault(f'ignore[{k}]', f'no body has the name {name!r}')
+            ignored.append(frozenset(pair))
+        return Scene(
+            self._path,
+            tuple(bodies),
+            clearances,
+            before.ignored | frozenset(ignored),
+            numbers,
+            first,
+            (*before.files, *self._meshes),
+        )
+
+    def _mapping(self, content: Any, where: str, known: tuple[str, ...]) -> dict[str, Any]:
+        if not isinstance(content, dict):
+            raise self.fault(where, f'must be a mapping with keys of: {", ".join(known)}')
+        for key in content:
+            if key not in known:
+                raise self.fault(where, f'unknown key {key!r}; known: {", ".join(known)}')
+        return content
+
+    def _list(self, whole: dict[str, Any], key: str) -> list[Any]:
+        found = whole.get(key) or []
+        if not isinstance(found, list):
+            raise self.fault(key, 'must be a list')
+        return found
+
+    def _number(self, value: Any, where: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            raise self.fault(where, f'must be a number, not {value!r}')
+        return float(value)
+
+    def _length(self, value: Any, where: str, most: float = LARGEST, least: float = 0.0) -> float:
+        length = self._number(value, where) * MM
+        if not least <= length <= most:
+            text = f'{value:g} mm is not between {least / MM:g} and {most / MM:g} mm'
+            raise self.fault(where, f'{text}; is the unit right?')
+        return length
+
+    def _rows(self, value: Any, width: int, where: str) -> FloatArray:
+        """Return rows of lengths, (n, width) [m]."""
+        rows = value if isinstance(value, list) and value else None
+        if rows is None or not all(isinstance(row, list) and len(row) == width for row in rows):
+            raise self.fault(where, f'must be a list of rows with {width} numbers in mm')
+        return np.array([[self._number(x, where) for x in row] for row in rows]) * MM
+
+    def _body(self, content: Any, where: str, role: Role = Role.BODY) -> Body:
+        given = self._mapping(content, where, BODY)
+        name = given.get('name')
+        if not isinstance(name, str) or not name:
+            raise self.fault(where, 'has no name')
+        link, shapes_given = given.get('link'), [key for key in SHAPES if key in given]
+        if not isinstance(link, str):
+            raise self.fault(name, 'has no link; name the link that carries it, as workpiece')
+        if len(shapes_given) != 1:
+            raise self.fault(name, f'must have one shape of: {", ".join(SHAPES)}')
+        key = shapes_given[0]
+        along = given.get('along', 'Z')
+        if along not in AXES:
+            raise self.fault(name, f'along must be X, Y or Z, not {along!r}')
+        triangles, child = None, None
+        if key == 'mesh':
+            triangles, grown = self._mesh(given, name)
+            triangles = self._placed(triangles.reshape(-1, 3), given, name).reshape(-1, 3, 3)
+            pieces, child = triangle_tree(triangles, grown)
+        else:
+            make = self._shapes[key]
+            axis = np.array(AXES[along])
+            pieces = [
+                self._moved(p, given, name) for p in make(self, given[key], f'{name}.{key}', axis)
+            ]
+        return self._checked(name, link, role, pieces, child, triangles)
+
+    def _checked(
+        self,
+        name: str,
+        link: str,
+        role: Role,
+        pieces: list[Piece],
+        child: Any = None,
+        triangles: FloatArray | None = None,
+        tool: int = 0,
+    ) -> Body:
+        size = max(2.0 * shapes.ball_around(piece)[3] for piece in pieces)
+        if not SMALLEST <= size <= LARGEST:
+            raise self.fault(name, f'it is {size / MM:.4g} mm large; is the unit right?')
+        leaves = np.full((len(pieces), 2), -1, dtype=np.int64)
+        roots = tuple(range(len(pieces))) if child is None else (0,)
+        tree = leaves if child is None else child
+        return Body(name, link, role, tuple(pieces), tree, roots, tool, triangles)
+
+    def _box(self, value: Any, where: str, _: FloatArray) -> list[Piece]:
+        ends = self._mapping(value, where, ('low', 'high'))
+        low, high = (self._rows([ends.get(key)], 3, where)[0] for key in ('low', 'high'))
+        if not (low < high).all():
+            raise self.fault(where, 'low must be less than high in X, Y and Z')
+        return [shapes.box(low, high)]
+
+    def _cylinder(self, value: Any, where: str, along: FloatArray) -> list[Piece]:
+        size = self._mapping(value, where, ('radius', 'low', 'high'))
+        low, high = (self._number(size.get(key), f'{where}.{key}') * MM for key in ('low', 'high'))
+        radius = self._length(size.get('radius'), f'{where}.radius', least=1e-3 * MM)
+        if not low < high:
+            raise self.fault(where, 'low must be less than high')
+        return [shapes.stack(np.array([[low, radius], [high, radius]]), along)]
+
+    def _sphere(self, value: Any, where: str, _: FloatArray) -> list[Piece]:
+        size = self._mapping(value, where, ('radius',))
+        radius = self._length(size.get('radius'), f'{where}.radius', least=1e-3 * MM)
+        return [shapes.hull(np.zeros((1, 3)), radius)]
+
+    def _profile(self, value: Any, where: str, along: FloatArray) -> list[Piece]:
+        rows = self._rows(value, 2, where)
+        if len(rows) < 2 or (np.diff(rows[:, 0]) < 0.0).any() or (rows[:, 1] < 0.0).any():
+            raise self.fault(where, 'needs rows [height, radius] with rising heights')
+        solid = [k for k in range(len(rows) - 1) if rows[k, 0] < rows[k + 1, 0]]
+        return [shapes.stack(rows[k : k + 2], along) for k in solid]
+
+    def _hull(self, value: Any, where: str, _: FloatArray) -> list[Piece]:
+        return [shapes.hull(self._rows(value, 3, where))]
+
+    _shapes: dict[str, Callable[..., list[Piece]]] = {  # noqa: RUF012
+        'box_mm': _box,
+        'cylinder_mm': _cylinder,
+        'sphere_mm': _sphere,
+        'profile_mm': _profile,
+        'hull_mm': _hull,
+    }
+
+    def _mesh(self, given: dict[str, Any], name: str) -> tuple[FloatArray, float]:
+        unit, value = given.get('unit', 'mm'), given['mesh']
+        if unit not in UNITS or not isinstance(value, str):
+            raise self.fault(name, f'needs a file, and a unit of: {", ".join(UNITS)}')
+        file = self._path.parent / value
+        step = file.suffix.lower() in ('.stp', '.step')
+        chord = self._length(given.get('chord_mm', CHORD / MM), f'{name}.chord_mm', 1e-2, 1e-7)
+        self._meshes.append(file)
+        return triangles_of(file, UNITS[unit], chord), chord if step else 0.0
+
+    def _turn(self, given: dict[str, Any], name: str) -> tuple[FloatArray, FloatArray]:
+        """Return rotation and shift of a body in its link; it turns about X, then Y, then Z."""
+        angles = given.get('turn_deg', [0.0, 0.0, 0.0])
+        if not isinstance(angles, list) or len(angles) != 3:
+            raise self.fault(name, 'turn_deg must be three angles about X, Y and Z')
+        turns = [self._number(angle, f'{name}.turn_deg') for angle in angles]
+        rotation = Rotation.from_euler('xyz', turns, degrees=True).as_matrix()
+        shift = self._rows([given.get('at_mm', [0.0, 0.0, 0.0])], 3, f'{name}.at_mm')[0]
+        return rotation if any(turns) else np.eye(3), shift
+
+    def _placed(self, points: FloatArray, given: dict[str, Any], name: str) -> FloatArray:
+        rotation, shift = self._turn(given, name)
+        return points @ rotation.T + shift
+
+    def _moved(self, piece: Piece, given: dict[str, Any], name: str) -> Piece:
+        rotation, _ = self._turn(given, name)
+        discs = piece.discs.copy()
+        discs[:, :3] = self._placed(discs[:, :3], given, name)
+        return Piece(discs, rotation @ piece.along, piece.round)
+
+    def _tool(self, number: int, given: dict[str, Any]) -> list[Body]:
+        """Return cutter, shank and holder; heights count from the tip, along the tool."""
+        where = f'tools.{number}'
+        for key in ('diameter_mm', 'flute_mm'):
+            if key not in given:
+                raise self.fault(where, f'has no {key}')
+        radius = 0.5 * self._length(given['diameter_mm'], f'{where}.diameter_mm', 1.0, 1e-2 * MM)
+        corner = self._length(given.get('corner_mm', 0.0), f'{where}.corner_mm', radius)
+        flute = self._length(given['flute_mm'], f'{where}.flute_mm', 1.0, max(2.0 * corner, 1e-9))
+        shift = -self._length(given.get('length_mm', 0.0), f'{where}.length_mm', 2.0)
+        cutter = shapes.stack(np.array([[corner, radius - corner]]), round=corner)
+        upper = shapes.stack(np.array([[corner, radius], [flute, radius]]))
+        parts = [('cutter', Role.CUTTER, [cutter, upper] if corner else [upper])]
+        rows = given.get('holder_mm')
+        holder = self._profile(rows, f'{where}.holder_mm', np.array(AXES['Z'])) if rows else []
+        shank = given.get('shank_mm')
+        if shank is None and holder and (top := float(holder[0].discs[0, 2])) > flute:
+            shank = [[flute / MM, radius / MM], [top / MM, radius / MM]]
+        if shank is not None:
+            found = self._profile(shank, f'{where}.shank_mm', np.array(AXES['Z']))
+            parts.append(('shank', Role.SHANK, found))
+        if holder:
+            parts.append(('holder', Role.HOLDER, holder))
+        at = {'at_mm': [0.0, 0.0, shift / MM]}
+        return [
+            self._checked(
+                name, TOOL_TIP, role, [self._moved(p, at, where) for p in found], tool=number
+            )
+            for name, role, found in parts
+        ]

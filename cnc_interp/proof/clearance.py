@@ -1,0 +1,598 @@
+"""The proof of ``collision.npz``: every certificate, that they cover the motion, and every hit.
+
+A certificate says that two pieces keep apart along n in an interval. Here the interval gets its
+own enclosure from the columns of ``path.npz``, and each disc of piece A its own bound: how far it
+can come along n to first order, what the enclosure leaves, and what higher orders add at its own
+levers. The planner bounds a ball around the piece instead; its code is not used.
+
+Certificates must cover the whole motion for every pair of bodies that can meet. What the pair of
+two pieces does not cover, the pairs of their parts must. Only hits are left out, to the end of
+their line, and a plan with hits is not proven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from math import comb, cos, pi, sin, sqrt
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cnc_interp.collision.scene import Placed, Role
+from cnc_interp.collision.scene_file import read_scene
+from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core.kernels import njit
+from cnc_interp.machine_model.links import BASE, joints_of
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.proof.verdict import Ledger
+
+#: What a hit may be farther apart than the clearance, and its witness points from their pieces;
+#: what rounding changes in a certificate [m].
+TOUCH, ON_PIECE, ROUNDED = 1.1e-6, 1e-8, 1e-10
+MOST_TOLD = 20  #: Faults of one kind that are told.
+TOOL_OUTPUT = 'tool_number'
+Spans = list[tuple[float, float]]
+#: Derivatives 0 to 3 by u at both ends of a cell -> coefficients of 1, u ... u^7.
+HERMITE = np.linalg.inv(
+    [
+        [
+            np.prod(np.arange(k, k - m, -1.0)) * (u if k > m else 1.0) if k >= m else 0.0
+            for k in range(8)
+        ]
+        for u in (0.0, 1.0)
+        for m in range(4)
+    ]
+)
+#: Coefficients of 1, u ... u^7 -> Bernstein values.
+BERNSTEIN = np.array(
+    [[comb(k, i) / comb(7, i) if i <= k else 0.0 for i in range(8)] for k in range(8)]
+)
+
+
+class Cells(NamedTuple):
+    """The path as the plan files have it."""
+
+    s: FloatArray  #: (N,): Path length at the grid points [m].
+    left: FloatArray  #: (4, N - 1, n): Derivatives by s at the left end of each cell.
+    right: FloatArray  #: (4, N - 1, n): At the right end.
+
+
+class Links(NamedTuple):
+    """The tree of links, the base first."""
+
+    parent: IntArray
+    axis: IntArray  #: Axis of the joint before each link; -1 of a fixed one.
+    turns: BoolArray  #: Whether that axis is rotary.
+    origin: FloatArray  #: (n, 3): In the frame of the parent [m].
+    along: FloatArray  #: (n, 3): Direction of the axis [-].
+
+
+class Solids(NamedTuple):
+    """The pieces of the scene."""
+
+    disc: FloatArray
+    first: IntArray
+    along: FloatArray
+    round: FloatArray
+    link: IntArray
+
+
+@njit(cache=True, nogil=True)
+def polynomial(cells: Cells, i: int, j: int, out: FloatArray) -> None:
+    """Write the coefficients in u of one axis in one cell, (8,)."""
+    h = cells.s[i + 1] - cells.s[i]
+    for k in range(8):
+        total, power = 0.0, 1.0
+        for m in range(4):
+            total += power * (
+                HERMITE[k, m] * cells.left[m, i, j] + HERMITE[k, 4 + m] * cells.right[m, i, j]
+            )
+            power *= h
+        out[k] = total
+
+
+@njit(cache=True, nogil=True)
+def onto(c: FloatArray, u0: float, width: float) -> None:
+    """Change coefficients in u to those in v with u = u0 + width v."""
+    for k in range(8):
+        for i in range(6, k - 1, -1):
+            c[i] += u0 * c[i + 1]
+    power = 1.0
+    for k in range(8):
+        c[k] *= power
+        power *= width
+
+
+@njit(cache=True, nogil=True)
+def cell_at(s: FloatArray, place: float) -> int:
+    found = int(np.searchsorted(s, place, 'right'))
+    return max(min(found - 1, len(s) - 2), 0)
+
+
+@njit(cache=True, nogil=True)
+def place(cells: Cells, s: float, out: FloatArray) -> None:
+    """Write the axis positions at a path length, (n,) [m, rad]."""
+    i = cell_at(cells.s, s)
+    u, c = (s - cells.s[i]) / (cells.s[i + 1] - cells.s[i]), np.empty(8)
+    for j in range(cells.left.shape[2]):
+        polynomial(cells, i, j, c)
+        value = c[7]
+        for k in range(6, -1, -1):
+            value = value * u + c[k]
+        out[j] = value
+
+
+@njit(cache=True, nogil=True)
+def enclosure(cells: Cells, begin: float, end: float, out: FloatArray) -> None:
+    """Write for each axis middle, half change and bound of the rest, (3, n) [m, rad]."""
+    s, n = cells.s, cells.left.shape[2]
+    first = cell_at(s, begin)
+    after = int(np.searchsorted(s, end, 'left'))
+    last = max(min(after - 1, len(s) - 2), first)
+    ends, c = np.empty((2, n)), np.empty(8)
+    place(cells, begin, ends[0])
+    place(cells, end, ends[1])
+    for j in range(n):
+        low, high = 1e300, -1e300
+        slope = (ends[1, j] - ends[0, j]) / (end - begin)
+        for i in range(first, last + 1):
+            h = s[i + 1] - s[i]
+            from_s, to_s = max(s[i], begin), min(s[i + 1], end)
+            polynomial(cells, i, j, c)
+            onto(c, (from_s - s[i]) / h, (to_s - from_s) / h)
+            c[0] -= ends[0, j] + slope * (from_s - begin)
+            c[1] -= slope * (to_s - from_s)
+            for k in range(8):
+                value = 0.0
+                for m in range(k + 1):
+                    value += BERNSTEIN[k, m] * c[m]
+                low, high = min(low, value), max(high, value)
+        out[0, j] = 0.5 * (ends[0, j] + ends[1, j] + low + high)
+        out[1, j] = 0.5 * (ends[1, j] - ends[0, j])
+        out[2, j] = 0.5 * (high - low)
+
+
+@njit(cache=True, nogil=True)
+def frames(links: Links, q: FloatArray, turn: FloatArray, origin: FloatArray) -> None:
+    """Write rotations (n, 3, 3) and origins (n, 3) of all links in M."""
+    turn[0], origin[0] = np.eye(3), 0.0
+    for k in range(1, len(links.parent)):
+        p, u, axis = links.parent[k], links.along[k], links.axis[k]
+        shift = links.origin[k].copy()
+        local = np.eye(3)
+        if axis >= 0 and not links.turns[k]:
+            shift += u * q[axis]
+        elif axis >= 0:
+            skew = np.array(((0.0, -u[2], u[1]), (u[2], 0.0, -u[0]), (-u[1], u[0], 0.0)))
+            local += sin(q[axis]) * skew + (1.0 - cos(q[axis])) * (skew @ skew)
+        turn[k] = turn[p] @ local
+        origin[k] = origin[p] + turn[p] @ shift
+
+
+@njit(cache=True, nogil=True)
+def size(v: FloatArray) -> float:
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+
+
+@njit(cache=True, nogil=True)
+def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.array(
+        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    )
+
+
+@njit(cache=True, nogil=True)
+def joints_of_pair(links: Links, a: int, b: int, out_link: IntArray, out_sense: FloatArray) -> int:
+    """Write the links whose joints lie between two links, a's first; return their number."""
+    carried = np.zeros(len(links.parent), dtype=np.bool_)
+    k = b
+    while k >= 0:
+        carried[k] = True
+        k = links.parent[k]
+    count, k = 0, a
+    while not carried[k]:
+        if links.axis[k] >= 0:
+            out_link[count], out_sense[count] = k, 1.0
+            count += 1
+        k = links.parent[k]
+    common, k, begin = k, b, count
+    while k != common:
+        if links.axis[k] >= 0:
+            out_link[count], out_sense[count] = k, -1.0
+            count += 1
+        k = links.parent[k]
+    # From the common link down to b: the other way round.
+    out_link[begin:count] = out_link[begin:count][::-1].copy()
+    return count
+
+
+@njit(cache=True, nogil=True)
+def certified(
+    solids: Solids,
+    links: Links,
+    cells: Cells,
+    span: FloatArray,
+    pair: IntArray,
+    normal: FloatArray,
+    group: IntArray,
+) -> FloatArray:
+    """Return how far each certificate proves its pieces to keep apart, at least, (m,) [m].
+
+    ``group`` (m,): certificates in an order in which those of one interval are neighbours.
+    """
+    n_links, n = len(links.parent), cells.left.shape[2]
+    proven, motion = np.empty(len(span)), np.empty((3, n))
+    turn, origin = np.empty((n_links, 3, 3)), np.empty((n_links, 3))
+    steps, senses = np.empty(n_links, np.int64), np.empty(n_links)
+    before = -1
+    for row in group:
+        if before < 0 or span[row, 0] != span[before, 0] or span[row, 1] != span[before, 1]:
+            enclosure(cells, span[row, 0], span[row, 1], motion)
+            frames(links, motion[0], turn, origin)
+        before = row
+        a, b = pair[row]
+        link_a, link_b = solids.link[a], solids.link[b]
+        along = turn[link_b] @ normal[row]
+        other = 1e300
+        axis = turn[link_b] @ solids.along[b]
+        for i in range(solids.first[b], solids.first[b + 1]):
+            p = turn[link_b] @ solids.disc[i, :3] + origin[link_b]
+            reach = (p * along).sum() - solids.disc[i, 3] * size(crossed(along, axis))
+            other = min(other, reach - solids.round[b])
+        count = joints_of_pair(links, link_a, link_b, steps, senses)
+        axis = turn[link_a] @ solids.along[a]
+        near, near_whole = -1e300, -1e300
+        for i in range(solids.first[a], solids.first[a + 1]):
+            p = turn[link_a] @ solids.disc[i, :3] + origin[link_a]
+            rho, r = solids.disc[i, 3], solids.round[a]
+            change, change_axis, rest, way = 0.0, np.zeros(3), 0.0, 0.0
+            for j in range(count):
+                k = steps[j]
+                u = turn[links.parent[k]] @ links.along[k]
+                half, eps = motion[1, links.axis[k]], motion[2, links.axis[k]]
+                most = abs(half) + eps
+                if not links.turns[k]:
+                    change += senses[j] * half * (along * u).sum()
+                    rest += eps * abs((along * u).sum())
+                    way += most
+                    continue
+                # n . (u x (p - o)) = (n x u) . (p - o)
+                across = crossed(along, u)
+                arm = p - origin[k]
+                change += senses[j] * half * (across * arm).sum()
+                change_axis += senses[j] * half * across
+                rest += eps * (abs((across * arm).sum()) + size(across) * (rho + r))
+                lever = size(crossed(arm, u)) + rho + r
+                chord = 2.0 * sin(0.5 * min(most, pi))
+                rest += chord * way + 0.5 * most * most * lever
+                way += chord * lever
+            here = (p * along).sum()
+            for sign in (-1.0, 1.0):
+                tilted = along + sign * change_axis
+                reach = here + sign * change + rho * size(crossed(tilted, axis)) + r * size(tilted)
+                near = max(near, reach + rest)
+            near_whole = max(near_whole, here + rho * size(crossed(along, axis)) + r + way)
+        proven[row] = other - min(near, near_whole)
+    return proven
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion of a plan, and where which bodies are there."""
+
+    ledger: Ledger
+    placed: Placed
+    cells: Cells
+    links: Links
+
+    def spans_where(self, holds: BoolArray) -> Spans:
+        """Return the intervals of cells at which something holds, (N - 1,)."""
+        edges = np.flatnonzero(np.diff(holds.astype(np.int8), prepend=0, append=0))
+        s = self.cells.s
+        return [(float(s[a]), float(s[b])) for a, b in edges.reshape(-1, 2)]
+
+    def axes_at(self, s: float) -> FloatArray:
+        q = np.empty(self.cells.left.shape[2])
+        place(self.cells, s, q)
+        return q
+
+    def frames_at(self, s: float) -> tuple[FloatArray, FloatArray]:
+        count = len(self.links.parent)
+        turn, origin = np.empty((count, 3, 3)), np.empty((count, 3))
+        frames(self.links, self.axes_at(s), turn, origin)
+        return turn, origin
+
+    def line_at(self, s: float) -> tuple[int, float]:
+        """Return the line that is executed from a place on, and where it ends [m]."""
+        plan = self.ledger.plan
+        cell = int(np.searchsorted(self.cells.s, s, 'right')) - 1
+        rows = np.asarray(plan.path['block'])[: len(self.cells.s) - 1]
+        lines = plan.blocks['line'][rows]
+        other = np.flatnonzero(lines[cell:] != lines[cell])
+        end = len(lines) if not len(other) else cell + int(other[0])
+        return int(lines[cell]), float(self.cells.s[end])
+
+
+def prove_clearance(ledger: Ledger, machine: Machine) -> None:
+    """Prove that the bodies of the scene keep their clearances in the whole motion of a plan."""
+    plan = ledger.plan
+    file, found = plan.settings.get('scene'), plan.collision
+    if not file:
+        ledger.require(not found, 'collision.npz belongs to a scene, which summary.json lacks')
+        return
+    if not plan.path:
+        return
+    if not found:
+        ledger.fail(f'collision.npz is missing, but the plan names the scene {file}; plan again')
+        return
+    placed = Placed.of(read_scene(Path(str(file))), machine)
+    path = plan.path
+    cells = Cells(*(np.asarray(path[name]) for name in ('s', 'cell_left', 'cell_right')))
+    motion = Motion(ledger, placed, cells, links_of(machine))
+    pieces = placed.pieces
+    count = len(pieces.round)
+    pair = found['pair']
+    known = ((pair >= 0) & (pair < count)).all(axis=1) & (found['begin'] < found['end'])
+    ledger.require(known.all(), 'collision.npz names pieces or intervals that do not exist')
+    if not known.all():
+        return
+    ledger.require(_tree_is_sound(placed), 'a box of a mesh does not contain its triangles')
+    sound = _certificates(motion, found)
+    excused = _hits(motion, found)
+    _cover(motion, found, sound, excused)
+
+
+def links_of(machine: Machine) -> Links:
+    joints = joints_of(machine)
+    names = [BASE, *(joint.child for joint in joints)]
+    return Links(
+        np.array([-1, *(names.index(joint.parent) for joint in joints)]),
+        np.array([-1, *(joint.axis for joint in joints)]),
+        np.array([False, *(joint.kind in ('revolute', 'continuous') for joint in joints)]),
+        np.array([(0.0, 0.0, 0.0), *(joint.origin for joint in joints)]),
+        np.array([(0.0, 0.0, 1.0), *(joint.along for joint in joints)]),
+    )
+
+
+def _tree_is_sound(placed: Placed) -> bool:
+    """Tell whether every piece with parts is a box along the axes that contains them."""
+    pieces = placed.pieces
+    reach = pieces.disc[:, 3:] * np.sqrt(
+        np.maximum(1.0 - np.repeat(pieces.along, np.diff(pieces.first), axis=0) ** 2, 0.0)
+    )
+    grown = pieces.round[:, None]
+    low = np.minimum.reduceat(pieces.disc[:, :3] - reach, pieces.first[:-1]) - grown
+    high = np.maximum.reduceat(pieces.disc[:, :3] + reach, pieces.first[:-1]) + grown
+    for k in np.flatnonzero(pieces.child[:, 0] >= 0):
+        corners = pieces.disc[pieces.first[k] : pieces.first[k + 1]]
+        wanted = {tuple(np.where([i & 1, i & 2, i & 4], high[k], low[k])) for i in range(8)}
+        box = wanted <= {tuple(corner) for corner in corners[:, :3]}
+        parts = pieces.child[k]
+        inside = (low[parts] >= low[k]).all() and (high[parts] <= high[k]).all()
+        if not box or not inside or (pieces.body[parts] != pieces.body[k]).any():
+            return False
+    return True
+
+
+def _certificates(motion: Motion, found: Mapping[str, Any]) -> BoolArray:
+    """Return which certificates hold, (m,); those that do not are faults."""
+    ledger, placed = motion.ledger, motion.placed
+    pieces, hit = placed.pieces, np.asarray(found['hit'], dtype=np.bool_)
+    span = np.column_stack([found['begin'], found['end']])
+    s = motion.cells.s
+    inside = (span[:, 0] >= s[0]) & (span[:, 1] <= s[-1])
+    rows = np.flatnonzero(~hit & inside)
+    rows = rows[np.lexsort((span[rows, 1], span[rows, 0]))]
+    length = np.linalg.norm(found['normal'], axis=1)
+    normal = found['normal'] / np.where(length > 0.5, length, 1.0)[:, None]
+    solids = Solids(pieces.disc, pieces.first, pieces.along, pieces.round, pieces.link)
+    apart = certified(solids, motion.links, motion.cells, span, found['pair'], normal, rows)
+    bodies = pieces.body[found['pair']]
+    wanted = placed.clearance[bodies[:, 0], bodies[:, 1]]
+    sound = np.zeros(len(hit), dtype=np.bool_)
+    sound[rows] = (apart[rows] >= wanted[rows] + ROUNDED) & (length[rows] > 0.5)
+    wrong = rows[~sound[rows]]
+    for row in wrong[:MOST_TOLD]:
+        line, _ = motion.line_at(float(span[row, 0]))
+        one, other = (placed.piece_name(int(k)) for k in found['pair'][row])
+        ledger.fail(f'line {line}: a certificate of {one} and {other} does not hold')
+    if len(wrong) > MOST_TOLD:
+        ledger.fail(f'{len(wrong)} certificates in all do not hold')
+    return sound
+
+
+def _hits(motion: Motion, found: Mapping[str, Any]) -> dict[tuple[int, int], Spans]:
+    """Return where hits excuse a pair of bodies from certificates; every hit is a fault."""
+    ledger, placed = motion.ledger, motion.placed
+    pieces = placed.pieces
+    excused: dict[tuple[int, int], Spans] = {}
+    for row in np.flatnonzero(found['hit']):
+        a, b = (int(k) for k in found['pair'][row])
+        begin = float(found['begin'][row])
+        if not motion.cells.s[0] <= begin < motion.cells.s[-1]:
+            ledger.fail('collision.npz has a hit beside the motion')
+            continue
+        turn, origin = motion.frames_at(begin)
+        points = found['witness'][row].reshape(2, 3)
+        places = [
+            turn[link] @ point + origin[link]
+            for link, point in zip((pieces.link[a], pieces.link[b]), points, strict=True)
+        ]
+        bodies = int(pieces.body[a]), int(pieces.body[b])
+        grown = pieces.round[a] + pieces.round[b]
+        distance = float(np.linalg.norm(places[0] - places[1])) - grown
+        beside = max(_off(pieces, k, point) for k, point in zip((a, b), points, strict=True))
+        line, end = motion.line_at(begin)
+        one, other = placed.piece_name(a), placed.piece_name(b)
+        if distance > placed.clearance[bodies] + TOUCH or beside > ON_PIECE:
+            ledger.fail(f'line {line}: the hit of {one} and {other} is not proven')
+            continue
+        ledger.fail(f'hit: line {line}, {one} and {other}')
+        for key in (bodies, bodies[::-1]):
+            excused.setdefault(key, []).append((begin, end))
+    return excused
+
+
+def _off(pieces: Any, piece: int, point: FloatArray) -> float:
+    """Return the distance of a point from a piece without its rounding [m]."""
+    from scipy.optimize import nnls
+
+    discs = pieces.disc[pieces.first[piece] : pieces.first[piece + 1]]
+    corners = discs[:, :3] - point
+    if discs[:, 3].any():  # discs on one axis: in the half plane of the point
+        along, foot = pieces.along[piece], discs[0, :3]
+        arm = point - foot
+        height = arm @ along
+        across = np.linalg.norm(arm - height * along)
+        up = (discs[:, :3] - foot) @ along
+        corners = np.concatenate(
+            [np.column_stack([up - height, side * discs[:, 3] - across]) for side in (-1.0, 1.0)]
+        )
+    scale = max(float(np.abs(corners).max()), 1e-9)
+    rows = np.vstack([corners.T / scale, np.ones(len(corners))])
+    weights, _ = nnls(rows, np.append(np.zeros(len(rows) - 1), 1.0), maxiter=50 * len(corners))
+    return float(np.linalg.norm(weights @ corners) / max(weights.sum(), 1e-9))
+
+
+def _pairs(motion: Motion) -> Iterator[tuple[int, int, Spans]]:
+    """Yield the pairs of bodies that must keep apart, and where on the path."""
+    scene, links, plan = motion.placed.scene, motion.links, motion.ledger.plan
+    numbers = [motion.placed.names.index(body.link) for body in scene.bodies]
+    rows = np.asarray(plan.path['block'])[:-1]
+    rapid = np.asarray(plan.blocks['rapid'], dtype=np.bool_)[rows]
+    tool = _tool_of(motion, rows)
+    spare = np.empty(len(links.parent), np.int64), np.empty(len(links.parent))
+    for a, b in combinations(range(len(scene.bodies)), 2):
+        one, other = scene.bodies[a], scene.bodies[b]
+        if (one.tool and other.tool) or frozenset((one.name, other.name)) in scene.ignored:
+            continue
+        if not joints_of_pair(links, numbers[a], numbers[b], *spare):
+            continue
+        there = np.ones(len(rows), dtype=np.bool_)
+        if owner := one.tool or other.tool:
+            there &= tool == owner
+        if {one.role, other.role} == {Role.CUTTER, Role.STOCK}:
+            there &= rapid
+        yield a, b, motion.spans_where(there)
+
+
+def _tool_of(motion: Motion, rows: IntArray) -> IntArray:
+    """Return the number of the tool in the spindle at each row."""
+    plan, signals = motion.ledger.plan, motion.ledger.machine.signals
+    steps, names = signals.steps, [output.name for output in signals.outputs]
+    calls = [
+        (int(block), int(value))
+        for block, step, value in zip(
+            *(plan.functions[name] for name in ('block', 'step', 'value')), strict=True
+        )
+        if names[steps[step].output] == TOOL_OUTPUT
+    ]
+    tool = np.full(len(rows), motion.placed.scene.first_tool)
+    for block, number in calls:
+        tool[rows >= block] = number
+    unknown = sorted({int(t) for t in tool} - {0, *motion.placed.scene.tools})
+    motion.ledger.require(not unknown, f'the scene has no body of the tools {unknown}')
+    return tool
+
+
+def _cover(
+    motion: Motion,
+    found: Mapping[str, Any],
+    sound: BoolArray,
+    excused: dict[tuple[int, int], Spans],
+) -> None:
+    """Demand certificates, or hits, for every pair of bodies and every pair of their leaves."""
+    placed, ledger = motion.placed, motion.ledger
+    by_pair: dict[tuple[int, int], Spans] = {}
+    for row in np.flatnonzero(sound):
+        a, b = (int(k) for k in found['pair'][row])
+        span = float(found['begin'][row]), float(found['end'][row])
+        for key in ((a, b), (b, a)):
+            by_pair.setdefault(key, []).append(span)
+    for a, b, needed in _pairs(motion):
+        left = _left(needed, excused.get((a, b), []))
+        for begin, _ in needed:
+            if _inside(motion, a, b, begin):
+                names = f'{placed.scene.bodies[a].name} and {placed.scene.bodies[b].name}'
+                ledger.fail(f'{names} are one inside the other at {begin:.6g} m')
+        waiting = [(p, q, left) for p in placed.roots(a) for q in placed.roots(b) if left]
+        while waiting:
+            p, q, open_spans = waiting.pop()
+            rest = _left(open_spans, by_pair.get((p, q), []))
+            if not rest:
+                continue
+            parts = _parts(placed, p, q)
+            if not parts:
+                line, _ = motion.line_at(rest[0][0])
+                one, other = placed.piece_name(p), placed.piece_name(q)
+                ledger.fail(f'line {line}: nothing proves that {one} and {other} keep apart')
+                break
+            waiting += [(*both, rest) for both in parts]
+
+
+def _parts(placed: Placed, p: int, q: int) -> list[tuple[int, int]]:
+    """Return the pairs of parts of which the larger piece consists; any choice is sound."""
+    child, ball = placed.pieces.child, placed.pieces.ball
+    if child[p, 0] < 0 and child[q, 0] < 0:
+        return []
+    if child[p, 0] < 0 or (child[q, 0] >= 0 and ball[q, 3] > ball[p, 3]):
+        return [(p, int(part)) for part in child[q]]
+    return [(int(part), q) for part in child[p]]
+
+
+def _left(needed: Spans, given: Spans) -> Spans:
+    """Return what others leave of intervals that are in order and apart."""
+    merged: list[list[float]] = []
+    for low, high in sorted(given):
+        if merged and low <= merged[-1][1]:
+            merged[-1][1] = max(merged[-1][1], high)
+        else:
+            merged.append([low, high])
+    left, k = [], 0
+    for begin, end in needed:
+        at = begin
+        while k < len(merged) and merged[k][1] <= at:
+            k += 1
+        i = k
+        while i < len(merged) and merged[i][0] < end:
+            if merged[i][0] > at:
+                left.append((at, merged[i][0]))
+            at, i = max(at, merged[i][1]), i + 1
+        if at < end:
+            left.append((at, end))
+    return left
+
+
+def _inside(motion: Motion, a: int, b: int, s: float) -> bool:
+    """Tell whether one body lies inside the mesh of the other at a place of the path."""
+    placed, bodies = motion.placed, motion.placed.scene.bodies
+    for one, other in ((a, b), (b, a)):
+        mesh = bodies[one].triangles
+        if mesh is None:
+            continue
+        turn, origin = motion.frames_at(s)
+        links = [placed.names.index(bodies[k].link) for k in (one, other)]
+        leaf = next(k for k, child in enumerate(bodies[other].child) if child[0] < 0)
+        point = turn[links[1]] @ bodies[other].pieces[leaf].discs[0, :3] + origin[links[1]]
+        point = turn[links[0]].T @ (point - origin[links[0]])
+        if _crossings(mesh, point) % 2:
+            return True
+    return False
+
+
+def _crossings(mesh: FloatArray, point: FloatArray) -> int:
+    """Count the triangles that a ray from a point crosses."""
+    ray = np.array([0.5377, 0.6180, 0.5736])
+    edge, other = mesh[:, 1] - mesh[:, 0], mesh[:, 2] - mesh[:, 0]
+    across = np.cross(ray, other)
+    size_of = np.einsum('ij,ij->i', edge, across)
+    arm = point - mesh[:, 0]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        u = np.einsum('ij,ij->i', arm, across) / size_of
+        turned = np.cross(arm, edge)
+        v = turned @ ray / size_of
+        way = np.einsum('ij,ij->i', other, turned) / size_of
+    return int(((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0)).sum())

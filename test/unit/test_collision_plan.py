@@ -1,0 +1,250 @@
+"""Plans with a scene: what is refused, what is listed, and what `check` must catch."""
+
+import json
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cnc_interp.commands.cli import main
+from cnc_interp.machine_model.machine import Machine
+
+XYZAC = 'config/scenes/xyzac.yaml'
+#: A line along X, an approach of a wall by the holder, and a rapid back.
+PROGRAM = """
+G21 G90
+G0 X0 Y0 Z20 A0 C0
+G1 X20 F3000
+X40 Z0
+X20 A10
+G0 X0
+M30
+"""
+TOOL = (
+    'tools:\n  1: {diameter_mm: 6, corner_mm: 1, flute_mm: 12, holder_mm: [[20, 5], [40, 15]]}\n'
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / 'part.ngc').write_text(PROGRAM)
+    return tmp_path
+
+
+def scene(folder, text):
+    (folder / 'scene.yaml').write_text(text)
+    return folder / 'scene.yaml'
+
+
+def plan(folder, *more):
+    words = ['plan', str(folder / 'part.ngc'), '--out', str(folder / 'plan'), '--machine', 'xyzac']
+    return main([*words, '--scene', str(folder / 'scene.yaml'), *more])
+
+
+def box(name, low, high, link='workpiece'):
+    return f'  - {{name: {name}, link: {link}, box_mm: {{low: {low}, high: {high}}}}}\n'
+
+
+CLEAR = 'bodies:\n' + box('wall', [50, -20, -20], [70, 20, 15]) + TOOL
+HIT = 'bodies:\n' + box('wall', [50, -20, -20], [70, 20, 35]) + TOOL
+
+
+def test_a_clear_program_is_planned_and_proven(folder, capsys):
+    scene(folder, CLEAR)
+    assert plan(folder) == 0
+    assert '4 bodies, 3 pairs keep their clearances' in capsys.readouterr().out
+    assert main(['check', str(folder / 'plan')]) == 0
+    assert 'scene' in capsys.readouterr().out
+
+
+def test_a_hit_names_line_bodies_and_how_much_is_missing(folder, capsys):
+    scene(folder, HIT)
+    assert plan(folder) == 2
+    told = capsys.readouterr().err
+    assert 'part.ngc:5: hit: line 5, holder and wall' in told
+    assert not (folder / 'plan' / 'setpoints.npz').exists()
+    # The holder has a radius of 12.5 mm where the wall ends, 10 mm away.
+    short = float(told.split('wall, ')[1].split(' mm short')[0])
+    assert 0.5 < short < 2.6
+
+
+def test_a_warning_lists_every_hit_and_the_plan_is_not_proven(folder, capsys):
+    scene(folder, HIT)
+    assert plan(folder, '--collision', 'warn') == 1
+    told = capsys.readouterr().out
+    assert told.count('\nhit: line') == len(
+        json.loads((folder / 'plan' / 'summary.json').read_text())['collision']['hits']
+    )
+    assert main(['check', str(folder / 'plan')]) == 1
+    told = capsys.readouterr().out
+    assert 'hit: line 5, holder and wall' in told
+    assert 'nothing proves' not in told and 'does not hold' not in told
+
+
+def test_the_cutter_may_touch_the_stock_in_feeds_and_not_in_rapids(folder, capsys):
+    stock = 'stock: {link: workpiece, box_mm: {low: [10, -5, -20], high: [45, 5, %s]}}\n'
+    scene(folder, TOOL + stock % 10)
+    assert plan(folder) == 0, 'feeds cut it, and the rapid keeps above it'
+    (folder / 'part.ngc').write_text(PROGRAM.replace('G1 X20 F3000\nX40', 'G0 X20\nG1 F3000 X40'))
+    assert plan(folder) == 0
+    (folder / 'part.ngc').write_text(PROGRAM.replace('X40 Z0', 'X40 Z0\nG0 X30\nG1'))
+    assert plan(folder) == 2
+    assert 'line 6, cutter and stock' in capsys.readouterr().err
+    assert 'line 5,' not in capsys.readouterr().err
+
+
+def test_rows_of_collision_npz_are_proven_one_by_one(folder, capsys):
+    scene(folder, CLEAR)
+    assert plan(folder) == 0
+    file = folder / 'plan' / 'collision.npz'
+    with np.load(file) as archive:
+        sound = dict(archive)
+
+    def verdict(**changed):
+        np.savez(file, **{**sound, **changed})
+        code = main(['check', str(folder / 'plan')])
+        return code, capsys.readouterr().out
+
+    assert verdict()[0] == 0
+    worst = int(np.argmax(sound['end'] - sound['begin']))
+    for k in sorted({0, worst, len(sound['begin']) - 1}):
+        rows = np.arange(len(sound['begin'])) != k
+        code, told = verdict(**{name: column[rows] for name, column in sound.items()})
+        assert code == 1 and 'nothing proves' in told, k
+    shorter = sound['end'].copy()
+    shorter[worst] = np.nextafter(shorter[worst], 0.0)
+    assert verdict(end=shorter)[0] == 1
+    code, told = verdict(normal=-sound['normal'])
+    assert code == 1 and 'does not hold' in told
+    assert verdict(pair=sound['pair'] + 1)[0] == 1
+    code, told = verdict(hit=np.arange(len(sound['hit'])) == worst)
+    assert code == 1 and 'is not proven' in told
+    file.unlink()
+    assert main(['check', str(folder / 'plan')]) == 1
+    assert 'collision.npz is missing' in capsys.readouterr().out
+
+
+def test_another_scene_than_the_planned_one_is_not_proven(folder):
+    scene(folder, CLEAR)
+    assert plan(folder) == 0
+    scene(folder, HIT)
+    assert main(['check', str(folder / 'plan')]) == 1
+
+
+def test_tools_are_those_that_the_program_calls(folder, capsys):
+    tools = TOOL + '  2: {diameter_mm: 6, flute_mm: 40}\n'
+    scene(folder, HIT.replace(TOOL, tools) + 'tool: 2\n')
+    (folder / 'part.ngc').write_text(PROGRAM.replace('A0 C0', '').replace(' A10', ''))
+    machine = '--machine', 'vmc'
+    program = PROGRAM.replace(' A0 C0', '').replace(' A10', '')
+    (folder / 'part.ngc').write_text(program)
+    assert plan(folder, *machine) == 0, 'tool 2 is thin all the way up'
+    (folder / 'part.ngc').write_text(program.replace('G21', 'G21 T1 M6'))
+    assert plan(folder, *machine) == 2
+    assert 'line 5, holder and wall' in capsys.readouterr().err
+    (folder / 'part.ngc').write_text(program.replace('G21', 'G21 T7 M6'))
+    assert plan(folder, *machine) == 2
+    assert 'tool 7 has no body in the scene' in capsys.readouterr().err
+
+
+def stl(folder, triangles, name='mesh.stl'):
+    rows = [struct.pack('<12fH', *np.zeros(3), *np.ravel(t), 0) for t in triangles]
+    content = b'\0' * 80 + struct.pack('<I', len(rows)) + b''.join(rows)
+    (folder / name).write_bytes(content)
+
+
+def mesh_box(low, high):
+    low, high = np.array(low, float), np.array(high, float)
+    corners = [[(low, high)[(k >> a) & 1][a] for a in range(3)] for k in range(8)]
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return [[corners[k] for k in t] for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+
+
+def test_a_mesh_of_a_file_is_hit_where_the_box_is(folder, capsys):
+    mesh = 'bodies:\n  - {name: wall, link: workpiece, mesh: mesh.stl}\n' + TOOL
+    scene(folder, mesh)
+    stl(folder, mesh_box([50, -20, -20], [70, 20, 15]))
+    assert plan(folder) == 0
+    assert main(['check', str(folder / 'plan')]) == 0
+    stl(folder, mesh_box([50, -20, -20], [70, 20, 35]))
+    assert plan(folder) == 2
+    assert 'line 5, holder and wall' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('text', 'told'),
+    [
+        ('bodies:\n' + box('wall', [50, -20, -20], [70, 20, 15], 'b_table'), "no link 'b_table'"),
+        ('bodies:\n  - {name: wall, link: workpiece, sphere_mm: {radius: 0.0}}', 'unit right'),
+        ('bodies:\n' + box('wall', [5e6, 0, 0], [6e6, 1, 1]), 'is the unit right'),
+        ('bodies:\n' + box('wall', [0, 0, 0], [1, 0, 1]), 'low must be less than high'),
+        ('bodies:\n  - {name: wall, link: workpiece}', 'must have one shape'),
+        ('bodies:\n  - {name: w, link: workpiece, mesh: none.stl}', 'no such file'),
+        (
+            'bodies:\n  - {name: w, link: workpiece, mesh: open.stl}',
+            'not watertight (3 open edges',
+        ),
+        ('bodies:\n  - {name: w, link: workpiece, mesh: far.stl, unit: m}', 'is the unit right'),
+        ('bodies: []', 'the scene has no body'),
+        ('bodys: []', "unknown key 'bodys'"),
+        ('clearance_mm: {default: -1}', 'is not between'),
+        ('tools:\n  1: {diameter_mm: 6}', 'has no flute_mm'),
+        (CLEAR + 'ignore: [[wall, nobody]]', "no body has the name 'nobody'"),
+        (CLEAR + 'include: nothing', 'cannot be read'),
+        ('bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 9]) * 2, 'is used twice'),
+        (
+            'bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 40]) + TOOL,
+            'cutter and wall are too near before anything moves',
+        ),
+        (
+            'bodies:\n  - {name: jar, link: workpiece, mesh: big.stl}\n' + TOOL,
+            'cutter lies inside jar',
+        ),
+        ('- 1', 'must be a mapping'),
+        ('x: *y', 'cannot be read as YAML'),
+    ],
+)
+def test_a_bad_scene_is_one_line(folder, capsys, text, told):
+    stl(folder, mesh_box([0, 0, 0], [10, 10, 10])[:-1], 'open.stl')
+    stl(folder, mesh_box([0, 0, 0], [100, 100, 100]), 'far.stl')
+    stl(folder, mesh_box([-300, -300, -300], [300, 300, 300]), 'big.stl')
+    scene(folder, text)
+    assert plan(folder) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert len(error.strip().splitlines()) == 1, error
+
+
+def test_without_a_scene_nothing_of_it_is_loaded(folder):
+    script = (
+        'import sys\nfrom cnc_interp.commands.cli import main\n'
+        f'main(["plan", {str(folder / "part.ngc")!r}, "--out", {str(folder / "plan")!r}])\n'
+        'print([name for name in sys.modules if "cnc_interp.collision" in name])'
+    )
+    done = subprocess.run([sys.executable, '-c', script], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == '[]', done.stderr
+
+
+def test_a_scene_changes_no_setpoint(folder):
+    scene(folder, CLEAR)
+    assert plan(folder) == 0
+    with np.load(folder / 'plan' / 'setpoints.npz') as archive:
+        watched = archive['position']
+    words = ['plan', str(folder / 'part.ngc'), '--out', str(folder / 'alone')]
+    assert main(words) == 0
+    with np.load(folder / 'alone' / 'setpoints.npz') as archive:
+        np.testing.assert_array_equal(watched, archive['position'])
+
+
+def test_bundled_scenes_fit_their_machines():
+    from cnc_interp.collision.scene import Placed
+    from cnc_interp.collision.scene_file import read_scene, scenes_directory
+    from cnc_interp.machine_model.machine import machines_directory
+
+    scenes = {file.stem for file in scenes_directory().glob('*.yaml')}
+    assert scenes >= {file.stem for file in machines_directory().glob('*.yaml')}
+    for file in machines_directory().glob('*.yaml'):
+        placed = Placed.of(read_scene(file.stem), Machine.load(file))
+        assert len(placed.pairs) > 3

@@ -81,8 +81,11 @@ class AlarmList:
         self._alarms.append(alarm)
 
     def hear(self, status: DiagnosticStatus) -> None:
-        """Add a warning or an error of a node, unless the node reported the same one last."""
+        """Take what a part of a node reports now; what it reported before has gone with it."""
         news = (status.level, status.message)
-        if self._last.get(status.name) != news and status.level in LEVELS:
-            self.add(LEVELS[status.level], status.name, status.message)
+        if self._last.get(status.name) == news:
+            return
         self._last[status.name] = news
+        self.hide(lambda alarm: alarm.source == status.name)
+        if status.level in LEVELS:
+            self.add(LEVELS[status.level], status.name, status.message)

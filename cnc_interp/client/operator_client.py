@@ -317,7 +317,7 @@ class OperatorClient(ServedNode):
 
         def send() -> None:
             if not stops and not client.service_is_ready():
-                wanted.set_result(Answer(False, f'{name}: no node offers it; start the nodes'))
+                wanted.set_result(Answer(False, f'no node offers {name}; start the nodes'))
                 return
             knock = None if stops else self._knock(OFFERED_BY.get(name, MACHINE))
             question = Question(client, request, AGAIN if stops else math.inf)
@@ -328,12 +328,11 @@ class OperatorClient(ServedNode):
             heard = knock is None or knock.answer() is not None
             response = question.answer() if heard else None
             if response is not None:
-                told = f'{name}: {response.message}'
-                wanted.set_result(Answer(response.success, told, response))
+                wanted.set_result(Answer(response.success, response.message, response))
             elif time.monotonic() > until:  # a repeated start may be too late
                 question.drop()
                 told = 'no answer; look and press again' if heard else 'not sent, no node answers'
-                wanted.set_result(Answer(False, f'{name}: {told}'))
+                wanted.set_result(Answer(False, f'{name.replace("_", " ")}: {told}'))
             return wanted.done()
 
         self._executor.create_task(send)

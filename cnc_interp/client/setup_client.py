@@ -155,8 +155,7 @@ class SetupConsole:
         return of_axes({letter: x * MILLIMETRES.of(letter) for letter, x in words.items()})
 
     def ask(self, service: str, **request: Any) -> str:
-        answer = self._client.granted(self._setup.ask(service, **request))
-        return answer.message.partition(': ')[2]
+        return self._client.granted(self._setup.ask(service, **request)).message
 
     def offsets_text(self) -> str:
         table, setup, state = self._now

@@ -211,7 +211,7 @@ class Playback:
             )
         same_run = run_id.program_id == mine.program_id and not state.completed
         if state.state is State.HELD and not same_run:
-            text = f'{mine.program_id} is on hold; cycle_start or reset first'
+            text = f'{mine.program_id} is on hold; press cycle start or reset first'
             raise StreamError(text, Refusal.NOT_READY)
         self.buffer.clear(self.axes.setpoints[-1])
 

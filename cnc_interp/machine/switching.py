@@ -131,7 +131,7 @@ class Switching:
     def asks(self) -> str:
         """What the operator must see to before it goes on; empty for nothing."""
         if self._queue and self._breach:
-            return f'{self._breach}; see to it, then cycle_start tries again, reset gives up'
+            return f'{self._breach}; see to it, then press cycle start to try again, or reset'
         if not (self._queue and self._is_set) or self._answered:
             return ''
         step = self._queue[0].step
@@ -139,12 +139,12 @@ class Switching:
         if self._signals.is_change(step):
             return f'put {told} into the spindle, then press cycle start'
         if step.wait == ASK:
-            return f'{told}: cycle_start when that is done'
+            return f'{told}: press cycle start when that is done'
         if step.wait == NO_WAIT or self._waited <= step.limit:
             return ''
         return (
             f'{told}: {self._signals.waited(step)} has not come within {step.limit:g} s; see to '
-            'it, then cycle_start goes on without it, reset gives up'
+            'it, then press cycle start to go on without it, or reset to give up'
         )
 
     def answer(self) -> None:

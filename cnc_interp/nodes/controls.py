@@ -81,7 +81,7 @@ class Controls:
             self._refuse_beside_homing()
             silence = self._jog.beat(shares, message.tool, time.monotonic())
             if silence:
-                told = f'no beat of the held key came for {silence:.1f} s, so the axes stopped'
+                told = f'the axes stopped: the held key was not heard for {silence:.1f} s'
                 self._diagnostics.say('jog', WARN, f'{told}; the computer or the network is busy')
             else:
                 self._diagnostics.say('jog', OK, 'follows jog')
@@ -149,7 +149,7 @@ class Controls:
 
     def _refuse_beside_homing(self) -> None:
         if self.homing.active:
-            raise StreamError('the axes are being homed; feed_hold or an empty jog ends it')
+            raise StreamError('the axes are being homed; feed hold ends it')
 
     def work(self, override: float) -> None:
         try:

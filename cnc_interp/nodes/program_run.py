@@ -246,12 +246,14 @@ class ProgramRun:
     def trouble(self) -> str:
         """What prevents the run from continuing, and what to do; empty if nothing does."""
         if self.missing:
-            return f'{self.missing} does not answer; start it again, then cycle_start'
+            return f'{self.missing} does not answer; start it again, then press cycle start'
         lost = self.recovery.node
         if not lost:
             return ''
         stands = lost != MACHINE and self.rests
-        return f'{lost} was restarted' + ('; cycle_start goes on from here' if stands else '')
+        return f'{lost} was restarted' + (
+            '; press cycle start to go on from here' if stands else ''
+        )
 
     def waits_for(self, peers: Peers) -> tuple[str, float] | None:
         """Say what the run waits for before it moves, and which share of that is there."""

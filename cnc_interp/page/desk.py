@@ -93,6 +93,7 @@ class Desk:
     def __init__(self, namespace: str, domain: int):
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
         self._moved = 0.0
+        self._stopped = False  # by an emergency stop or a fault
         self.machine: Machine | None = None
         self.job: Job | None = None
         self.settings = Settings()
@@ -117,6 +118,10 @@ class Desk:
 
     def _see_state(self, state: MachineState) -> None:
         self.switched['single_block'] = state.single_block
+        stopped = state.state in (MachineState.STOPPING, MachineState.FAULT)
+        if self._stopped and not stopped:
+            self._clear_alarms()  # it was reset, by whomever
+        self._stopped = stopped
         now = time.monotonic()
         use = np.array([getattr(state, f'recent_{kind}_use') for kind in KINDS])
         self._peak = use if self._peak.shape != use.shape else np.maximum(self._peak, use)
@@ -381,9 +386,14 @@ class Desk:
 
     async def trigger(self, name: str) -> Answer:
         answer = await asyncio.wrap_future(self.nodes.ask(name))
-        if not answer.ok:
-            self.nodes.alarms.add('warning', 'panel', answer.message)
+        if answer.ok and name == 'reset':
+            self._clear_alarms()
         return answer
+
+    def _clear_alarms(self) -> None:
+        """Leave what a reset does not change: the warnings of the program that is shown."""
+        kept = self.job.name if self.job is not None else ''
+        self.nodes.alarms.hide(lambda alarm: alarm.source != kept)
 
     async def set_switch(self, name: str, on: bool) -> Answer:
         answer = await asyncio.wrap_future(self.nodes.ask(name, data=on))

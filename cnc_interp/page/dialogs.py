@@ -207,7 +207,7 @@ class SetupDialog:
                     break
                 await asyncio.sleep(0.05)
             if answer.ok:
-                ui.notify(f'[mm, deg] {answer.message.partition(": ")[2]}')
+                ui.notify(f'[mm, deg] {answer.message}')
                 self.show_again()
             return answer
 

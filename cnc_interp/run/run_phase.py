@@ -14,7 +14,7 @@ class Phase(Enum):
     WAITING = 'waits until all nodes answer and the machine rests'
     OFFERED = 'blocks are sent; look-ahead and planner have not taken the run yet'
     STREAMING = 'blocks are sent and executed'
-    LOST = 'a node has forgotten the run; cycle_start is needed'
+    LOST = 'a node has forgotten the run; cycle start is needed'
     ENDED = 'has its result'
 
 

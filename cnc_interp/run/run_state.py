@@ -110,25 +110,26 @@ class WaitsFor(IntEnum):
 #: Texts for the operator; ``{}`` is the detail.
 TEXTS = {
     Reason.NONE: '',
-    Reason.FEED_HOLD: 'feed hold; cycle_start to continue',
-    Reason.PROGRAM_STOP: 'program stop; cycle_start to continue',
-    Reason.OPTIONAL_STOP: 'optional stop; cycle_start to continue',
-    Reason.SINGLE_BLOCK: 'single block; cycle_start to continue',
+    Reason.FEED_HOLD: 'feed hold: press cycle start to continue',
+    Reason.PROGRAM_STOP: 'program stop: press cycle start to continue',
+    Reason.OPTIONAL_STOP: 'optional stop: press cycle start to continue',
+    Reason.SINGLE_BLOCK: 'single block: press cycle start to continue',
     Reason.OVERRIDE: 'feed override is 0; raise it to continue',
     Reason.STARVED: (
         'no setpoints after {}: stopped on the path; continues when they come. If a node was '
-        'lost, start it again, then cycle_start'
+        'lost, start it again, then press cycle start'
     ),
-    Reason.EMERGENCY_STOP: 'emergency stop; reset to continue',
+    Reason.EMERGENCY_STOP: 'emergency stop; press reset to continue',
     Reason.SETPOINT_REFUSED: '{}',
-    Reason.DRIVE_FAULT: 'fault of a drive: {}; reset to continue',
+    Reason.DRIVE_FAULT: 'fault of a drive: {}; press reset to continue',
     Reason.STREAM_REFUSED: '{}',
     Reason.APPROACH: (
-        'the way to the path is ready: retract along the tool, position, plunge; cycle_start moves'
+        'the way to the path is ready: retract along the tool, position, plunge; press cycle '
+        'start to move'
     ),
     Reason.AWAY: (
-        'the axes were moved away by hand; cycle_start leads back (retract along the tool, '
-        'position, plunge) and goes on'
+        'the axes were moved away by hand; press cycle start to go back (retract along the tool, '
+        'position, plunge) and on'
     ),
     Reason.FUNCTION: '{}',
     Reason.PROBE: 'the probe has answered',
@@ -302,8 +303,8 @@ class RunState:
         if self.state is State.INACTIVE:
             return f'{event.value} is not possible: the drives are off; activate machine_node'
         if event is Event.RESUME and self.by_hand:
-            return 'the axes are moved by hand; cycle_start when they rest'
+            return 'the axes are moved by hand; press cycle start when they rest'
         if event is Event.JOG and self.start_wanted:
-            return 'cycle_start was given; feed_hold takes it back'
+            return 'cycle start was pressed; feed hold takes it back'
         text = _REFUSALS.get(event, f'{event.value} is not possible while {self.state.value}')
         return f'{text} ({self.text})' if self.text else text

@@ -229,10 +229,11 @@ def test_a_program_is_kept_whatever_it_is_called(name, kept):
         planner.close()
 
 
-def test_what_stops_several_parts_is_told_once():
-    def said(part, message):
-        return DiagnosticStatus(level=DiagnosticStatus.ERROR, name=part, message=message)
+def said(part, message, level=DiagnosticStatus.ERROR):
+    return DiagnosticStatus(level=level, name=part, message=message)
 
+
+def test_what_stops_several_parts_is_told_once():
     now = 0.0
     alarms = AlarmList(lambda: now)
     alarms.hear(said('machine_node: drives', 'emergency stop'))
@@ -248,6 +249,19 @@ def test_what_stops_several_parts_is_told_once():
     now = 20.0
     alarms.hear(said('machine_node: drives', 'emergency stop'))
     assert alarms.newest_first[0].source == 'machine_node: drives'
+
+
+def test_an_alarm_goes_with_its_cause_and_stays_in_the_history():
+    alarms = AlarmList()
+    alarms.add('error', 'part.ngc', 'M3: WARNING: the spindle is NOT started')
+    for silence in ('0.3', '0.4', '1.2'):
+        alarms.hear(said('machine_node: jog', f'the held key was not heard for {silence} s'))
+    alarms.hear(said('machine_node: jog', 'X is at the end of its travel'))
+    # One line for each cause: the last one of a part.
+    assert [a.message[:4] for a in alarms.newest_first] == ['X is', 'M3: ']
+    alarms.hear(said('machine_node: jog', 'follows jog', DiagnosticStatus.OK))
+    assert [a.source for a in alarms.newest_first] == ['part.ngc']
+    assert [a.count for a in alarms.history] == [1, 3, 1]
 
 
 def test_two_programs_get_the_same_notice_each():
@@ -457,9 +471,10 @@ def test_charts_stand_while_the_machine_rests(monkeypatch):
         feeds=lambda state: (0.0, 0.0),
         _peak=np.zeros((3, 1)),
         _moved=0.0,
+        _stopped=False,
     )
     for speed in (*[0.1] * 5, *[0.0] * 50, 0.2):
-        state = SimpleNamespace(single_block=False, feedrate=speed)
+        state = SimpleNamespace(single_block=False, feedrate=speed, state=MachineState.RUNNING)
         for kind in KINDS:
             setattr(state, f'recent_{kind}_use', np.array([speed]))
         Desk._see_state(desk, state)

@@ -309,7 +309,7 @@ def test_the_stops_are_pressed_with_any_dialog_open(panel, size):
         tab.click(key)
         tab.wait(lambda: tab.run(OPEN))
         tab.click_with_mouse('feed hold')
-        tab.wait(lambda: tab.run('document.body.textContent.includes("feed_hold: ")'))
+        tab.wait(lambda: tab.run('document.body.textContent.includes("nothing to hold")'))
         tab.click_with_mouse('EMERGENCY STOP')
         panel.until(MachineState.FAULT)
         assert tab.run(OPEN)  # the press went to the key alone

@@ -311,7 +311,7 @@ def test_the_operator_answers_by_cycle_start():
     bench = Bench('G0 X0\nG1 X5 F3000\nM101\nX10\nM2', deaf())
     while bench.play.state.state is not State.HELD:
         bench.step()
-    assert 'cycle_start when that is done' in bench.play.state.text
+    assert 'press cycle start when that is done' in bench.play.state.text
     bench.play.start()
     bench.run()
     bench.prove()

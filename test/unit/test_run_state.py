@@ -132,7 +132,7 @@ def test_motion_by_hand_away_from_a_hold_ends_held_without_a_plan():
     assert away.after(Event.STOP).after(Event.REST).state is State.FAULT
     with pytest.raises(StreamError, match='when they rest'):
         away.after(Event.RESUME)
-    with pytest.raises(StreamError, match='feed_hold takes it back'):
+    with pytest.raises(StreamError, match='feed hold takes it back'):
         rests.after(Event.RESUME).after(Event.JOG)
 
 

@@ -36,7 +36,7 @@ LENGTH_WITH_TCP = (
     'on LinuxCNC the tool length of tool-tip programming belongs in the machine file '
     '(tip_to_secondary_pivot_mm); set the length in the setup to 0'
 )
-NO_F = 'no feedrate (F) before the first G1; write F or give --feed MM_PER_MIN'
+NO_F = 'no feedrate (F) before the first G1; write F, or choose one (settings, --feed)'
 NO_NEW_F = 'no feedrate (F) after the change of feed mode (G93, G94, G95); write F'
 
 

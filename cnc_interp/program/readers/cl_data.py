@@ -38,7 +38,10 @@ _STATEMENT = re.compile(r'([A-Z][A-Z0-9_]*)\s*(?:/\s*(.*)|(.*))')
 
 #: Stands for a statement that the end of the file cuts off.
 _UNENDED = '$'
-_NO_FEED = 'no feedrate (FEDRAT) before the first cutting GOTO; give --feed MM_PER_MIN'
+_NO_FEED = (
+    'no feedrate (FEDRAT) before the first cutting GOTO; write it, or choose one (settings, '
+    '--feed)'
+)
 
 
 _SAME_ANGLE = 1e-9  #: Directions with a smaller difference are equal [rad].

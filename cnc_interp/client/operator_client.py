@@ -258,8 +258,7 @@ class OperatorClient(ServedNode):
 
         return self._program(goal, accepted, see_result)
 
-    def give_line(self, text: str) -> Future[Answer]:
-
+    def give_line(self, text: str, proposes: bool = False) -> Future[Answer]:
         def ended(sent: SentProgram) -> Answer | None:
             result = sent.result
             if result is None:
@@ -269,7 +268,7 @@ class OperatorClient(ServedNode):
             good = result.code == RunProgram.Result.SUCCEEDED
             return Answer(good, result.message, result)
 
-        return self._program(RunProgram.Goal(text=text, mdi=True), ended)
+        return self._program(RunProgram.Goal(text=text, mdi=True, proposes=proposes), ended)
 
     def _program(
         self,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,40 @@ class OffsetChange:
         return f'{self.name} {", ".join(words)}'
 
 
+@dataclass(frozen=True)
+class Proposal:
+    """What was found and is not set yet."""
+
+    offsets: tuple[OffsetChange, ...]  #: With their values now and then.
+    tools: dict[int, Tool]  #: Tools as they would be.
+    after: JobSetup  #: The whole table as it would be.
+
+    def texts(self, before: JobSetup, unit: LengthUnit) -> list[str]:
+        told = [one.text(unit) for one in self.offsets]
+        for number, tool in self.tools.items():
+            had = before.tools.get(number)
+            was = unit.length(had.worn.length) if had is not None else 'not known'
+            told.append(
+                f'tool {number}: length {was} → {unit.length(tool.worn.length)} {unit.name}'
+            )
+        return told
+
+
+def offset_changes(
+    table: SetupTable, before: JobSetup, after: JobSetup
+) -> tuple[OffsetChange, ...]:
+    return tuple(
+        OffsetChange(
+            name,
+            dict(position_of(before, name)),
+            offset_row(table, before, name),
+            offset_row(table, after, name),
+        )
+        for name in sorted({'G92', *before.work_offsets, *after.work_offsets})
+        if position_of(before, name) != position_of(after, name)
+    )
+
+
 class SetupClient:
     """Hears the table of offsets and tools; ``who``: its name in the log of what it changes."""
 
@@ -56,21 +92,33 @@ class SetupClient:
     def _see(self, table: SetupTable) -> None:
         before, self.setup = self.setup, JobSetup.of_text(table.text)
         known, self.table = self.table is not None, table
-        changed = {
-            name
-            for name in ('G92', *before.work_offsets, *self.setup.work_offsets)
-            if position_of(before, name) != position_of(self.setup, name)
-        }
-        if known and changed:
-            self.changes = tuple(
-                OffsetChange(
-                    name,
-                    dict(position_of(before, name)),
-                    offset_row(table, before, name),
-                    offset_row(table, self.setup, name),
-                )
-                for name in sorted(changed)
-            )
+        if known and (changes := offset_changes(table, before, self.setup)):
+            self.changes = changes
+
+    def proposal(self, text: str) -> Proposal:
+        """Return what a line by hand would change of the table, from its result's `proposed`."""
+        assert self.table is not None
+        after = JobSetup.of_text(text) if text else self.setup
+        tools = {n: tool for n, tool in after.tools.items() if tool != self.setup.tools.get(n)}
+        return Proposal(offset_changes(self.table, self.setup, after), tools, after)
+
+    async def take(self, proposal: Proposal) -> Answer:
+        """Set what was proposed, one thing after the other, up to the first that is refused."""
+        asked = [
+            partial(self.ask, 'set_offset', offset=one.name, clear=True, **of_axes(values))
+            for one in proposal.offsets
+            for values in [dict(position_of(proposal.after, one.name))]
+        ]
+        asked += [
+            partial(self.ask, 'set_tool', **whole_tool(number, tool))
+            for number, tool in proposal.tools.items()
+        ]
+        answer = Answer(True, 'nothing to set')
+        for ask in asked:
+            answer = await asyncio.wrap_future(ask())
+            if not answer.ok:
+                break
+        return answer
 
     def undo(self, changes: tuple[OffsetChange, ...]) -> list[Future[Answer]]:
         """Give offsets the values back that they had before changes; newer changes win."""

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 from cnc_interp_msgs.action import RunProgram
@@ -318,7 +318,9 @@ class ProgramNode(Node):
         if not ended and (state is None or not state.samples):
             return
         changes = run.take_changes(0 if state is None else int(state.sequence), ended)
-        if changes:
+        if run.proposes:
+            run.proposed += [found.change for found in changes]
+        elif changes:
             try:
                 who = f'{run.name} line {changes[-1].line_number}'
                 self._setup.apply([found.change for found in changes], who)
@@ -346,6 +348,8 @@ class ProgramNode(Node):
         # A run that began again may end with what was sent before.
         result.blocks_sent = max(1, run.sent_before, self._outlet.sender.sent) - 1
         result.blocks_sent += run.sent_in_parts
+        if run.proposed:
+            result.proposed = reduce(JobSetup.changed, run.proposed, self._table.setup).text()
         if states := [*run.parts, *([self._state] if self._state is not None else [])]:
             add_executed(result, states)
         succeeded = outcome.code is Code.SUCCEEDED

@@ -19,6 +19,7 @@ from cnc_interp.nodes.program_check import Preparation, Prepared
 from cnc_interp.nodes.seals import RECEIVERS
 from cnc_interp.program import JobSetup
 from cnc_interp.program.blocks.targets import ProgramChange
+from cnc_interp.program.job import SetupChange
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import warnings_of
 from cnc_interp.run import run_phase
@@ -61,6 +62,8 @@ class ProgramRun:
     def __init__(self, goal: Any):
         self.run_id = RunId(uuid.uuid4().hex)
         self.name = Path(goal.program).name if goal.program else '<text>'
+        self.proposes = bool(goal.proposes)
+        self.proposed: list[SetupChange] = []  # changes that its user decides about
         self.stands: FloatArray | None = None  # of a line by hand: where it starts [m, rad]
         self.phase = Phase.QUEUED
         self.preparation = Preparation()

@@ -11,9 +11,10 @@ from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
 from cnc_interp.page.contact import AGAIN, LATE, NO_TOKEN, VIEW_ONLY, Access, Act, Contact, key
 from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
-from cnc_interp.page.dialogs import ProbeDialog, SettingsDialog, SetupDialog, keyboard_list
+from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
+from cnc_interp.page.probe_dialog import ProbeDialog
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.readings import (
     NOTHING,
@@ -232,7 +233,7 @@ class Page:
         self._listing = Listing()
         self._start = StartField(desk.choose_start, self._command)
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
-        self._probe = ProbeDialog(self._mdi.give)
+        self._probe = ProbeDialog(desk.nodes, desk.setup, self._unit, self._command_in_sight)
         self._signals = SignalKeys(desk.nodes, self._command_in_sight)
         self._messages = Messages(self._desk.nodes.alarms)
 

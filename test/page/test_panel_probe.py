@@ -24,9 +24,18 @@ def test_a_bore_is_found_from_the_dialog(tmp_path):
         tab.wait(lambda: tab.run('!!document.querySelector(\'[data-mark="probe diameter"]\')'))
         tab.fill('probe diameter', '16')
         tab.click('start probe')
-        tab.wait(
-            lambda: tab.text('mdi answer') == 'O<probe_bore> CALL [16] [3] [3] [300] [60]: done'
-        )
+        # It says what it found, old and new, and sets nothing before its user agrees.
+        tab.wait(lambda: 'G54 X ' in (tab.text('found') or ''))
+        assert '→ ' in tab.text('found') and not panel.setup.work_offsets
+        tab.click_with_mouse('leave found')
+        assert tab.text('work X') != '0.000' and not panel.setup.work_offsets
+        tab.click_with_mouse('probe')
+        tab.click_with_mouse('probe bore')
+        tab.wait(lambda: tab.value('probe diameter') == '20')
+        tab.fill('probe diameter', '16')
+        tab.click_with_mouse('start probe')
+        tab.wait(lambda: 'G54 X ' in (tab.text('found') or ''))
+        tab.click_with_mouse('set found')
         tab.wait(lambda: tab.text('work X') == tab.text('work Y') == '0.000')
         tip = [float(tab.text(f'tip {letter}')) for letter in 'xy']
         assert tip == pytest.approx([12.3, -4.5], abs=3e-3)

@@ -84,11 +84,9 @@ class Pursuit:
             self.begin, self.stop, self.furthest, lost = _follow(
                 np.ascontiguousarray(points[1:-1]),
                 bulge,
-                *self.pieces,
+                self.pieces,
                 self.low,
-                self.begin,
-                self.stop,
-                self.furthest,
+                (self.begin, self.stop, self.furthest),
                 last,
                 reached,
             )
@@ -270,23 +268,19 @@ def _near(
 def _follow(
     points: FloatArray,
     bulge: FloatArray,
-    start: FloatArray,
-    way: FloatArray,
-    room: FloatArray,
-    end: FloatArray,
-    end_room: FloatArray,
+    pieces: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
     low: FloatArray,
-    begin: int,
-    stop: int,
-    furthest: int,
+    pursuit: tuple[int, int, int],
     ends: bool,
     reached: IntArray,
 ) -> tuple[int, int, int, int]:
     """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
-    ``passed`` is the earliest part of the present chord of the motion at which the end of the
+    ``pieces``: starts, ways and rooms, then ends and their rooms. ``passed`` is the earliest part of the present chord of the motion at which the end of the
     piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
     """
+    start, way, room, end, end_room = pieces
+    begin, stop, furthest = pursuit
     samples, count = len(points) - 1, len(start)
     chord = np.zeros(points.shape[1])
     for i in range(samples):

@@ -116,7 +116,7 @@ class ProgrammedPath:
                 np.ascontiguousarray(axis),
                 low.astype(np.int64),
                 high.astype(np.int64),
-                *path,
+                path,
                 self.flank_height,
             )
         )
@@ -241,14 +241,10 @@ def _deviation(
     axis: FloatArray,
     low: IntArray,
     high: IntArray,
-    start: FloatArray,
-    chord: FloatArray,
-    first: FloatArray,
-    sideways: FloatArray,
-    turn: FloatArray,
-    by_axes: BoolArray,
+    path: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, BoolArray],
     h: float,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    start, chord, first, sideways, turn, by_axes = path
     count = len(tip)
     row = np.empty(count, dtype=np.int64)
     contour, part, orientation = np.empty(count), np.empty(count), np.empty(count)

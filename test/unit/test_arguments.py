@@ -18,8 +18,6 @@ ALLOWED = {
     'machine.cycle.__init__',
     'program.blocks.moves.__init__',
     'program.geometry.arcs.arcs_of',
-    'proof.order._follow',
-    'proof.programmed_path._deviation',
     'proof.verdict.judge',
 }
 

@@ -53,12 +53,13 @@ class Pieces:
             self.vertex[1:],
             self.vertex_room[1:],
         )
-        return Pursuit([np.ascontiguousarray(a) for a in pieces], low)
+        return Pursuit(tuple(np.ascontiguousarray(a) for a in pieces), low)
 
 
 @dataclass
 class Pursuit:
-    pieces: list[FloatArray]  #: Start, way and room of the P pieces; place and room of their ends.
+    #: Start, way and room of the P pieces; place and room of their ends.
+    pieces: tuple[FloatArray, ...]
     low: FloatArray  #: (P,): Least part of each piece in reach at the last sample, or infinite.
     #: The pieces that can be reached then are among ``begin`` to ``stop`` (exclusive).
     begin: int = 0
@@ -268,7 +269,7 @@ def _near(
 def _follow(
     points: FloatArray,
     bulge: FloatArray,
-    pieces: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+    pieces: tuple[FloatArray, ...],
     low: FloatArray,
     pursuit: tuple[int, int, int],
     ends: bool,
@@ -276,8 +277,9 @@ def _follow(
 ) -> tuple[int, int, int, int]:
     """Reach the pieces from sample to sample, and return what `Pursuit` is afterwards.
 
-    ``pieces``: starts, ways and rooms, then ends and their rooms. ``passed`` is the earliest part of the present chord of the motion at which the end of the
-    piece before can be reached. Cells of chord and piece are convex, so nothing else counts.
+    ``pieces``: starts, ways and rooms, then ends and their rooms. ``passed`` is the earliest part
+    of the present chord of the motion at which the end of the piece before can be reached. Cells
+    of chord and piece are convex, so nothing else counts.
     """
     start, way, room, end, end_room = pieces
     begin, stop, furthest = pursuit

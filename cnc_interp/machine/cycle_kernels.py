@@ -125,12 +125,13 @@ def _switch(memory: Memory) -> None:
 def _begins_to_follow(memory: Memory) -> bool:
     """Tell whether what begins is a line in step with the spindle; then prepare it."""
     spindle, control = memory.spindle, memory.control
-    if len(spindle.places) == 0 or spindle.commanded[spindle.places[spin.STATE] + spin.TURNS] == 0:
+    states = spindle.places.states
+    if states < 0 or spindle.commanded[states + spin.TURNS] == 0:
         return False
     memory.stands[:] = memory.setpoint[0]
     control[SOURCE], control[SERIAL], control[ROW] = CHUNK, control[FIRST], 0
     _switch(memory)
-    spindle.words[spin.MODE], spindle.words[spin.PLACES :] = spin.SETTLES, 0.0
+    spindle.state[0].mode, spindle.state[0].waited = spin.SETTLES, 0.0
     return True
 
 
@@ -138,8 +139,8 @@ def _begins_to_follow(memory: Memory) -> bool:
 def _follow(memory: Memory) -> int:
     """Make a setpoint in step with the spindle; return what happened where the line has ended."""
     spindle, control = memory.spindle, memory.control
-    words, state = spindle.words, spindle.places[spin.STATE]
-    mode = words[spin.MODE]
+    state = spindle.state[0]
+    mode = state.mode
     if mode not in (spin.AT_REST, spin.DONE):
         spin.follow(spindle, memory.setpoint, memory.stands)
         for i in range(3):
@@ -147,8 +148,8 @@ def _follow(memory: Memory) -> int:
                 spin.give_up(spindle, 4 * spin.STEPS + i)
         return 0
     control[SOURCE] = REST
-    spindle.commanded[state + spin.TURNS] = 0.0
-    if words[spin.CAUSE] != 0.0:
+    spindle.commanded[spindle.places.states + spin.TURNS] = 0.0
+    if state.cause:
         return ASTRAY
     return WAITED if mode == spin.DONE else ENDED
 
@@ -210,8 +211,8 @@ def advance(memory: Memory, step: int) -> None:
     records[slot, 2], records[slot, 3] = control[ROW], events
     memory.measured[slot, :3] = memory.feedback[:3]
     memory.measured[slot, 3] = memory.setpoint[0]
-    if len(memory.spindle.places) and memory.spindle.places[spin.INPUT] >= 0:
-        memory.measured[slot, 4, 0] = memory.inputs[memory.spindle.places[spin.INPUT]]
+    if memory.spindle.places.angle >= 0:
+        memory.measured[slot, 4, 0] = memory.inputs[memory.spindle.places.angle]
     fence()
     control[RECORDED] = count + 1
 
@@ -238,7 +239,7 @@ def run_periods(memory: Memory, step: int, period: int, together: int) -> None:
             if now - due > LONGEST_CATCH_UP:
                 due = now
         advance(memory, step)
-        turns = abs(memory.spindle.words[spin.RATE]) > spin.SLOWEST
+        turns = abs(memory.spindle.state[0].rate) > spin.SLOWEST
         calm = calm + 1 if control[SOURCE] == REST and not turns else 0
         due += np.int64(memory.feedback[3, 0] * NANOSECONDS)
 

@@ -17,7 +17,6 @@ from cnc_interp.core.native import publish
 from cnc_interp.machine import hal_step
 from cnc_interp.machine.drives import DriveFaultError, HomedDrives
 from cnc_interp.machine.hal_file import SAMPLER, STREAMER, columns_of
-from cnc_interp.machine.spindle import INPUT
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import home_input, index_signals
 
@@ -184,7 +183,7 @@ class HalDrives(HomedDrives):
             self._check_depth(depth, stream, samples)
             counts = machine.signals.wired, len(machine.signals.inputs)
             self.memory = np.zeros(hal_step.block_size(n, *counts))
-            turns = (machine.signals.spindle or (-1,) * (INPUT + 1))[INPUT]
+            turns = machine.signals.spindle.angle
             words = [hal_step.OUTPUTS, hal_step.INPUTS, hal_step.TURNS]
             self.memory.view(np.int64)[words] = *counts, turns
             self._block = hal_step.block_at(self.memory.ctypes.data, n)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
+from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
 from cnc_interp.machine.playback import Playback
 from cnc_interp.run.run_state import Reason, RunId, State
+from cnc_interp.run.setpoints import Chunk
 
 LATE = 0.2  #: The motion stops where no beat has come for this time [s].
 GIVEN_UP = 3.0  #: A key that no beat names for longer was given up [s].
@@ -54,7 +56,7 @@ class Jog:
         """Axis positions at the end of the move under way, else where a motion begins [m, rad]."""
         if isinstance(self._wish, Move):
             return self._wish.slides.positions(self._wish.target[None, :])[0]
-        return self._playback.before_jog[-1]
+        return self._before[-1]
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -110,7 +112,7 @@ class Jog:
         slides = self._slides(bool(tool))
         if slides is None:
             raise StreamError('the axes are still moving; wait until they rest')
-        base = slides.coordinates(self._playback.before_jog[-1])
+        base = slides.coordinates(self._before[-1])
         base = self._wish.target if isinstance(self._wish, Move) else base
         wanted = base + wanted if relative or tool else wanted
         target = np.where(np.isfinite(wanted), wanted, base)
@@ -135,7 +137,7 @@ class Jog:
     def _slides(self, tool: bool) -> Slides | None:
         motion = self._motion
         if motion is None:
-            stands = self._playback.before_jog[-1]
+            stands = self._before[-1]
             return Slides.along_tool(self._machine, stands) if tool else self._axes
         return motion.slides if tool is (motion.slides is not self._axes) else None
 
@@ -165,22 +167,22 @@ class Jog:
                 self._motion = None
                 if self._wish is not None:
                     self._begin(self._wish)
-            elif self._motion is not None and not (self._motion.over or playback.left):
-                self._steer(self._motion)
-                self._fill(self._motion)
+            elif (motion := self._motion) and not (motion.over or playback.plans.is_left(state)):
+                self._steer(motion)
+                self._fill(motion)
         except StreamError:
             self._wish = None
             raise
 
     def _begin(self, wish: Beat | Move) -> None:
-        stands = self._playback.before_jog[-1]
+        stands = self._before[-1]
         motion = JogMotion(wish.slides, self._period, wish.slides.coordinates(stands))
         self._steer(motion)
         if motion.over:
             self._fill(motion)
             return
         self._count += 1
-        self._playback.begin_jog(RunId(JOG, self._count), motion.piece(self._setpoints(PIECE)))
+        self._playback.begin_jog(RunId(JOG, self._count), self._piece(motion))
         self._motion = motion
         self._fill(motion)
 
@@ -199,10 +201,25 @@ class Jog:
             motion.stop()
 
     def _fill(self, motion: JogMotion) -> None:
-        while not motion.over and self._playback.buffer.count < self._setpoints(AHEAD):
-            self._playback.push_jog(motion.piece(self._setpoints(PIECE)))
+        while not motion.over and self._playback.plans.buffer.count < self._setpoints(AHEAD):
+            self._playback.push(self._piece(motion))
         if motion.over and isinstance(self._wish, Move):
             self._wish = None
+
+    def _piece(self, motion: JogMotion) -> Chunk:
+        """Return the next setpoints, checked as those of a program are."""
+        chunk = motion.piece(self._setpoints(PIECE))
+        rows = np.concatenate([chunk.samples.position, chunk.tail.position])
+        refuse_setpoints(self._machine, self._period, self._before, rows)
+        return chunk
+
+    @property
+    def _before(self) -> FloatArray:
+        """The last three setpoints before those that come next, (3, n_axes) [m, rad]."""
+        playback = self._playback
+        if playback.state.by_hand:
+            return playback.plans.buffer.newest
+        return np.tile(playback.axes.setpoints[-1], (3, 1))
 
     def _setpoints(self, time: float) -> int:
         return max(1, round(time / self._period))

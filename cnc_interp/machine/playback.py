@@ -1,22 +1,20 @@
-"""The machine's buffer and the state of its run, around the cycle that plays the setpoints.
+"""The state of a run, around the cycle that plays its setpoints: what each event changes.
 
 When a stop tail was followed, the plan is over; the next one begins where the machine rests.
+``plan_queue.py`` holds the setpoints of the plans.
 """
 
-import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple, Self
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, Refusal, StreamError
+from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine import cycle_kernels as kernel
-from cnc_interp.machine import spindle as spin
-from cnc_interp.machine.axis_motion import AxisMotion, refuse_setpoints
-from cnc_interp.machine.buffer import Buffer, BufferedChunk
+from cnc_interp.machine.axis_motion import AxisMotion
 from cnc_interp.machine.cycle import Cycle, Records
 from cnc_interp.machine.cycle_kernels import follow_ideally
 from cnc_interp.machine.drives import (
@@ -27,9 +25,10 @@ from cnc_interp.machine.drives import (
     Drives,
     HomedDrives,
 )
+from cnc_interp.machine.plan_queue import PlanQueue, axis_rows
 from cnc_interp.machine.run_figures import RunFigures
 from cnc_interp.machine.spindle import Spindle
-from cnc_interp.machine.switching import Act, ActsOfChunk, Switching
+from cnc_interp.machine.switching import Act, Switching
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import (
     EMERGENCY,
@@ -56,7 +55,6 @@ RESTS = {
 }
 STOPPED = (Reason.PROGRAM_STOP, Reason.OPTIONAL_STOP)
 LOST = 2.0  #: A planner whose setpoints are waited for so long counts as lost [s].
-ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
 TOGETHER = 0.01  #: Motion that is read at once, where nothing else happens and much waits [s].
 SPARE_CHUNKS = 4096  #: Chunks that may wait beside one for each setpoint of a full buffer.
 
@@ -102,8 +100,21 @@ class Reached(NamedTuple):
         return cls(int(samples.block[-1]), int(samples.line[-1]), float(samples.s[-1]))
 
 
+@dataclass
+class Progress:
+    """What counts for one run alone."""
+
+    last: Reached | None = None  #: The setpoint played last.
+    finishing: bool = False  #: Whether its last functions wait.
+    answered: bool = False  #: Whether the probe has answered.
+    waited: float = 0.0  #: How long setpoints were waited for [s].
+    #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
+    passing: bool = False
+    held_after: bool = False
+
+
 class Playback:
-    """The machine's buffer and the state of the run; it starts when ``full``."""
+    """The state of the run; it starts when ``full`` setpoints wait."""
 
     def __init__(self, machine: Machine, period: float, drives: Drives, full: int):
         self.axes = AxisMotion(machine, period, drives.lag, drives.position)
@@ -131,14 +142,13 @@ class Playback:
         self.followed: deque[Followed] = deque()  # until they are published
         self.contacts: deque[Contact] = deque()  # until they are published
         self.switching = Switching(machine.signals, drives, self.spindle)
+        self.plans = PlanQueue(self.cycle, self.axes, machine.signals)
         self.state, self.figures = RunState(), RunFigures(self.axes)
         self._powered = False  # the drives
         self.single_block = False  # rests that were planned for it count
         self._follows = False  # the spindle, in what was read last
         self.executed: deque[Executed] = deque()  # until they are published
         self._place(drives.position)
-        self._given_up = ''  # the run that was reset last
-        self.run_id = NO_RUN
         self._forget_run(NO_RUN)
 
     def _place(self, position: FloatArray) -> None:
@@ -146,7 +156,7 @@ class Playback:
         self.cycle.place(position)
         row = np.array(position, dtype=float)[None, :]
         self.feedback = self.axes.measure(row, row, np.zeros_like(row))
-        self.buffer = Buffer(row[0])
+        self.plans.empty()
 
     def shift(self, drives: HomedDrives, by: FloatArray) -> None:
         """Count the axes from elsewhere, at rest; they stay where they are [m, rad]."""
@@ -160,7 +170,7 @@ class Playback:
             self._power_on()
         except StreamError as fault:
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
-        self._empty()
+        self.plans.empty()
 
     def _power_on(self) -> None:
         self.drives.switch_on()
@@ -190,72 +200,33 @@ class Playback:
     def make_room(self, run_id: RunId) -> None:
         """Refuse a plan that cannot begin now (StreamError), else drop what waits."""
         self.read()
-        mine, state = self.run_id, self.state
-        if not state.resting:
-            raise StreamError(
-                f'plan {run_id.plan} of {run_id.program_id} begins while the machine moves',
-                Refusal.NOT_READY,
-            )
-        if run_id.program_id == self._given_up:
-            text = f'{run_id.program_id} was given up by reset; run the program again'
-            raise StreamError(text, Refusal.GIVEN_UP)
-        if run_id.plan and not run_id.same_attempt(mine):
-            text = f'{run_id} began before machine_node was started'
-            raise StreamError(text, Refusal.PLAN_OVER)
-        follows = run_id.continues(mine) and state.plan_over
-        if run_id.same_attempt(mine) and not follows:
-            raise StreamError(
-                f'plan {run_id.plan} cannot follow plan {mine.plan} here; '
-                'feedrate_node is out of step, reset and run the program again',
-                Refusal.NOT_READY,
-            )
-        same_run = run_id.program_id == mine.program_id and not state.completed
-        if state.state is State.HELD and not same_run:
-            text = f'{mine.program_id} is on hold; press cycle start or reset first'
-            raise StreamError(text, Refusal.NOT_READY)
-        self.buffer.clear(self.axes.setpoints[-1])
+        self.plans.make_room(run_id, self.state)
 
     def begin_plan(self, run_id: RunId) -> None:
         """Prepare for a new run, or for another plan of the run from where the machine rests."""
-        if run_id.program_id != self.run_id.program_id or self.state.completed:
+        if run_id.program_id != self.plans.run_id.program_id or self.state.completed:
             self.begin(run_id)
             return
         self.state = self.state.after(Event.REPLAN)
-        self._empty()
-        self.run_id, self.played_of_plan = run_id, 0
+        self.plans.begin_plan(run_id)
 
     def _forget_run(self, run_id: RunId) -> None:
-        self.run_id = run_id
-        self.played = self.played_of_plan = 0
+        self._progress = Progress()
         self.switching.begin()
-        self._finishing = False  # the last functions wait
-        self._answered = False  # the probe
         self.switching.forget_states(self.cycle.follows)
-        self._waited_for = 0.0  # how long setpoints were waited for [s]
-        #: The setpoints of a line that followed the spindle are left out; a hold came meanwhile.
-        self._passing = self._held_after = False
-        self.last: Reached | None = None
-        #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
-        self.away: FloatArray = np.zeros(0)
-        self._empty()
+        self.plans.begin(run_id)
         self.figures.begin()
 
-    def _empty(self) -> None:
-        self.buffer.clear(self.axes.setpoints[-1])
-        #: The chunk that is being played, or whose tail is; and the row of it played last.
-        self._current: BufferedChunk | None = None
-        self._on_tail, self._row = False, -1
+    @property
+    def last(self) -> Reached | None:
+        """Where the setpoint played last lies in the program."""
+        return self._progress.last
 
     @property
     def busy(self) -> bool:
         """Tell whether the cycle must be read often: setpoints wait or move."""
-        waits = self.buffer.count or self.switching.busy or self._delayed is not None
+        waits = self.plans.buffer.count or self.switching.busy or self._delayed is not None
         return bool(not self.state.resting or waits)
-
-    @property
-    def left(self) -> bool:
-        """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
-        return self._on_tail or self.state.plan_over
 
     def check_jog(self) -> None:
         self.read()
@@ -263,129 +234,37 @@ class Playback:
             self.state.after(Event.JOG)
             if waits := self.switching.waits_for_answer:
                 raise StreamError(f'jog is not possible: {waits}; wait for it, or reset')
-            if self.state.state is State.IDLE and self.buffer.count:
+            if self.state.state is State.IDLE and self.plans.buffer.count:
                 raise StreamError('jog is not possible: a program is about to start')
-
-    @property
-    def before_jog(self) -> FloatArray:
-        """Return the last three setpoints before those of a motion by hand, (3, n) [m, rad]."""
-        if self.state.by_hand:
-            return self.buffer.newest
-        return np.tile(self.axes.setpoints[-1], (3, 1))
 
     def begin_jog(self, run_id: RunId, chunk: Chunk) -> None:
         """Begin a motion by hand at once; in a hold the run stays, and another plan leads back."""
         self.check_jog()
-        self._refuse_jog(chunk)
+        plans = self.plans
         if self.state.state is State.HELD:
-            self.away = self.away if len(self.away) else self.axes.setpoints[-1].copy()
-            self._empty()
+            plans.away = plans.away if len(plans.away) else self.axes.setpoints[-1].copy()
+            plans.empty()
         else:
             self._forget_run(run_id)
         self.state = self.state.after(Event.JOG)
         self.push(chunk)
-        self.cycle.start(self.buffer.chunks[0].serial)
-
-    def push_jog(self, chunk: Chunk) -> None:
-        """Take the next setpoints of a motion by hand, checked as those of a program are."""
-        self._refuse_jog(chunk)
-        self.push(chunk)
-
-    def _refuse_jog(self, chunk: Chunk) -> None:
-        rows = np.concatenate([chunk.samples.position, chunk.tail.position])
-        refuse_setpoints(self.axes.machine, self.axes.period, self.before_jog, rows)
-
-    def is_void(self, run_id: RunId, begins: FloatArray | None) -> bool:
-        """Tell whether setpoints are not needed, because the machine has left their plan.
-
-        Also a plan whose first setpoint, ``begins``, is not where the axes stand, moved by hand,
-        is left.
-        """
-        away = self.state.state is State.AWAY
-        if begins is not None and len(self.away) and run_id.continues(self.run_id):
-            elsewhere = np.abs(begins - self.axes.setpoints[-1]).max() > ELSEWHERE
-            if away or (self.state.plan_over and elsewhere):
-                self.run_id = run_id
-        return run_id == self.run_id and (self.left or away)
-
-    def begins_elsewhere(self, begins: FloatArray) -> bool:
-        """Tell whether no motion from rest has this setpoint as its first one."""
-        axes = self.axes
-        if begins.shape != axes.setpoints[-1].shape:
-            return False  # of another machine, which the checks of its message tell
-        farthest = axes.machine.max_jerk * axes.period**3 + ELSEWHERE
-        return bool((np.abs(begins - axes.setpoints[-1]) > farthest).any())
+        self.cycle.start(plans.buffer.chunks[0].serial)
 
     def push(self, chunk: Chunk) -> None:
         """Take a chunk into the buffer, unless its plan was left."""
         self.look()
-        if not self.left:
-            last = self.buffer.chunks[-1] if self.buffer.chunks else self._current
-            pushed = self._written(chunk, self.buffer.next_number, last)
-            if last is not None:
-                self.cycle.link(last.serial, pushed.serial)
-            self.buffer.push(pushed)
-
-    def _written(self, chunk: Chunk, first: int, before: BufferedChunk | None) -> BufferedChunk:
-        done = self.switching.functions
-        expected = done if before is None else max(before.acts.after, done)
-        acts = ActsOfChunk.of(chunk, self._signals, expected)
-        if acts.waiting and before is not None and not before.chunk.rests:
-            raise StreamError('a function that waits must stand where the path rests')
-        serial = self.cycle.push(chunk, acts.switches)
-        return BufferedChunk(serial, self.run_id, first, chunk, acts)
+        if not self.plans.is_left(self.state):
+            self.plans.push(chunk, self.switching.functions)
 
     def before_join(self, run_id: RunId, number: int) -> FloatArray:
         """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
         self.read()
-        mine, buffer, row = self.run_id, self.buffer, self._row + 1
-        waits = self.state.resting and number >= self.played_of_plan
-        ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
-        known = run_id.same_attempt(mine) and run_id.continues(mine) and not self.left
-        known = known and not self.state.by_hand
-        if not (known and ahead and number <= buffer.next_number):
-            text = f'plan {run_id.plan} cannot join plan {mine.plan} at setpoint {number} any more'
-            raise StreamError(text, Refusal.TOO_LATE)
-        parts = [self.axes.setpoints]
-        if self._current is not None:
-            parts.append(self._current.chunk.samples.position[row:])
-        parts += [c.chunk.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
-        return np.concatenate(parts)[-3:]
+        return self.plans.before_join(run_id, number, self.state)
 
     def join(self, run_id: RunId, number: int, chunk: Chunk) -> None:
         """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
-        newest, buffer = self.before_join(run_id, number), self.buffer
-        kept = [c for c in buffer.chunks if c.after <= number]
-        split = next((c for c in buffer.chunks if c.first < number < c.after), None)
-        before, comes = kept[-1] if kept else self._current, []
-        if split is not None:
-            count = number - split.first
-            acts = split.acts.head(count, len(split.chunk.samples))
-            serial = self.cycle.push(split.chunk.head(count), acts.switches)
-            comes.append(split.head(count, serial, acts))
-        follows = comes[-1] if comes else before
-        pushed = self._written(chunk, number, follows)
-        pushed = replace(pushed, run_id=run_id)
-        if comes:
-            self.cycle.link(comes[0].serial, pushed.serial)
-        comes.append(pushed)
-        if before is not None and not self.cycle.relink(before.serial, comes[0].serial):
-            text = f'plan {run_id.plan} came too late to join at setpoint {number}'
-            raise StreamError(text, Refusal.TOO_LATE)
-        buffer.cut(number, newest)
-        for each in comes:
-            buffer.push(each)
-        self.run_id = run_id
-
-    @property
-    def way_to_rest(self) -> AxisRows:
-        """The setpoints that are played next if nothing else comes, down to rest on the path."""
-        current, row = self._current, self._row + 1
-        if self.state.resting or current is None:
-            return AxisRows.held(self.axes.setpoints[-1], 0)
-        if self._on_tail:
-            return _axis_rows(current.chunk.tail[row:])
-        return _axis_rows(current.chunk.head(row).tail)
+        self.read()
+        self.plans.join(run_id, number, chunk, self.state, self.switching.functions)
 
     # What the operator asks for -----------------------------------------------------------------
 
@@ -393,7 +272,7 @@ class Playback:
         """Stop on the path as soon as the setpoints allow, and wait for cycle_start."""
         self.read()
         if self.cycle.follows:
-            self._held_after = True  # a thread goes on to its end
+            self._progress.held_after = True  # a thread goes on to its end
             return
         self._handle(Event.HOLD, Reason.FEED_HOLD)
 
@@ -420,7 +299,7 @@ class Playback:
             self._power_on()
         self.state = cleared
         self.cycle.mute(False)
-        self._given_up = self.run_id.program_id or self._given_up
+        self.plans.given_up = self.plans.run_id.program_id or self.plans.given_up
         self.switching.stop(RESET)
         self._forget_run(NO_RUN)
 
@@ -429,37 +308,22 @@ class Playback:
         if self.state.leaves_plan:
             self.cycle.leave()
         if self.state.state is State.FAULT:
-            self._empty()
+            self.plans.empty()
         self._see_stop()
 
     # Outputs ------------------------------------------------------------------------------------
 
-    def override_spindle(self, share: float) -> None:
-        self.spindle.words[spin.OVERRIDE] = share
-
-    @property
-    def turning(self) -> tuple[float, float]:
-        """Speed of the spindle [rev/min] and its angle [rev], by an encoder if there is one."""
-        places, drives = self._signals.spindle, self.drives
-        if places and places[spin.INPUT] >= 0:
-            rate = float(self.spindle.words[spin.RATE])
-            return 60.0 * rate, drives.inputs[places[spin.INPUT]]
-        if not places or places[spin.FORWARD] < 0 or places[spin.REVERSE] < 0:
-            return 0.0, math.nan
-        forward, reverse = drives.outputs[[places[spin.FORWARD], places[spin.REVERSE]]]
-        return float(drives.outputs[places[spin.SPEED]] * (forward - reverse)), math.nan
-
     def switch(self, acts: Sequence[Act]) -> None:
         """Set outputs at rest without a program, one after the other; else StreamError."""
         self.read()
-        if self.state.state is not State.IDLE or self.buffer.count:
+        if self.state.state is not State.IDLE or self.plans.buffer.count:
             text = self.state.text or self.state.state.value
             raise StreamError(f'outputs are switched by hand at rest without a program ({text})')
         if breach := self.switching.refusal(acts):
             raise StreamError(breach)
         self._forget_run(NO_RUN)
         self.switching.add(acts)
-        self._finishing = True
+        self._progress.finishing = True
         self._await_answers()
         self._work(0.0)
 
@@ -480,8 +344,8 @@ class Playback:
         position, since = self.feedback.position[0].copy(), self._signals.input(SINCE)
         if since >= 0:  # else it is that at the end of the period
             position -= self.feedback.velocity[0] * self.drives.inputs[since]
-        self.contacts.append(Contact(self.run_id, self.last.line, position, at_once))
-        self._answered = True
+        self.contacts.append(Contact(self.plans.run_id, self.last.line, position, at_once))
+        self._progress.answered = True
         self._handle(Event.HOLD, Reason.PROBE)
 
     def _see_stop(self) -> None:
@@ -495,19 +359,20 @@ class Playback:
         switching = self.switching
         waits = self.state.waits_for in (WaitsFor.SETPOINTS, WaitsFor.NEW_PLAN)
         self._see_stop()
-        self._waited_for = self._waited_for + seconds if waits else 0.0
-        if self._waited_for >= LOST and not self.switching.off:
+        self._progress.waited = self._progress.waited + seconds if waits else 0.0
+        if self._progress.waited >= LOST and not self.switching.off:
             self._switch_off(LOST_PLANNER)
         self._pass_over()
-        last = self.buffer.rests > 0 or bool(self.buffer.chunks and self.state.refusal)
-        ready = last or self.buffer.count >= self._full
-        enough = self.state.may_start and ready and not self._passing
+        buffer = self.plans.buffer
+        last = buffer.rests > 0 or bool(buffer.chunks and self.state.refusal)
+        ready = last or buffer.count >= self._full
+        enough = self.state.may_start and ready and not self._progress.passing
         self._queue_functions(enough)
         for act in switching.work(seconds, self._may_begin):
-            self.switching.note(act, self.run_id, self.played)
+            self.switching.note(act, self.plans.run_id, self.plans.played)
         self.drives.exchange(seconds)
         state = self.state
-        if not (state.may_start and (enough or switching.asks or self._finishing)):
+        if not (state.may_start and (enough or switching.asks or self._progress.finishing)):
             return
         if switching.asks and state.start_wanted:
             switching.answer()
@@ -517,12 +382,12 @@ class Playback:
         elif switching.busy:
             if state.text != switching.text:
                 self._await_answers()
-        elif self._finishing:
-            self._finishing = False
+        elif self._progress.finishing:
+            self._progress.finishing = False
             self.state = state.after(Event.FINISH)
         else:
             self.state = state.after(Event.START)
-            self.cycle.start(self.buffer.chunks[0].serial)
+            self.cycle.start(buffer.chunks[0].serial)
 
     def _may_begin(self, act: Act) -> bool:
         held = self.state.state is State.HELD and not self.state.start_wanted
@@ -530,11 +395,12 @@ class Playback:
 
     def _queue_functions(self, starts: bool) -> None:
         stops = self.state.state is State.HELD and self.state.reason in STOPPED
-        if not (self.buffer.chunks and (starts or stops)) or self.buffer.chunks[0].first < 0:
+        chunks = self.plans.buffer.chunks
+        if not (chunks and (starts or stops)) or chunks[0].first < 0:
             return
         if starts and self.switching.off:
             self.cycle.mute(False)
-        self.switching.queue(self.buffer.chunks[0].acts, starts, stops)
+        self.switching.queue(chunks[0].acts, starts, stops)
 
     # What the cycle does ------------------------------------------------------------------------
 
@@ -569,25 +435,22 @@ class Playback:
         if self.state.resting:
             source = kernel.REST  # delayed drives have failed in the meantime
         if source in (kernel.CHUNK, kernel.FOLLOW):
-            while self._current is None or self._current.serial < int(records.serial[0]):
-                self._current, self._row = self.buffer.pop(), -1
+            self.plans.take(int(records.serial[0]))
         if events & kernel.ALARMED:
             self._alarm(self.drives.fault(events >> kernel.ALARM_SHIFT))
         if events & kernel.STARVED:
             self._starve()
-        if source == kernel.TAIL and not self._on_tail:
-            current = self._current
-            self._empty()
-            self._current, self._on_tail = current, True
+        if source == kernel.TAIL and not self.plans.on_tail:
+            self.plans.take_tail()
         if events & kernel.WAITED and self._follows:
             self.state = self.state.after(Event.FILL)
-            self._passing = True
+            self._progress.passing = True
         elif events & (kernel.ENDED | kernel.WAITED):
             self._rest(bool(events & kernel.ENDED))
         if events & kernel.ASTRAY and self.state.leaves_plan:
             self._rest(on_tail=True)
         elif events & kernel.ASTRAY:
-            text = f'line {self._line}: {self.spindle.cause(self.axes.machine.axis_names)}'
+            text = f'line {self.plans.line}: {self.spindle.cause(self.axes.machine.axis_names)}'
             self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, text)
         self._follows = source == kernel.FOLLOW
         if events & (kernel.REFUSED | kernel.FAILED):
@@ -597,17 +460,11 @@ class Playback:
         elif source == kernel.REST or self.state.resting:
             self._measure(None, records)
         else:
-            first = int(records.row[0])
-            self._row = first + len(records.row) - 1
-            number = self.played
-            self._play(self._played[first : self._row + 1], records)
+            first, number = int(records.row[0]), self.plans.played
+            self.plans.row = first + len(records.row) - 1
+            self._play(self.plans.rows[first : self.plans.row + 1], records)
             if events & kernel.PROBED:
                 self._see_answer(number)
-
-    @property
-    def _played(self) -> Setpoints:
-        assert self._current is not None
-        return self._current.chunk.tail if self._on_tail else self._current.chunk.samples
 
     def _starve(self) -> None:
         """Leave the plan: the next setpoints are late, or will never come."""
@@ -616,24 +473,24 @@ class Playback:
             reason, detail = Reason.STREAM_REFUSED, self.state.refusal
             self.state = self.state.after(Event.STOP, reason, detail)
         else:
-            self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.played))
+            self.state = self.state.after(Event.STARVE, Reason.STARVED, str(self.plans.played))
 
     def _rest(self, on_tail: bool) -> None:
         """Rest on the path: after a stop another plan must follow, else the setpoints go on."""
-        current = self._current
+        current = self.plans.current
         if on_tail or self.state.leaves_plan or current is None:
-            self._empty()
+            self.plans.empty()
             self.state = self.state.after(Event.REST)
-            if self._answered and self.state.state is State.HELD:
-                self._given_up = self.run_id.program_id  # what is left of its line
+            if self._progress.answered and self.state.state is State.HELD:
+                self.plans.given_up = self.plans.run_id.program_id  # what is left of its line
                 self.state = self.state.after(Event.FINISH, Reason.PROBE)
             return
-        wait, self._current = current.chunk.wait, None
+        wait, self.plans.current = current.chunk.wait, None
         if wait is Wait.END:
             self.switching.forget_states(self.cycle.follows)
         if wait is Wait.END and current.acts.end:
             self.switching.add(current.acts.end)
-            self._finishing = True
+            self._progress.finishing = True
             self._await_answers()
             return
         if wait is Wait.SINGLE_BLOCK and not self.single_block:
@@ -646,7 +503,7 @@ class Playback:
         if int(records.events[0]) & kernel.FAILED:
             self._handle(Event.FAIL, Reason.DRIVE_FAULT, self.drives.fault(row))
             return
-        samples = self._played
+        samples = self.plans.rows
         fault = self.axes.fault_of(samples.position[row], samples.velocity[row])
         self._handle(Event.FAIL, Reason.SETPOINT_REFUSED, fault)
 
@@ -655,89 +512,78 @@ class Playback:
         if self.state.state is not State.INACTIVE and self.state.reason is not Reason.DRIVE_FAULT:
             self._handle(Event.STOP, Reason.DRIVE_FAULT, cause)
 
-    @property
-    def _line(self) -> int:
-        return 0 if self._current is None else int(self._current.chunk.samples.line[0])
-
     def _measure_followed(self, records: Records) -> None:
         wanted, answered = records.setpoint, records.answered
         self.feedback = self.axes.measure(wanted, records.position, records.velocity, answered)
-        assert self._current is not None
-        block, ramp = self._current.chunk.samples.block[0], float(self.spindle.words[spin.RAMP])
-        line = self.run_id, int(block), self._line, ramp
+        assert self.plans.current is not None
+        block, ramp = self.plans.current.chunk.samples.block[0], self.spindle.state[0].ramp
+        line = self.plans.run_id, int(block), self.plans.line, float(ramp)
         self.followed.append(Followed(*line, wanted, records.angle, self._later))
 
     def _pass_over(self) -> None:
         """Count the setpoints of a line that has followed the spindle as played."""
-        while self._passing:
-            if self._current is None:
-                if not self.buffer.chunks:
+        progress, plans = self._progress, self.plans
+        while progress.passing:
+            if plans.current is None:
+                if not plans.buffer.chunks:
                     return
-                self._current = self.buffer.pop()
-            current = self._current
-            samples = current.chunk.samples
+                plans.current = plans.buffer.pop()
+            current, samples = plans.current, plans.current.chunk.samples
             for row, act in current.acts.rows:
-                self.switching.note(act, self.run_id, self.played + row)
+                self.switching.note(act, plans.run_id, plans.played + row)
             ends = current.chunk.wait is Wait.END
-            given = current.run_id, self.played, samples, samples.position
+            given = current.run_id, plans.played, samples, samples.position
             self.executed.append(Executed(*given, ends))
-            self.last = Reached.of(samples)
-            self.played += len(samples)
-            self.played_of_plan += len(samples)
+            progress.last = Reached.of(samples)
+            plans.count(len(samples))
             if current.chunk.wait in (Wait.NOTHING, Wait.OVERRIDE):
-                self._current = None
+                plans.current = None
                 continue
-            self._passing = False
+            progress.passing = False
             self._rest(False)
-            if self._held_after and self.state.state is State.FILLING:
+            if progress.held_after and self.state.state is State.FILLING:
                 self._handle(Event.HOLD, Reason.FEED_HOLD)
-            self._held_after = False
+            progress.held_after = False
 
     def _measure(self, samples: Setpoints | None, records: Records) -> bool:
         x, v, answered = records.position, records.velocity, records.answered
         here, follow, delayed = self.axes.setpoints[-1], True, self._delayed
-        wanted = AxisRows.held(here, len(x)) if samples is None else _axis_rows(samples)
+        wanted = AxisRows.held(here, len(x)) if samples is None else axis_rows(samples)
         if delayed is not None:
             try:
-                x, v, answered = delayed.follow(wanted, self.way_to_rest)
+                x, v, answered = delayed.follow(wanted, self.plans.way_to_rest(self.state.resting))
             except DriveFaultError as fault:
                 self.cycle.halt()
                 self._handle(Event.FAIL, Reason.DRIVE_FAULT, str(fault))
                 wanted, follow = AxisRows.held(here, len(x)), False
-                x, v, answered = delayed.follow(wanted, self.way_to_rest)
+                x, v, answered = delayed.follow(wanted, self.plans.way_to_rest(self.state.resting))
             if delayed.alarm:
                 self._alarm(delayed.alarm)
         self.feedback = self.axes.measure(wanted.position, x, v, answered)
         return follow
 
     def _play(self, samples: Setpoints, records: Records) -> None:
-        current, on_tail, left = self._current, self._on_tail, len(self._played) - 1 - self._row
+        plans, progress, current = self.plans, self._progress, self.plans.current
+        on_tail, left = plans.on_tail, len(plans.rows) - 1 - plans.row
         assert current is not None
-        if samples.block[0] > 0 and (self.last is None or self.last.block == 0):
+        if samples.block[0] > 0 and (progress.last is None or progress.last.block == 0):
             self.figures.begin_motion()
         if not self._measure(samples, records):
             return
         if samples.block[-1] > 0:
-            self.away = np.zeros(0)  # the machine is back on the path
-        if not len(self.away):
-            if not on_tail and current.chunk.wait is Wait.NOTHING and self.buffer.rests == 0:
-                figures, waits = self.figures, self.buffer.count + left
+            plans.away = np.zeros(0)  # the machine is back on the path
+        if not len(plans.away):
+            if not on_tail and current.chunk.wait is Wait.NOTHING and plans.buffer.rests == 0:
+                figures, waits = self.figures, plans.buffer.count + left
                 figures.least_buffered = min(figures.least_buffered, waits)
-            self.last = Reached.of(samples)
+            progress.last = Reached.of(samples)
         for row, act in current.acts.tail if on_tail else current.acts.rows:
-            if (
-                0 <= (ahead := row - (self._row + 1 - len(samples))) < len(samples)
-                and not self.switching.off
-            ):
-                self.switching.note(act, self.run_id, self.played + ahead)
+            ahead = row - (plans.row + 1 - len(samples))
+            if 0 <= ahead < len(samples) and not self.switching.off:
+                self.switching.note(act, plans.run_id, plans.played + ahead)
         at_end = not on_tail and not left
-        ends = at_end and current.chunk.wait is Wait.END and not len(self.away)
+        ends = at_end and current.chunk.wait is Wait.END and not len(plans.away)
         actual = self.feedback.position
-        self.executed.append(Executed(current.run_id, self.played, samples, actual, ends))
-        self.played += len(samples)
-        self.played_of_plan += 0 if on_tail or self.state.by_hand else len(samples)
+        self.executed.append(Executed(current.run_id, plans.played, samples, actual, ends))
+        plans.count(len(samples), of_plan=not (on_tail or self.state.by_hand))
         self.figures.add(samples, self.feedback)
-
-
-def _axis_rows(samples: Setpoints) -> AxisRows:
-    return AxisRows(samples.position, samples.velocity, samples.acceleration)

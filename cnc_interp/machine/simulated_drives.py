@@ -11,7 +11,6 @@ from cnc_interp.drives.drive_model import RING, follow_all, follow_once, lag_of,
 from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine.axis_motion import AxisMotion, ContourErrors, Recording
 from cnc_interp.machine.drives import CycleDrives
-from cnc_interp.machine.spindle import INPUT
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
@@ -57,15 +56,15 @@ class SimulatedDrives(CycleDrives):
 
     def _spin(self, machine: Machine, period: float) -> None:
         """Let a spindle with an encoder turn in each period."""
-        if not machine.signals.spindle or machine.signals.spindle[INPUT] < 0:
+        places = machine.signals.spindle
+        if places.angle < 0:
             return
         self._axes = self.memory  # must stay where it is
-        places = machine.signals.spindle
         self.memory = np.zeros(SPIN_WORDS)
         head = self.memory.view(np.int64)
         head[:4] = self.step, *(x.ctypes.data for x in (self._axes, self.outputs, self.inputs))
-        head[4:8] = places[: INPUT + 1]
-        ramp = machine.signals.inputs[places[INPUT]].ramp
+        head[4:8] = places[:4]
+        ramp = machine.signals.inputs[places.angle].ramp
         self.memory[8:10] = period, ramp if np.isfinite(ramp) else RAMP
         self.step = int(spin_once.address)
 

@@ -21,29 +21,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit
+from cnc_interp.core.records import record
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.signals import STATES, SURFACE, THREAD
+from cnc_interp.machine_model.signals import STATES, SURFACE, THREAD, SpindleSignals
 
-#: Words: the override, largest speed [rev/min], how much later than it is told a setpoint is
-#: played [s], period [s], how fast the spindle changes its speed [rev/s2]; ...
-OVERRIDE, MOST, AHEAD, PERIOD, SLOWS = range(5)
-#: ... what the line does, why it failed, filtered angle and chain with their two derivatives
-#: [rev, per s, s2], whether the filter has begun, and of the line: sense, begin of the cam, its
-#: ramp, whether the spindle was turned; the angle by the ramp with two derivatives, periods so
-#: far, speed by the encoder [rev/s], how fast the chain follows [rad/s], its largest jerk in step
-#: with the spindle [rev/s3]; and the last three places of the line with the speed of a stop [rev].
-MODE, CAUSE, ANGLE, CHAIN, BEGUN, SENSE, BEGIN, RAMP, TURNED = 5, 6, 7, 10, 13, 14, 15, 16, 17
-KNOWN, PERIODS, RATE, QUICK, JERK, PLACES, WORDS = 18, 21, 22, 23, 24, 25, 28
 AT_REST, SETTLES, WAITS, FOLLOWS, BRAKES, DONE = range(6)  #: Modes.
 NO_ANGLE, STANDS, SHORT, STEPS = 1, 2, 3, 10  #: Causes; 10 ... 40 and the axis: ``KINDS``.
-#: Numbers among the places of the spindle: outputs, input and the first state.
-SPEED, FORWARD, REVERSE, INPUT, STATE = range(5)
 KINDS = 'velocity', 'acceleration', 'jerk', 'travel'
 _NAMES = list(STATES)
 ZERO, LIMIT, SURFACE_SPEED = (_NAMES.index(name) for name in SURFACE)
@@ -60,51 +49,93 @@ RESERVE = 0.8  #: Share of the limits for the ramp; a changing speed needs the r
 BEARS = 5.0  #: The chain is stable where the ramp asks for so many times its largest jerk [-].
 
 
+class SpindleState:
+    """What the cycle keeps of a spindle from period to period, and of a line in step with it."""
+
+    override: float  #: Of the speed that words set, where the program lets it count [-].
+    #: Angle by the encoder less that by the ramp, filtered, with two derivatives, and whether the
+    #: filter has begun [rev, rev/s, rev/s2].
+    seen: Annotated[FloatArray, 3]
+    begun: bool
+    #: Angle by the ramp with two derivatives, and periods so far [rev, rev/s, rev/s2].
+    known: Annotated[FloatArray, 3]
+    periods: int
+    #: The smooth angle that a line follows, with two derivatives [rev, rev/s, rev/s2].
+    chain: Annotated[FloatArray, 3]
+    quick: float  #: How fast the chain follows [rad/s].
+    rate: float  #: Speed by the encoder [rev/s].
+    mode: int  #: What the line does: ``AT_REST`` ... ``DONE``.
+    cause: int  #: Why it failed; 0 if it did not.
+    waited: float  #: For a steady speed [s].
+    sense: float  #: 1 if the spindle turns forward, else -1.
+    #: Where the cam begins, and its ramp [rev].
+    begin: float
+    ramp: float
+    turned: bool  #: Whether the line has turned the spindle at its end.
+    jerk: float  #: Largest jerk of the chain in step with the spindle [rev/s3].
+    places: Annotated[FloatArray, 3]  #: The last three places of the line [rev].
+
+
 class Spindle(NamedTuple):
-    """What the kernels know of a spindle; ``places`` is empty without an output for its speed."""
+    """What the kernels know of a spindle."""
 
     commanded: FloatArray  #: (n_outputs,): What words set: outputs of the machine, then states.
-    places: IntArray  #: ``Signals.spindle``, the numbers of its outputs and of the angle.
-    words: FloatArray  #: (WORDS,).
+    places: SpindleSignals  #: Where its outputs, its angle and its states are among the others.
+    state: Sequence[SpindleState]  #: (1,).
     limits: FloatArray  #: (3, 3): Velocity, acceleration, jerk of X Y Z [m/s, m/s2, m/s3].
     known: FloatArray  #: (D, 2): Angle and speed by the ramp since what is told now [rev, rev/s].
+    highest: float = 0.0  #: Largest speed [rev/min].
+    ahead: float = 0.0  #: How much later than it is told a setpoint is played [s].
+    period: float = 0.0  #: [s].
+    slows: float = 0.0  #: How fast the spindle changes its speed [rev/s2].
 
     @staticmethod
     def without(commanded: FloatArray) -> Spindle:
-        numbers = np.zeros(0, np.int64), np.zeros(WORDS), np.zeros((3, 3)), np.zeros((1, 2))
-        return Spindle(commanded, *numbers)
+        state = record(SpindleState)
+        return Spindle(commanded, SpindleSignals(), state, np.zeros((3, 3)), np.zeros((1, 2)))
 
     @staticmethod
     def of(machine: Machine, period: float, ahead: float) -> Spindle:
-        signals = machine.signals
+        signals, places = machine.signals, machine.signals.spindle
         spindle = Spindle.without(np.zeros(len(signals.outputs)))
-        if not signals.spindle:
+        if places.speed < 0:
             return spindle
-        speed, angle, words = signals.spindle[SPEED], signals.spindle[INPUT], spindle.words
-        slows = signals.inputs[angle].ramp if angle >= 0 else math.inf
-        words[: SLOWS + 1] = 1.0, signals.outputs[speed].high, ahead, period, slows
-        words[QUICK] = BANDWIDTH / memory_of(ahead)
-        limits, known = (
-            machine.lowest_limits[:, :3],
-            np.zeros((round(max(ahead, 0.0) / period) + 1, 2)),
+        spindle.state[0].override, spindle.state[0].quick = 1.0, BANDWIDTH / memory_of(ahead)
+        return spindle._replace(
+            places=places,
+            limits=machine.lowest_limits[:, :3].copy(),
+            known=np.zeros((round(max(ahead, 0.0) / period) + 1, 2)),
+            highest=signals.outputs[places.speed].high,
+            ahead=ahead,
+            period=period,
+            slows=signals.inputs[places.angle].ramp if places.angle >= 0 else math.inf,
         )
-        return Spindle(spindle.commanded, np.array(signals.spindle), words, limits.copy(), known)
 
     @property
     def turns(self) -> bool:
         """Whether the encoder sees that it turns."""
-        return bool(abs(self.words[RATE]) > SLOWEST)
+        return abs(self.state[0].rate) > SLOWEST
+
+    def turning(self, inputs: FloatArray, outputs: FloatArray) -> tuple[float, float]:
+        """Return its speed [rev/min] and angle [rev], by an encoder if there is one."""
+        places = self.places
+        if places.angle >= 0:
+            return 60.0 * float(self.state[0].rate), inputs[places.angle]
+        if places.forward < 0 or places.reverse < 0:
+            return 0.0, math.nan
+        forward, reverse = outputs[[places.forward, places.reverse]]
+        return float(outputs[places.speed] * (forward - reverse)), math.nan
 
     def cause(self, axes: Sequence[str]) -> str:
         """Say why a line in step with the spindle has failed."""
-        cause = round(self.words[CAUSE])
+        cause = self.state[0].cause
         if cause == NO_ANGLE:
             return 'these drives do not tell the angle of the spindle in each period'
         if cause == STANDS:
             return 'the spindle does not turn, or not steadily; start it before (S, M3)'
         if cause == SHORT:
             return (
-                f'too short: the axes need {self.words[RAMP]:.3g} turns to get in step, and as '
+                f'too short: the axes need {self.state[0].ramp:.3g} turns to get in step, and as '
                 'many to stop; turn slower, or begin farther off'
             )
         kind = KINDS[cause // STEPS - 1]
@@ -114,20 +145,20 @@ class Spindle(NamedTuple):
 @njit(cache=True, nogil=True)
 def set_outputs(spindle: Spindle, outputs: FloatArray, x: float) -> None:
     """Write what drives get: commanded values, and the speed that counts at X [m]."""
-    commanded, places, words = spindle.commanded, spindle.places, spindle.words
+    commanded, places = spindle.commanded, spindle.places
     for i in range(len(outputs)):
         outputs[i] = commanded[i]
-    if len(places) == 0:
+    if places.speed < 0:
         return
-    states = commanded[places[STATE] :]
-    speed, most = commanded[places[SPEED]], words[MOST]
+    states = commanded[places.states :]
+    speed, most = commanded[places.speed], spindle.highest
     if states[SURFACE_SPEED] > 0.0:
         radius = max(abs(x - states[ZERO] * 1e-3), 1e-9)
         speed = states[SURFACE_SPEED] / (2.0 * math.pi * radius)
         if states[LIMIT] > 0.0:
             most = min(most, states[LIMIT])
-    share = words[OVERRIDE] if states[SPINDLE_FIXED] == 0.0 else 1.0
-    outputs[places[SPEED]] = min(speed * share, most)
+    share = spindle.state[0].override if states[SPINDLE_FIXED] == 0.0 else 1.0
+    outputs[places.speed] = min(speed * share, most)
 
 
 @njit(cache=True, nogil=True)
@@ -139,16 +170,16 @@ def memory_of(ahead: float) -> float:
 @njit(cache=True, nogil=True)
 def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
     """Turn as told, by the ramp; return angle and speed so of the period that is told now."""
-    places, words, ring = spindle.places, spindle.words, spindle.known
-    period, known = words[PERIOD], words[KNOWN : KNOWN + 3]
-    if words[SLOWS] < math.inf:
-        sense = outputs[places[FORWARD]] - outputs[places[REVERSE]]
-        wanted = (sense * outputs[places[SPEED]] / 60.0 - known[1]) / period
-        known[2] = min(max(wanted, -words[SLOWS]), words[SLOWS])
+    places, state, ring = spindle.places, spindle.state[0], spindle.known
+    period, known = spindle.period, state.known
+    if spindle.slows < math.inf:
+        sense = outputs[places.forward] - outputs[places.reverse]
+        wanted = (sense * outputs[places.speed] / 60.0 - known[1]) / period
+        known[2] = min(max(wanted, -spindle.slows), spindle.slows)
         known[0] += period * (known[1] + 0.5 * period * known[2])
         known[1] += period * known[2]
-    number = int(words[PERIODS])
-    words[PERIODS] += 1.0
+    number = state.periods
+    state.periods += 1
     ring[number % len(ring)] = known[:2]
     return ring[(number + 1) % len(ring)]
 
@@ -156,32 +187,31 @@ def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
 @njit(cache=True, nogil=True)
 def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray) -> None:
     """Take the angle of this period into the filter and the chain."""
-    places, words = spindle.places, spindle.words
-    if len(places) == 0 or places[INPUT] < 0:
+    state, angle_input = spindle.state[0], spindle.places.angle
+    if angle_input < 0:
         return
     told = _turn_by_ramp(spindle, outputs)
-    period, seen, chain = words[PERIOD], words[ANGLE : ANGLE + 3], words[CHAIN : CHAIN + 3]
-    known = words[KNOWN : KNOWN + 3]
+    period, seen, chain, known = spindle.period, state.seen, state.chain, state.known
     angle, rate = seen[0] + period * (seen[1] + 0.5 * period * seen[2]), seen[1] + period * seen[2]
-    off = inputs[places[INPUT]] - told[0] - angle
-    if words[BEGUN] == 0.0 or not abs(off) < LOST:
-        seen[0], seen[1], seen[2] = inputs[places[INPUT]] - told[0], 0.0, 0.0
-        chain[:], words[BEGUN] = seen + known, 1.0
+    off = inputs[angle_input] - told[0] - angle
+    if not state.begun or not abs(off) < LOST:
+        seen[0], seen[1], seen[2] = inputs[angle_input] - told[0], 0.0, 0.0
+        chain[:], state.begun = seen + known, True
         return
-    ahead = words[AHEAD]
-    fading, speed = math.exp(-period / memory_of(ahead)), words[QUICK]
+    ahead = spindle.ahead
+    fading, speed = math.exp(-period / memory_of(ahead)), state.quick
     seen[0] = angle + off * (1.0 - fading**3)
     seen[1] = rate + off * 1.5 * (1.0 - fading) ** 2 * (1.0 + fading) / period
     seen[2] += off * (1.0 - fading) ** 3 / period**2
-    words[RATE] = seen[1] + told[1]
+    state.rate = seen[1] + told[1]
     chain[0] += period * (chain[1] + 0.5 * period * chain[2])
     chain[1] += period * chain[2]
     place = known[0] + seen[0] + ahead * (seen[1] + 0.5 * ahead * seen[2])
     jerk = speed**3 * (place - chain[0])
     jerk += 3.0 * speed**2 * (known[1] + seen[1] + ahead * seen[2] - chain[1])
     jerk += 3.0 * speed * (known[2] + seen[2] - chain[2])
-    if words[MODE] == FOLLOWS:
-        jerk = min(max(jerk, -words[JERK]), words[JERK])
+    if state.mode == FOLLOWS:
+        jerk = min(max(jerk, -state.jerk), state.jerk)
     chain[0] += period**3 * jerk / 6.0
     chain[1] += period**2 * jerk / 2.0
     chain[2] += period * jerk
@@ -190,37 +220,37 @@ def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray) -> None
 @njit(cache=True, nogil=True)
 def begin(spindle: Spindle) -> int:
     """Choose the ramp and the begin of the cam, once the speed is steady; return the mode."""
-    words, limits = spindle.words, spindle.limits
-    states = spindle.commanded[spindle.places[STATE] :]
+    state, limits = spindle.state[0], spindle.limits
+    states = spindle.commanded[spindle.places.states :]
     way, turns = states[WAY : WAY + 3] * 1e-3, states[TURNS]
-    words[CAUSE] = words[TURNED] = 0.0
-    if spindle.places[INPUT] < 0 or words[AHEAD] < 0.0:
-        words[CAUSE] = NO_ANGLE
+    state.cause, state.turned = 0, False
+    if spindle.places.angle < 0 or spindle.ahead < 0.0:
+        state.cause = NO_ANGLE
         return AT_REST
-    rate, words[PLACES] = words[CHAIN + 1], words[PLACES] + words[PERIOD]
-    if abs(words[CHAIN + 2]) > STEADY * abs(rate) or abs(rate) < SLOWEST:
-        words[CAUSE] = STANDS if words[PLACES] > LONGEST else 0.0
-        return AT_REST if words[CAUSE] else SETTLES
-    words[PLACES:] = 0.0
-    words[SENSE], ramp = (1.0 if rate > 0.0 else -1.0), 0.0
-    rate, words[JERK] = FASTER * abs(rate), math.inf
+    rate, state.waited = state.chain[1], state.waited + spindle.period
+    if abs(state.chain[2]) > STEADY * abs(rate) or abs(rate) < SLOWEST:
+        state.cause = STANDS if state.waited > LONGEST else 0
+        return AT_REST if state.cause else SETTLES
+    state.places[:] = 0.0
+    state.sense, ramp = (1.0 if rate > 0.0 else -1.0), 0.0
+    rate, state.jerk = FASTER * abs(rate), math.inf
     for i in range(3):
         step = abs(way[i]) / RESERVE
         if step > 0.0:
-            words[JERK] = min(words[JERK], limits[2, i] / step)
+            state.jerk = min(state.jerk, limits[2, i] / step)
         if abs(way[i]) * rate > limits[0, i]:
-            words[CAUSE] = STEPS + i
+            state.cause = STEPS + i
             return AT_REST
         ramp = max(ramp, 1.5 * step * rate**2 / limits[1, i])
         ramp = max(ramp, math.sqrt(6.0 * step * rate**3 / limits[2, i]))
-    words[RAMP], words[QUICK] = ramp, BANDWIDTH / memory_of(words[AHEAD])
-    if words[SLOWS] < math.inf:
-        words[QUICK] = min(words[QUICK], BEARS * words[JERK] / (3.0 * words[SLOWS]))
+    state.ramp, state.quick = ramp, BANDWIDTH / memory_of(spindle.ahead)
+    if spindle.slows < math.inf:
+        state.quick = min(state.quick, BEARS * state.jerk / (3.0 * spindle.slows))
     if abs(turns) < (ramp if turns > 0.0 else 0.5 * ramp):
-        words[CAUSE] = SHORT
+        state.cause = SHORT
         return AT_REST
-    index = math.ceil(words[SENSE] * words[CHAIN] + 0.5 * ramp)
-    words[BEGIN] = index - 0.5 * ramp
+    index = math.ceil(state.sense * state.chain[0] + 0.5 * ramp)
+    state.begin = index - 0.5 * ramp
     return WAITS
 
 
@@ -232,15 +262,16 @@ def _cam(theta: float, ramp: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _turn(spindle: Spindle, forward: bool, backward: bool) -> None:
-    spindle.commanded[spindle.places[FORWARD]] = forward
-    spindle.commanded[spindle.places[REVERSE]] = backward
+    spindle.commanded[spindle.places.forward] = forward
+    spindle.commanded[spindle.places.reverse] = backward
 
 
 @njit(cache=True, nogil=True)
 def give_up(spindle: Spindle, cause: int) -> None:
     """Brake from now on, out of step, and let the spindle stop."""
-    if spindle.words[MODE] == FOLLOWS:
-        spindle.words[MODE], spindle.words[CAUSE] = BRAKES, cause
+    state = spindle.state[0]
+    if state.mode == FOLLOWS:
+        state.mode, state.cause = BRAKES, cause
         _turn(spindle, False, False)
 
 
@@ -262,8 +293,8 @@ def _brake(place: FloatArray, most: FloatArray, period: float) -> float:
 @njit(cache=True, nogil=True)
 def _violation(spindle: Spindle, way: FloatArray, place: float) -> int:
     """Return 0, or which limit of which axis the next place breaks."""
-    words, limits = spindle.words, spindle.limits
-    period, c, b, a = words[PERIOD], words[PLACES], words[PLACES + 1], words[PLACES + 2]
+    limits, period = spindle.limits, spindle.period
+    c, b, a = spindle.state[0].places
     steps = (place - a, place - 2.0 * a + b, place - 3.0 * a + 3.0 * b - c)
     for order in range(3):
         for i in range(3):
@@ -275,40 +306,41 @@ def _violation(spindle: Spindle, way: FloatArray, place: float) -> int:
 @njit(cache=True, nogil=True)
 def follow(spindle: Spindle, setpoint: FloatArray, stands: FloatArray) -> None:
     """Make the next ``setpoint`` (2, n_axes) of a line that began at ``stands``."""
-    words, states = spindle.words, spindle.commanded[spindle.places[STATE] :]
-    way, turns, period = states[WAY : WAY + 3] * 1e-3, states[TURNS], words[PERIOD]
-    sense, ramp, place = words[SENSE], words[RAMP], words[PLACES:]
-    forward = spindle.commanded[spindle.places[FORWARD]] != 0.0
-    drives = forward or spindle.commanded[spindle.places[REVERSE]] != 0.0
-    theta, count = sense * words[CHAIN] - words[BEGIN], abs(turns)
+    state, places, period = spindle.state[0], spindle.places, spindle.period
+    states = spindle.commanded[places.states :]
+    way, turns = states[WAY : WAY + 3] * 1e-3, states[TURNS]
+    sense, ramp, place = state.sense, state.ramp, state.places
+    forward = spindle.commanded[places.forward] != 0.0
+    drives = forward or spindle.commanded[places.reverse] != 0.0
+    theta, count = sense * state.chain[0] - state.begin, abs(turns)
     following = float(place[2])
-    if words[MODE] == SETTLES:
-        words[MODE], words[CAUSE] = AT_REST, STANDS
+    if state.mode == SETTLES:
+        state.mode, state.cause = AT_REST, STANDS
         if drives:
-            words[MODE] = begin(spindle)
+            state.mode = begin(spindle)
         return
-    if words[MODE] == WAITS:
-        words[MODE] = FOLLOWS if theta >= 0.0 else WAITS
+    if state.mode == WAITS:
+        state.mode = FOLLOWS if theta >= 0.0 else WAITS
         if not drives:
-            words[MODE], words[CAUSE] = AT_REST, STANDS
-    if words[MODE] == FOLLOWS:
+            state.mode, state.cause = AT_REST, STANDS
+    if state.mode == FOLLOWS:
         left = count + ramp - theta  # of a thread
         following = _cam(theta, ramp)
         if turns > 0.0 and left < theta:
             following = count - _cam(left, ramp)
-        slows = words[CHAIN + 1] ** 2 / (2.0 * words[SLOWS])
-        if turns < 0.0 and words[TURNED] == 0.0 and drives and following + slows >= count:
-            words[TURNED] = 1.0
+        slows = state.chain[1] ** 2 / (2.0 * spindle.slows)
+        if turns < 0.0 and not state.turned and drives and following + slows >= count:
+            state.turned = True
             _turn(spindle, sense < 0.0, sense > 0.0)
         broken = _violation(spindle, way, following)
-        if broken or (not drives and abs(words[CHAIN + 1]) < SLOWEST):
+        if broken or (not drives and abs(state.chain[1]) < SLOWEST):
             give_up(spindle, broken)
-        elif (turns > 0.0 and theta >= count + ramp) or (words[TURNED] != 0.0 and theta <= 0.0):
+        elif (turns > 0.0 and theta >= count + ramp) or (state.turned and theta <= 0.0):
             following = count if turns > 0.0 else 0.0
-            words[MODE] = DONE
+            state.mode = DONE
             if turns < 0.0 and drives:
                 _turn(spindle, sense > 0.0, sense < 0.0)
-    if words[MODE] == BRAKES:
+    if state.mode == BRAKES:
         least = np.full(2, np.inf)
         for i in range(3):
             for k in range(2):
@@ -316,7 +348,7 @@ def follow(spindle: Spindle, setpoint: FloatArray, stands: FloatArray) -> None:
                     least[k] = min(least[k], RESERVE * spindle.limits[k + 1, i] / abs(way[i]))
         following = _brake(place, least, period)
         if following == place[2]:
-            words[MODE] = AT_REST
+            state.mode = AT_REST
     for i in range(3):
         setpoint[0, i] = stands[i] + way[i] * following
         setpoint[1, i] = way[i] * (following - place[2]) / period

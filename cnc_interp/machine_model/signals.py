@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cnc_interp.core import MachineError
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
@@ -129,6 +129,17 @@ class Step:
         return self.wait != NO_WAIT or self.ends or self.guarded
 
 
+class SpindleSignals(NamedTuple):
+    """Numbers of the signals of a spindle; -1 for one that the machine does not have."""
+
+    #: Outputs ``SPEED``, ``FORWARD`` and ``REVERSE``. Without a speed there is no spindle.
+    speed: int = -1
+    forward: int = -1
+    reverse: int = -1
+    angle: int = -1  #: The input ``ANGLE``.
+    states: int = -1  #: The first of ``STATES`` among the outputs.
+
+
 @dataclass(frozen=True)
 class Signals:
     outputs: tuple[Signal, ...] = ()
@@ -147,13 +158,14 @@ class Signals:
         return self.outputs[: self.wired]
 
     @property
-    def spindle(self) -> tuple[int, ...]:
-        """Numbers of ``SPEED``, ``FORWARD``, ``REVERSE``, ``ANGLE``, first state; () without."""
+    def spindle(self) -> SpindleSignals:
         names = [signal.name for signal in self.outputs]
-        if SPEED not in names:
-            return ()
-        found = [names.index(name) if name in names else -1 for name in (SPEED, FORWARD, REVERSE)]
-        return (*found, self.input(ANGLE), self.wired)
+        speed, forward, reverse = (
+            names.index(name) if name in names else -1 for name in (SPEED, FORWARD, REVERSE)
+        )
+        if speed < 0:
+            return SpindleSignals()
+        return SpindleSignals(speed, forward, reverse, self.input(ANGLE), self.wired)
 
     @property
     def changed_by_hand(self) -> bool:

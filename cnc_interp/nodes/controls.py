@@ -187,7 +187,7 @@ class Overrides:
             self._diagnostics.say(topic, WARN, text)
             return
         setattr(self, topic.removesuffix('_override'), value)
-        self._playback.override_spindle(self.spindle)
+        self._playback.spindle.state[0].override = self.spindle
         self._diagnostics.say(topic, OK, f'{value:g}')
 
 

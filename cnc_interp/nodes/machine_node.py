@@ -111,7 +111,7 @@ class MachineNode(LifecycleNode):
         self._pace.wake()
         receiver = self._inlet.receiver
         new = chunk.first_sample == 0 and chunk.program_id != receiver.run_id.program_id
-        if new and self._playback.state.state is State.IDLE and not self._playback.played:
+        if new and self._playback.state.state is State.IDLE and not self._playback.plans.played:
             receiver.make_way(run_id_of(chunk))
         return self._gate.passed(chunk, receiver.run_id, receiver.limit)
 
@@ -120,7 +120,7 @@ class MachineNode(LifecycleNode):
         playback.look()
         state = playback.state
         first = np.array(chunk.positions[: chunk.axis_count])
-        if playback.is_void(run_id, first if begins else None):
+        if playback.plans.is_void(run_id, first if begins else None, state):
             raise StreamError(self._void(), Refusal.PLAN_OVER)
         if begins:
             playback.make_room(run_id)
@@ -131,10 +131,10 @@ class MachineNode(LifecycleNode):
             raise StreamError(f'the machine is {state.state.value}: {reason}', kind)
         if begins and (axes := ' '.join(self._controls.homing.must_home)):
             raise StreamError(f'{axes} must be homed before a program starts', Refusal.NOT_READY)
-        number, before = chunk.first_sample, playback.buffer.newest
+        number, before = chunk.first_sample, playback.plans.buffer.newest
         if chunk.joins:
             before = playback.before_join(run_id, number)
-        if begins and playback.begins_elsewhere(first):
+        if begins and playback.plans.begins_elsewhere(first):
             text = 'the plan begins where the axes do not stand: they moved, or machine_node was'
             raise StreamError(f'{text} started again; run the program again', Refusal.GIVEN_UP)
         check_chunk(chunk, playback.axes.machine, self._period, before)
@@ -142,14 +142,14 @@ class MachineNode(LifecycleNode):
             playback.join(run_id, number, chunk_from(chunk))
 
     def _void(self) -> str:
-        plan = self._playback.run_id.plan
+        plan = self._playback.plans.run_id.plan
         return f'plan {plan} has ended by a stop; its later setpoints are not needed'
 
     def _take(self, chunk: SetpointChunk) -> None:
         playback = self._playback
         if chunk.first_sample == 0:
             playback.begin_plan(run_id_of(chunk))
-            if not playback.played:
+            if not playback.plans.played:
                 playback.cycle.forget_lateness()  # a new run resets the figures
         if not chunk.joins:  # a chunk that joins is in the buffer already
             playback.push(chunk_from(chunk))
@@ -167,10 +167,10 @@ class MachineNode(LifecycleNode):
         """Open the window by the setpoints played; publish a change of the state at once."""
         playback, receiver = self._playback, self._inlet.receiver
         playback.look()
-        state, run_id = playback.state, playback.run_id
+        state, run_id = playback.state, playback.plans.run_id
         mine = run_id == receiver.run_id
-        receiver.consumed = playback.played_of_plan if mine else 0
-        self._inlet.buffered_time = playback.buffer.count * self._period
+        receiver.consumed = playback.plans.played_of_plan if mine else 0
+        self._inlet.buffered_time = playback.plans.buffer.count * self._period
         self._topics.tell_contacts()  # before the state that counts with them
         if state.state is State.FAULT:
             self._give_up(state.text, Refusal.MACHINE_FAULT)

@@ -65,7 +65,7 @@ class FunctionQueue:
 
     def feed_share(self, block: IntArray, feed: float, spindle: float) -> FloatArray:
         """Return the factor of overrides on the feed of blocks: M49 and G95 change it."""
-        if not self._signals.spindle or not (self._set or len(self._kept)):
+        if self._signals.spindle.speed < 0 or not (self._set or len(self._kept)):
             return np.full(len(block), feed)
         signals = self._signals
         names = [signal.name for signal in signals.outputs]

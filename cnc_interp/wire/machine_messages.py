@@ -43,8 +43,8 @@ def executed_setpoints(
         chunk = next(same, None)
         if chunk is None:  # set at rest: no setpoint was executed
             common = {**vars(run_id), 'period': period, 'axis_count': axes}
-            chunk = msg.SetpointChunk(**common, first_sample=playback.played)
-            found.append((chunk, msg.AxisFeedback(**common, first_sample=playback.played)))
+            chunk = msg.SetpointChunk(**common, first_sample=playback.plans.played)
+            found.append((chunk, msg.AxisFeedback(**common, first_sample=playback.plans.played)))
         chunk.functions = [
             *chunk.functions,
             *(act_message(act, sample, signals) for _, act, sample in acts),
@@ -111,20 +111,20 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
     last = playback.last
     least = figures.least_buffered
     recent = axes.take_recent_use()
-    speed, angle = playback.turning
+    speed, angle = playback.spindle.turning(playback.drives.inputs, playback.drives.outputs)
     message = msg.MachineState(
         **{name: getattr(run, name) for name in OF_RUN},
         **{name: getattr(figures, name) for name in OF_FIGURES},
         single_block=playback.single_block,
-        **vars(playback.run_id),
+        **vars(playback.plans.run_id),
         functions=playback.switching.functions,
         state=NUMBERS[run.state],
         interpolation_period=period,
-        samples=playback.played,
+        samples=playback.plans.played,
         sequence=last.block if last else 0,
         line_number=last.line if last else 0,
         path_position=last.s if last else 0.0,
-        resume_positions=playback.away.tolist(),
+        resume_positions=playback.plans.away.tolist(),
         positions=feedback.position[-1].tolist(),
         commanded_positions=feedback.setpoint[-1].tolist(),
         tip=feedback.tip[-1],
@@ -139,7 +139,7 @@ def machine_state(playback: Playback, period: float) -> msg.MachineState:
         recent_velocity_use=recent[0].tolist(),
         recent_acceleration_use=recent[1].tolist(),
         recent_jerk_use=recent[2].tolist(),
-        buffered_time=playback.buffer.count * period,
+        buffered_time=playback.plans.buffer.count * period,
         least_buffered_time=least * period if np.isfinite(least) else np.nan,
         spindle_speed=speed,
         spindle_angle=angle,

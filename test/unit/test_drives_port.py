@@ -105,7 +105,7 @@ def test_a_fault_of_a_drive_ends_the_motion_at_once_and_is_named():
     playback, _ = play(drives)
     assert (playback.state.state, playback.state.reason) == (State.FAULT, Reason.DRIVE_FAULT)
     assert 'C: encoder lost' in playback.state.text
-    assert len(drives.told) == playback.played == 120 and not drives.on
+    assert len(drives.told) == playback.plans.played == 120 and not drives.on
     playback.reset()
     assert playback.state.state is State.IDLE and drives.on
 
@@ -119,7 +119,7 @@ def test_an_alarm_of_delayed_drives_stops_on_the_path_they_were_told():
     stopped = np.array([row[0] for row in drives.told[before:]])
     assert len(stopped) >= len(stop) > 50 and not drives.on
     assert np.array_equal(stopped[: len(stop)], stop.position)
-    assert playback.played == before + len(stop) < sum(len(each.samples) for each in planned)
+    assert playback.plans.played == before + len(stop) < sum(len(each.samples) for each in planned)
     playback.reset()
     assert playback.state.state is State.IDLE
 
@@ -130,7 +130,7 @@ def test_axes_are_taken_over_where_the_drives_hold_them_at_power_on():
     drives.position = START  # moved by hand while they were off
     playback.switch_on()
     assert np.array_equal(playback.axes.setpoints[-1], START)
-    assert np.array_equal(playback.buffer.newest, np.tile(START, (3, 1)))
+    assert np.array_equal(playback.plans.buffer.newest, np.tile(START, (3, 1)))
 
 
 def test_a_setpoint_outside_the_travel_never_reaches_the_drives():
@@ -177,6 +177,6 @@ def test_the_cycle_stops_at_a_fault_of_a_compiled_drive():
     playback, planned = play(CompiledDrives(START))
     assert playback.state.reason is Reason.DRIVE_FAULT and 'C: error 7' in playback.state.text
     moving = np.concatenate([np.abs(chunk.samples.velocity).max(axis=1) > 0 for chunk in planned])
-    assert np.sum(moving[: playback.played]) == 120
+    assert np.sum(moving[: playback.plans.played]) == 120
     playback.reset()
     assert playback.state.state is State.IDLE

@@ -87,7 +87,9 @@ class Bench:
 
     def feed(self):
         play, plan = self.play, self.planner.stream.current
-        while play.buffer.count < 150 and not play.left and not play.state.completed:
+        while play.plans.buffer.count < 150 and not (
+            play.plans.is_left(play.state) or play.state.completed
+        ):
             while not self.waiting and (plan.can_plan or plan.can_sample):
                 self.waiting.extend(self.planner.work(plan, True, -np.inf))
             if not self.waiting:
@@ -201,8 +203,8 @@ def test_a_revision_of_the_override_keeps_the_functions():
         play = bench.play
         if bench.periods % 90 == 50 and play.state.state is State.RUNNING:
             bench.settings = OperatorSettings(0.4 + 0.1 * (joined % 8))
-            number = play.played_of_plan + 30
-            if number >= play.buffer.next_number:
+            number = play.plans.played_of_plan + 30
+            if number >= play.plans.buffer.next_number:
                 continue
             revision = bench.planner.revise(number, bench.settings)
             if revision is None:
@@ -597,7 +599,7 @@ def test_each_stop_switches_off_what_the_table_says_and_nothing_else(stop):
     words = ''.join(f'M{100 + k}\n' for k in range(len(OFF)))
     bench = Bench(f'{words}G0 X0 Y0 Z0\nG1 X5 F3000\nX200\nM30', machine)
     play, outputs = bench.play, bench.drives.outputs
-    while not (play.state.state is State.RUNNING and outputs.all() and play.played > 100):
+    while not (play.state.state is State.RUNNING and outputs.all() and play.plans.played > 100):
         bench.step()
     bench.feed = lambda: None
     if stop == 'emergency_stop':
@@ -631,14 +633,14 @@ def test_of_ten_thousand_functions_none_is_lost_doubled_or_early_whatever_the_op
             play.hold()
             held += 1
         elif running and turn % 501 == 250:
-            number = play.played_of_plan + 40
+            number = play.plans.played_of_plan + 40
             settings = OperatorSettings(0.5 + 0.1 * (joined % 7))
             revision = bench.planner.revise(number, settings)
-            if revision is not None and number < play.buffer.next_number:
+            if revision is not None and number < play.plans.buffer.next_number:
                 chunk, *others = revision.chunks
                 bench.planner.stream.adopt(revision.plan)
                 bench.plans, bench.settings, joined = bench.plans + 1, settings, joined + 1
-                play.join(RunId('p', play.run_id.attempt, bench.plans), number + 1, chunk)
+                play.join(RunId('p', play.plans.run_id.attempt, bench.plans), number + 1, chunk)
                 bench.waiting = deque(others)
         elif running and turn == 3900:
             bench.feed, lost = lambda: None, lost + 1
@@ -647,7 +649,7 @@ def test_of_ten_thousand_functions_none_is_lost_doubled_or_early_whatever_the_op
         if bench.feed is not feed and play.state.state is State.STARVED:
             bench.begin_planner(play.axes.setpoints[-1], play.last.s, play.switching.functions)
             bench.feed, bench.plans = feed, 0
-            play.begin_plan(RunId('p', play.run_id.attempt + 1))
+            play.begin_plan(RunId('p', play.plans.run_id.attempt + 1))
     assert min(held, joined, lost) > 3, (held, joined, lost)
     assert bench.functions.block[:10_000].tolist() == list(range(1, 10_001))
     bench.prove()

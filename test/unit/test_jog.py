@@ -426,24 +426,26 @@ def again(bench, plan):
 def test_away_from_a_hold_the_run_stays_and_goes_on_with_another_plan():
     bench = held_bench()
     play, place = bench.play, bench.q[-1]
-    last, played = play.last, play.played
+    last, played = play.last, play.plans.played
     bench.run(0.5, X=0.2, C=-0.1)
-    assert bench.state is State.AWAY and play.run_id == RunId('p', plan=1)
-    assert play.is_void(play.run_id, None)
+    assert bench.state is State.AWAY and play.plans.run_id == RunId('p', plan=1)
+    assert play.plans.is_void(play.plans.run_id, None, play.state)
     with pytest.raises(StreamError, match='moved by hand'):
         play.start()
     bench.rest()
     assert bench.state is State.HELD and play.state.reason is Reason.AWAY
-    assert np.array_equal(play.away, place) and not np.array_equal(bench.q[-1], place)
-    assert play.last == last and play.played > played and not play.state.completed
-    assert not play.played_of_plan and play.is_void(play.run_id, None)
-    assert play.is_void(RunId('p', plan=2), place), 'the axes do not stand there any more'
-    assert play.run_id == RunId('p', plan=2)
-    assert not play.is_void(RunId('p', plan=3), bench.q[-1])
+    assert np.array_equal(play.plans.away, place) and not np.array_equal(bench.q[-1], place)
+    assert play.last == last and play.plans.played > played and not play.state.completed
+    plans = play.plans
+    assert not plans.played_of_plan and plans.is_void(plans.run_id, None, play.state)
+    elsewhere = 'the axes do not stand there any more'
+    assert plans.is_void(RunId('p', plan=2), place, play.state), elsewhere
+    assert plans.run_id == RunId('p', plan=2)
+    assert not play.plans.is_void(RunId('p', plan=3), bench.q[-1], play.state)
     again(bench, 3)
     play.start()
     bench.rest()
-    assert play.state.completed and not len(play.away)
+    assert play.state.completed and not len(play.plans.away)
     assert not any(executed.ends for executed in list(play.executed)[:-1])
 
 
@@ -451,8 +453,9 @@ def test_what_begins_while_the_axes_are_away_is_left_at_once():
     bench = held_bench()
     bench.run(0.3, X=0.2)
     other, mine = RunId('q'), RunId('p', attempt=1)
-    assert not bench.play.is_void(other, bench.q[-1])
-    assert bench.play.is_void(mine, bench.q[-1]) and bench.play.run_id == mine
+    assert not bench.play.plans.is_void(other, bench.q[-1], bench.play.state)
+    assert bench.play.plans.is_void(mine, bench.q[-1], bench.play.state)
+    assert bench.play.plans.run_id == mine
     with pytest.raises(StreamError, match='cannot join'):
         bench.play.before_join(RunId('p', attempt=1, plan=1), 10)
     bench.rest()
@@ -466,6 +469,6 @@ def test_a_hold_and_an_emergency_stop_end_it_and_reset_forgets_the_place(press):
     getattr(bench.play, press)()
     bench.rest()
     assert bench.state is (State.HELD if press == 'hold' else State.FAULT)
-    assert len(bench.play.away)
+    assert len(bench.play.plans.away)
     bench.play.reset()
-    assert bench.state is State.IDLE and not len(bench.play.away)
+    assert bench.state is State.IDLE and not len(bench.play.plans.away)

@@ -12,7 +12,7 @@ from test_functions_played import MACHINE, Bench, T, milling
 from tiers import few_of
 
 from cnc_interp.core import MM, ProgramError
-from cnc_interp.machine.spindle import CHAIN, Spindle, see_angle
+from cnc_interp.machine.spindle import Spindle, see_angle
 from cnc_interp.machine_model.signals import Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
@@ -93,7 +93,7 @@ def test_passes_of_a_thread_meet_at_every_speed_and_a_hold_waits_for_their_end()
 
     assert finished(bench, each) is State.HELD
     assert bench.play.axes.setpoints[-1][2] == pytest.approx(-10 * MM, abs=1e-12)
-    bench.play.override_spindle(0.7)
+    bench.play.spindle.state[0].override = 0.7
     bench.play.start()
     assert finished(bench, drooping(bench)) is State.IDLE
     phases = []
@@ -225,7 +225,7 @@ def test_threads_of_fanuc_count_f_along_the_longest_axis():
 def test_surface_speed_follows_x_and_the_override_up_to_the_largest_speed():
     text = 'G0 X60 Y0 Z0\nG96 S120 D1500 M3\nG1 X2 F3500\nG97 S700\nX30\nM30'
     bench, seen = Bench(text), []
-    bench.play.override_spindle(1.1)
+    bench.play.spindle.state[0].override = 1.1
 
     def each():
         block = bench.play.last.block if bench.play.last else 0
@@ -261,7 +261,7 @@ def test_feed_in_a_turn_holds_at_every_override_unless_the_program_keeps_it(word
     bench = Bench(f'G0 X0 Y0 Z0\nS1000 M3\nG95 F2\n{words}\nG1 X8\nM48 G94 F900 X12\nM30')
     bench.settings = OperatorSettings(feed, spindle=spindle)
     bench.begin_planner(np.zeros(3), 0.0)
-    bench.play.override_spindle(spindle)
+    bench.play.spindle.state[0].override = spindle
     seen = []
 
     def each():
@@ -297,5 +297,5 @@ def test_a_reversal_is_foreseen_though_its_angle_is_told_ten_periods_late():
         seen.append(np.floor(angle * counts) / counts)
         told[ANGLE] = seen[k]
         see_angle(spindle, outputs, told)
-        off.append(spindle.words[CHAIN] - angle)
+        off.append(spindle.state[0].chain[0] - angle)
     assert np.ptp(off[1500:]) * LEAD < 1e-3  # 26 um by the encoder alone

@@ -136,7 +136,7 @@ def test_nothing_moves_before_the_buffer_is_full_then_everything_is_played_in_or
     heard = step_until(play, lambda: play.state.completed)
     assert np.array_equal(heard[:-1], np.concatenate([c.samples.position for c in chunks]))
     assert play.state.state is State.IDLE and play.figures.starvations == 0
-    assert play.played == len(heard) - 1
+    assert play.plans.played == len(heard) - 1
 
 
 def test_looking_takes_over_some_periods_at_once_and_the_end_of_motion_at_once():
@@ -151,10 +151,10 @@ def test_looking_takes_over_some_periods_at_once_and_the_end_of_motion_at_once()
         each.step()
         some.cycle.step()
         some.look()
-        late.append(each.played - some.played)
+        late.append(each.plans.played - some.plans.played)
     assert max(late) == 9 and late[-1] == 0 and each.state == some.state
     assert len(some.executed) < len(each.executed) / 4
-    assert some.played == each.played
+    assert some.plans.played == each.plans.played
     for name in ('largest_following_error', 'largest_contour_error'):
         np.testing.assert_array_equal(getattr(some.figures, name), getattr(each.figures, name))
     np.testing.assert_array_equal(some.axes.largest_use, each.axes.largest_use)
@@ -174,7 +174,7 @@ def test_the_program_begins_after_its_approach_only_with_a_full_buffer(there):
     play.begin(P)
     feed(play, chunks_to([0.02, 0.0, 0.0, 0.1, 0.0], Wait.NOTHING))
     feed(play, [program_on_the_spot(there)] if there else [])
-    step_until(play, lambda: play.played and play.state.resting)
+    step_until(play, lambda: play.plans.played and play.state.resting)
     for _ in range(50):
         assert state_after_step(play) is State.FILLING
     assert (play.figures.starvations, play.last.block, play.state.plan_over) == (0, 0, False)
@@ -245,7 +245,7 @@ def test_a_stop_of_the_program_waits_for_cycle_start_and_goes_on_in_the_same_pla
     play.single_block = wait is Wait.SINGLE_BLOCK
     play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], wait))
-    step_until(play, lambda: play.state.resting and play.played > 0)
+    step_until(play, lambda: play.state.resting and play.plans.played > 0)
     assert play.state.state is State.HELD and not play.state.plan_over
     assert play.state.reason is reason
     feed(play, chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0]))
@@ -272,7 +272,7 @@ def test_an_override_of_zero_rests_without_starving():
     play = playback(20)
     play.begin(P)
     feed(play, chunks_to([0.01, 0.0, 0.0, 0.0, 0.0], Wait.OVERRIDE))
-    step_until(play, lambda: play.state.resting and play.played > 0)
+    step_until(play, lambda: play.state.resting and play.plans.played > 0)
     for _ in range(50):
         assert state_after_step(play) is State.PAUSED
     first, *others = chunks_to([0.02, 0.0, 0.0, 0.0, 0.0], start=[0.01, 0, 0, 0, 0])
@@ -366,7 +366,7 @@ def join(play, number, chunks):
 def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
     play, old, stop, heard = moving_with_a_stop_from(number)
     join(play, number, stop)
-    assert play.run_id == P1 and play.figures.starvations == 0
+    assert play.plans.run_id == P1 and play.figures.starvations == 0
     if ask == 'hold':
         play.hold()
     heard = np.array(heard + list(step_until(play, lambda: play.state.resting)))
@@ -376,7 +376,7 @@ def test_a_plan_joins_in_motion_in_place_of_what_is_buffered(number, ask):
         return
     new = np.concatenate([chunk.samples.position for chunk in stop])
     assert np.array_equal(heard[: number + len(new)], np.concatenate([old[:number], new]))
-    assert play.state.state is State.PAUSED and play.played_of_plan == number + len(new)
+    assert play.state.state is State.PAUSED and play.plans.played_of_plan == number + len(new)
     told = [message for message, _ in executed_setpoints(play, T)]
     assert [(run_id_of(m), m.first_sample) for m in told] == [(P, 0), (P1, number)]
 
@@ -395,7 +395,7 @@ def test_where_the_machine_has_passed_nothing_joins_and_it_goes_on(number):
     play, old, stop, heard = moving_with_a_stop_from(number)
     with pytest.raises(StreamError, match='join') as refused:
         join(play, number, stop)
-    assert refused.value.kind is Refusal.TOO_LATE and play.run_id == P
+    assert refused.value.kind is Refusal.TOO_LATE and play.plans.run_id == P
     heard += list(step_until(play, lambda: play.state.completed))
     assert np.array_equal(np.array(heard)[: len(old)], old)
 
@@ -430,7 +430,7 @@ def test_after_a_reset_nothing_more_of_the_run_moves_the_machine():
         play.step()
     play.hold()
     step_until(play, lambda: play.state.resting)
-    played = play.played
+    played = play.plans.played
     play.reset()
     ((told, _),) = executed_setpoints(play, T)  # what was executed before is still told
     assert (run_id_of(told), told.first_sample, len(told.sequences)) == (P, 0, played)
@@ -447,7 +447,7 @@ def test_the_end_of_the_program_is_told_with_its_last_setpoint():
     feed(play, move)
     count = sum(len(chunk.samples) for chunk in move)
     ends = {}
-    while play.played < count:
+    while play.plans.played < count:
         play.step()
         for message, _ in executed_setpoints(play, T):
             ends[message.first_sample] = message.end_of_program
@@ -466,7 +466,7 @@ def test_figures_of_the_program_leave_the_approach_out():
     play.begin(P)
     feed(play, [*fast, Chunk(rest, rest[:0], Wait.END)])
     step_until(play, lambda: play.state.completed)
-    assert (play.figures.approach_samples, play.played) == (count, count + 20)
+    assert (play.figures.approach_samples, play.plans.played) == (count, count + 20)
     assert play.axes.largest_use[0].max() < 1e-9
 
 
@@ -530,11 +530,11 @@ def test_stretches_are_short_and_give_the_same_setpoints():
 def test_the_way_to_rest_is_what_is_played_when_nothing_else_comes():
     play, chunks = playback(50), chunks_to([0.4, 0.1, 0.0, 0.2, 0.0])
     play.begin(P)
-    assert not len(play.way_to_rest)
+    assert not len(play.plans.way_to_rest(play.state.resting))
     feed(play, chunks[:40])
     for _ in range(203):
         play.step()
-    stop = play.way_to_rest
+    stop = play.plans.way_to_rest(play.state.resting)
     assert len(stop) == 7 + len(chunks[20].tail)
     assert np.abs(stop.velocity[-1]).max() < 1e-6
     play.hold()

@@ -1,0 +1,208 @@
+"""Plans that the machine has received: the chunk that is played, those that wait, what may join.
+
+A plan may replace the setpoints of another one from a number on, as long as none of them is
+played: its first chunk is linked to the chunk before them, which is cut there if need be.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cnc_interp.core import FloatArray, Refusal, StreamError
+from cnc_interp.machine.axis_motion import AxisMotion
+from cnc_interp.machine.buffer import Buffer, BufferedChunk
+from cnc_interp.machine.cycle import Cycle
+from cnc_interp.machine.drives import AxisRows
+from cnc_interp.machine.switching import ActsOfChunk
+from cnc_interp.machine_model.signals import Signals
+from cnc_interp.run.run_state import NO_RUN, RunId, RunState, State
+from cnc_interp.run.setpoints import Chunk, Setpoints
+
+ELSEWHERE = 1e-8  #: A plan from rest begins nearer than this to where the machine stands [m, rad].
+
+
+class PlanQueue:
+    """The setpoints of the plans of a run, and how far they are played."""
+
+    def __init__(self, cycle: Cycle, axes: AxisMotion, signals: Signals):
+        self._cycle, self._axes, self._signals = cycle, axes, signals
+        self.buffer = Buffer(axes.setpoints[-1])
+        self.given_up = ''  #: The run that was reset last.
+        self.begin(NO_RUN)
+
+    def begin(self, run_id: RunId) -> None:
+        """Begin a run."""
+        self.played = 0  # setpoints of the run
+        #: Where the run goes on, after the axes were moved away from a hold; else empty [m, rad].
+        self.away: FloatArray = np.zeros(0)
+        self.begin_plan(run_id)
+
+    def begin_plan(self, run_id: RunId) -> None:
+        """Begin another plan of the run where the machine rests."""
+        self.empty()
+        self.run_id, self.played_of_plan = run_id, 0
+
+    def empty(self) -> None:
+        """Drop all setpoints; the axes rest."""
+        self.buffer.clear(self._axes.setpoints[-1])
+        #: The chunk that is being played, or whose tail is; and the row of it played last.
+        self.current: BufferedChunk | None = None
+        self.on_tail, self.row = False, -1
+
+    def take(self, serial: int) -> None:
+        """Go on to the chunk with a serial number."""
+        while self.current is None or self.current.serial < serial:
+            self.current, self.row = self.buffer.pop(), -1
+
+    def take_tail(self) -> None:
+        """Go on to the stop tail of the current chunk, and drop what would have come after it."""
+        current = self.current
+        self.empty()
+        self.current, self.on_tail = current, True
+
+    @property
+    def rows(self) -> Setpoints:
+        """The setpoints of the current chunk, or of its stop tail, whichever is played."""
+        assert self.current is not None
+        return self.current.chunk.tail if self.on_tail else self.current.chunk.samples
+
+    @property
+    def line(self) -> int:
+        """The source line of the current chunk."""
+        return 0 if self.current is None else int(self.current.chunk.samples.line[0])
+
+    def count(self, setpoints: int, of_plan: bool = True) -> None:
+        """Count setpoints as played."""
+        self.played += setpoints
+        self.played_of_plan += setpoints if of_plan else 0
+
+    # What may come -------------------------------------------------------------------------------
+
+    def make_room(self, run_id: RunId, state: RunState) -> None:
+        """Refuse a plan that cannot begin now (StreamError), else drop what waits."""
+        mine = self.run_id
+        if not state.resting:
+            raise StreamError(
+                f'plan {run_id.plan} of {run_id.program_id} begins while the machine moves',
+                Refusal.NOT_READY,
+            )
+        if run_id.program_id == self.given_up:
+            text = f'{run_id.program_id} was given up by reset; run the program again'
+            raise StreamError(text, Refusal.GIVEN_UP)
+        if run_id.plan and not run_id.same_attempt(mine):
+            text = f'{run_id} began before machine_node was started'
+            raise StreamError(text, Refusal.PLAN_OVER)
+        follows = run_id.continues(mine) and state.plan_over
+        if run_id.same_attempt(mine) and not follows:
+            raise StreamError(
+                f'plan {run_id.plan} cannot follow plan {mine.plan} here; '
+                'feedrate_node is out of step, reset and run the program again',
+                Refusal.NOT_READY,
+            )
+        same_run = run_id.program_id == mine.program_id and not state.completed
+        if state.state is State.HELD and not same_run:
+            text = f'{mine.program_id} is on hold; press cycle start or reset first'
+            raise StreamError(text, Refusal.NOT_READY)
+        self.buffer.clear(self._axes.setpoints[-1])
+
+    def is_left(self, state: RunState) -> bool:
+        """Tell whether a stop tail has replaced the plan; its remaining setpoints are ignored."""
+        return self.on_tail or state.plan_over
+
+    def is_void(self, run_id: RunId, begins: FloatArray | None, state: RunState) -> bool:
+        """Tell whether setpoints are not needed, because the machine has left their plan.
+
+        The machine has also left a plan whose first setpoint, ``begins``, is not where the axes
+        are after they were moved by hand.
+        """
+        away = state.state is State.AWAY
+        if begins is not None and len(self.away) and run_id.continues(self.run_id):
+            elsewhere = np.abs(begins - self._axes.setpoints[-1]).max() > ELSEWHERE
+            if away or (state.plan_over and elsewhere):
+                self.run_id = run_id
+        return run_id == self.run_id and (self.is_left(state) or away)
+
+    def begins_elsewhere(self, begins: FloatArray) -> bool:
+        """Tell whether no motion from rest has this setpoint as its first one."""
+        axes = self._axes
+        if begins.shape != axes.setpoints[-1].shape:
+            return False  # of another machine, which the checks of its message tell
+        farthest = axes.machine.max_jerk * axes.period**3 + ELSEWHERE
+        return bool((np.abs(begins - axes.setpoints[-1]) > farthest).any())
+
+    # What comes ----------------------------------------------------------------------------------
+
+    def push(self, chunk: Chunk, functions: int) -> None:
+        """Append a chunk to the plan; ``functions``: how many of the run are executed."""
+        last = self.buffer.chunks[-1] if self.buffer.chunks else self.current
+        pushed = self._written(chunk, self.buffer.next_number, last, functions)
+        if last is not None:
+            self._cycle.link(last.serial, pushed.serial)
+        self.buffer.push(pushed)
+
+    def _written(
+        self, chunk: Chunk, first: int, before: BufferedChunk | None, functions: int
+    ) -> BufferedChunk:
+        expected = functions if before is None else max(before.acts.after, functions)
+        acts = ActsOfChunk.of(chunk, self._signals, expected)
+        if acts.waiting and before is not None and not before.chunk.rests:
+            raise StreamError('a function that waits must stand where the path rests')
+        serial = self._cycle.push(chunk, acts.switches)
+        return BufferedChunk(serial, self.run_id, first, chunk, acts)
+
+    def before_join(self, run_id: RunId, number: int, state: RunState) -> FloatArray:
+        """Return the last three setpoints before a join [m, rad]; StreamError if passed there."""
+        mine, buffer, row = self.run_id, self.buffer, self.row + 1
+        waits = state.resting and number >= self.played_of_plan
+        ahead = waits or (buffer.chunks and number >= buffer.chunks[0].after)
+        known = run_id.same_attempt(mine) and run_id.continues(mine) and not self.is_left(state)
+        known = known and not state.by_hand
+        if not (known and ahead and number <= buffer.next_number):
+            text = f'plan {run_id.plan} cannot join plan {mine.plan} at setpoint {number} any more'
+            raise StreamError(text, Refusal.TOO_LATE)
+        parts = [self._axes.setpoints]
+        if self.current is not None:
+            parts.append(self.current.chunk.samples.position[row:])
+        parts += [c.chunk.samples.position[: max(number - c.first, 0)] for c in buffer.chunks]
+        return np.concatenate(parts)[-3:]
+
+    def join(
+        self, run_id: RunId, number: int, chunk: Chunk, state: RunState, functions: int
+    ) -> None:
+        """Replace setpoints from a number on by a plan's first chunk; StreamError if passed."""
+        newest, buffer = self.before_join(run_id, number, state), self.buffer
+        kept = [c for c in buffer.chunks if c.after <= number]
+        split = next((c for c in buffer.chunks if c.first < number < c.after), None)
+        before, comes = kept[-1] if kept else self.current, []
+        if split is not None:
+            count = number - split.first
+            acts = split.acts.head(count, len(split.chunk.samples))
+            serial = self._cycle.push(split.chunk.head(count), acts.switches)
+            comes.append(split.head(count, serial, acts))
+        follows = comes[-1] if comes else before
+        pushed = self._written(chunk, number, follows, functions)
+        pushed = replace(pushed, run_id=run_id)
+        if comes:
+            self._cycle.link(comes[0].serial, pushed.serial)
+        comes.append(pushed)
+        if before is not None and not self._cycle.relink(before.serial, comes[0].serial):
+            text = f'plan {run_id.plan} came too late to join at setpoint {number}'
+            raise StreamError(text, Refusal.TOO_LATE)
+        buffer.cut(number, newest)
+        for each in comes:
+            buffer.push(each)
+        self.run_id = run_id
+
+    def way_to_rest(self, resting: bool) -> AxisRows:
+        """Return the setpoints that are played next if nothing else comes, down to rest."""
+        if resting or self.current is None:
+            return AxisRows.held(self._axes.setpoints[-1], 0)
+        return axis_rows(
+            self.rows[self.row + 1 :]
+            if self.on_tail
+            else self.current.chunk.head(self.row + 1).tail
+        )
+
+
+def axis_rows(samples: Setpoints) -> AxisRows:
+    return AxisRows(samples.position, samples.velocity, samples.acceleration)

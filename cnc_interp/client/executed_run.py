@@ -8,7 +8,6 @@ exempt: nobody sent it, and its limits are judged on their own.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -16,89 +15,21 @@ from cnc_interp_msgs.msg import G1Block, MachineState, SetpointChunk
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.recorded_run import RecordedRun
+from cnc_interp.client.sent_setpoints import SentSetpoints, rows_of
 from cnc_interp.core import FloatArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import FOLLOWS
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import NO_RUN, RunId
-from cnc_interp.run.setpoints import Setpoints
-from cnc_interp.wire.message_checks import check_setpoints
-from cnc_interp.wire.path_messages import SETPOINT_FIELDS
 from cnc_interp.wire.run_messages import run_id_of
 
 #: Chunks after which the machine waits for cycle_start.
 OPERATOR_WAITS = (SetpointChunk.PROGRAM_STOP, SetpointChunk.OPTIONAL_STOP, SetpointChunk.APPROACH)
-LONGEST_TAIL = 1 << 14  #: No stop along the path takes so many setpoints.
 #: The axes pass the place of a contact in that period, up to their acceleration in it [m, rad].
 AT_CONTACT = 1e-6
 S, BLOCK, LINE = -3, -2, -1  #: Columns of ``rows_of``.
-
-
-def rows_of(message: SetpointChunk, prefix: str = '') -> FloatArray:
-    """Return all columns of the setpoints of a message, or of its stop tail, side by side."""
-    check_setpoints(message, message.axis_count, prefix)
-    n, columns = len(getattr(message, f'{prefix}sequences')), []
-    for field, name in SETPOINT_FIELDS.items():
-        width = message.axis_count if Setpoints.declared[name].tail else 1
-        values = np.asarray(getattr(message, prefix + field), dtype=float)
-        columns.append(values.reshape(n, width))
-    return np.hstack(columns)
-
-
-class SentSetpoints:
-    """Setpoints of a run as they were sent, by plan and number; each is read when needed."""
-
-    def __init__(self, bag: Bag, program_id: str):
-        self._messages = bag.spooled('setpoints')
-        self._places: dict[RunId, dict[int, int]] = defaultdict(dict)  # by first setpoint
-        self.joins: dict[RunId, int] = {}  #: First setpoints of plans that join in motion.
-        self.faults: list[str] = []
-        for place, message in enumerate(self._messages):
-            if message.program_id != program_id:
-                continue
-            run_id, first = run_id_of(message), message.first_sample
-            known = self._places[run_id].setdefault(first, place)
-            if known != place and not _same(self._messages[known], message):
-                self.faults.append(f'setpoint {first} of {run_id} was sent in two ways')
-            if message.joins:
-                self.joins[run_id] = first
-        self._firsts = {run_id: sorted(places) for run_id, places in self._places.items()}
-
-    def at(self, run_id: RunId, number: int) -> SetpointChunk | None:
-        """Return the message with a setpoint; None if the record does not have it."""
-        firsts = self._firsts.get(run_id, [])
-        k = bisect_right(firsts, number) - 1
-        if k < 0:
-            return None
-        message = self._messages[self._places[run_id][firsts[k]]]
-        return message if number < firsts[k] + len(message.sequences) else None
-
-    def tail(self, run_id: RunId, number: int, row: FloatArray) -> FloatArray | None:
-        """Return the rest of a stop tail that has a row in place of a setpoint of the plan.
-
-        A tail may follow the plan at first, so it may be that of a chunk some chunks before.
-        """
-        plan = np.zeros((0, len(row)))  # from the end of a chunk to the setpoint
-        while len(plan) < LONGEST_TAIL:
-            message = self.at(run_id, number - len(plan) - 1)
-            if message is None:
-                return None
-            rows = rows_of(message)[: number - len(plan) - message.first_sample]
-            tail, count = rows_of(message, 'tail_'), len(plan)
-            whole = len(rows) == len(message.sequences)
-            if whole and count < len(tail) and (tail[:count] == plan).all():
-                if (tail[count] == row).all():
-                    return tail[count:]
-            plan = np.concatenate([rows, plan])
-        return None
-
-
-def _same(a: SetpointChunk, b: SetpointChunk) -> bool:
-    """Compare two messages but for their checksums, which cover bytes that mean nothing."""
-    return all(
-        getattr(a, name) == getattr(b, name)
-        for name in a.get_fields_and_field_types()
-        if name != 'checksum'
-    )
+#: A plan follows the overrides that were told in this time before each of its setpoints [s].
+OBEYED = 1.5
 
 
 class Follower:
@@ -204,11 +135,15 @@ def _leading(rows: FloatArray, expected: FloatArray) -> int:
 
 def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
     """Compare what was executed with what was sent, and with all that the machine said of it."""
-    sent = SentSetpoints(bag, run.program_id)
+    sent = run.sent
     follower, told = Follower(sent), ToldStates(bag, run)
     feedback = FeedbackRecord(bag, run)
     for message in run.executed():
-        told.compare(follower.count, rows_of(message), message.axis_count)
+        rows = rows_of(message)
+        told.compare(follower.count, rows, message.axis_count)
+        settings = sent.settings.get(run_id_of(message))
+        if settings is not None:
+            told.compare_overrides(follower.count, rows, settings)
         feedback.compare(message)
         follower.take(message)
     follower.close(bool(run.cut))
@@ -224,6 +159,19 @@ class ToldStates:
         states = [m for m in bag.messages('machine_state') if m.program_id == run.program_id]
         self._states = sorted(states, key=lambda state: int(state.samples))
         self._next, self._threads = 0, bool(run.followed)  # the first state not compared yet
+        self._obeyed = round(OBEYED / run.period)
+        # What the machine told before the run counts until it tells something else.
+        before = None
+        for message in bag.messages('machine_state'):
+            if message.program_id == run.program_id:
+                break
+            before = message
+        told = self._states if before is None else [before, *self._states]
+        self._told = [(s.feed_override, s.spindle_override) for s in told]
+        self._told_at = [int(s.samples) for s in told]
+        if before is not None:
+            self._told_at[0] = 0
+        self._too_fast = ''
         self._stops = [b.sequence for b in run.blocks if b.program_stop == G1Block.STOP]
         self._block = 0  # the last one of the program
         self._passed: list[tuple[int, int]] = []  # M0 by block, and setpoints executed then
@@ -252,6 +200,21 @@ class ToldStates:
                 text = f'a machine_state after {state.samples} setpoints does not say where'
                 self._wrong.append(f'{text} the axes were commanded to')
 
+    def compare_overrides(self, count: int, rows: FloatArray, plan: OperatorSettings) -> None:
+        """Demand that the plan follows overrides that were told not long before."""
+        first = max(bisect_right(self._told_at, count - self._obeyed) - 1, 0)
+        last = bisect_right(self._told_at, count + len(rows))
+        told = self._told[first:last]
+        if self._too_fast or not told or not (rows[:, BLOCK] > 0).any():
+            return
+        names = ('feed', plan.override), ('spindle', plan.spindle)
+        for (name, share), values in zip(names, zip(*told, strict=True), strict=True):
+            if share > max(values):
+                self._too_fast = (
+                    f'line {rows[0, LINE]:.0f}: its plan has a {name} override of {share:.1%}, '
+                    f'but in the {OBEYED:g} s before the machine told {max(values):.1%} at most'
+                )
+
     def _changes(self, block: FloatArray, count: int) -> tuple[list[int], list[int]]:
         at = np.flatnonzero(np.diff(block, prepend=self._block))
         return block[at].astype(int).tolist(), (at + count).tolist()
@@ -267,6 +230,7 @@ class ToldStates:
             for number, place in stops.items()
             if number not in held
         ]
+        faults += [self._too_fast] if self._too_fast else []
         if run.cut:
             return [*self._wrong, *faults]
         if {int(s.samples) for s in self._states if s.completed} != {follower.count}:

@@ -12,6 +12,7 @@ import numpy as np
 from cnc_interp_msgs.msg import FollowedSpindle, G1Block, PathSegment, SetpointChunk
 
 from cnc_interp.client.bag import Bag
+from cnc_interp.client.sent_setpoints import SentSetpoints
 from cnc_interp.core import FloatArray, IntArray, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -24,8 +25,9 @@ from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
 from cnc_interp.proof.plan_files import BY_PROBE
+from cnc_interp.run.overrides import OperatorSettings, OverrideStep
 from cnc_interp.run.plan_writer import PlanWriter
-from cnc_interp.run.run_state import RunId
+from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.run.start_place import StartFinder
 from cnc_interp.settings.options import Settings
@@ -35,6 +37,8 @@ from cnc_interp.wire.path_messages import setpoints_from
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 BATCH = 256  #: Segments taken over together.
+#: The way down to a lower override begins within this time after the plan has joined [s].
+STOPS_WITHIN = 0.05
 #: Number of setpoints per grid point of the path, and shortest cell made in this way [m].
 GRID_EVERY, SHORTEST = 10, 1e-6
 
@@ -48,7 +52,7 @@ class RecordedRun:
     segments: list[PathSegment]  #: The smoothed path, gap-free from its first segment.
     #: What the machine executed; a run may be longer than the memory.
     chunks: Sequence[SetpointChunk]
-    largest_override: float  #: Largest feed override of the run, at least 1 [-].
+    sent: SentSetpoints  #: What was sent to the machine.
     #: Offsets and tools that it started with, as the text of a setup file; empty for none.
     setup: str = ''
     followed: Sequence[FollowedSpindle] = ()  #: What was in step with the spindle.
@@ -140,6 +144,36 @@ class RecordedRun:
             if len(chunk.sequences):
                 yield setpoints_from(chunk)
 
+    def overrides(self) -> list[OverrideStep]:
+        """Return the overrides that counted for the setpoints of the program.
+
+        They are those of the plan. A plan that joins a faster one in motion may first slow down
+        on the path, up to where that could have stopped.
+        """
+        steps: list[OverrideStep] = []
+        slowing: list[tuple[float, FloatArray]] = []  # up to which place, and what counted before
+        own, run_id, count = np.ones(2), NO_RUN, 0
+        for chunk in self.executed():
+            if run_id_of(chunk) != run_id:
+                joins = self.sent.joins.get(run_id_of(chunk))
+                later = round(STOPS_WITHIN / self.period)
+                stop = 0.0 if joins is None else self.sent.stop_before(run_id, joins - 1, later)
+                slowing = [] if joins is None else [*slowing, (stop, own)]
+                run_id = run_id_of(chunk)
+                settings = self.sent.settings.get(run_id, OperatorSettings())
+                own = np.array([settings.override, settings.spindle])
+            of_program = np.asarray(chunk.sequences) > 0
+            place = np.asarray(chunk.path_positions)[of_program]
+            counted = np.tile(own, (len(place), 1))
+            for stop, before in slowing:
+                counted[place <= stop] = np.maximum(counted[place <= stop], before)
+            for k in np.flatnonzero(np.any(np.diff(counted, axis=0, prepend=np.nan), axis=1)):
+                step = OverrideStep(count + int(k), *counted[k].tolist())
+                if not steps or steps[-1][1:] != step[1:]:
+                    steps.append(step)
+            count += len(place)
+        return steps
+
     def functions(self, machine: Machine) -> tuple[Functions, IntArray]:
         """Return the functions of the program, and the setpoints with which they came.
 
@@ -202,8 +236,6 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     tables: dict[str, str] = {}
     for table in bag.messages('setup_table'):  # the first one of a run is that of its start
         tables.setdefault(table.program_id, table.text)
-    states = (m for m in bag.messages('machine_state') if m.program_id == last.program_id)
-    overrides = (m.feed_override * max(1.0, m.spindle_override) for m in states)
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
@@ -212,7 +244,7 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
         blocks=stream_of(bag, 'blocks', last),
         segments=stream_of(bag, 'segments', last),
         chunks=executed.where(lambda message: message.program_id == last.program_id),
-        largest_override=max(chain([1.0], overrides)),
+        sent=SentSetpoints(bag, last.program_id),
         followed=[m for m in bag.messages('followed_spindle') if m.program_id == last.program_id],
         probed=probed.get(last.program_id, 0),
     )
@@ -289,7 +321,7 @@ def write_run(run: RecordedRun, machine: Machine, directory: Path) -> dict[str, 
             block = StartBlock(settings.from_line, row, 1, settings.line_pass, ())
             writer.figures.start = finder.place(block)
         writer.figures.cut, writer.figures.waits_first = run.cut, None
-        return writer.finish(run.name, {}, run.largest_override, run.setup)
+        return writer.finish(run.name, {}, run.overrides(), run.setup)
 
 
 class ExecutedWay:

@@ -23,7 +23,7 @@ from cnc_interp.nodes import parameters
 from cnc_interp.nodes.seals import OWNERS, SealedPublisher
 from cnc_interp.processes.stop_signals import stop_signals
 from cnc_interp.processes.this_host import stay_on_this_host
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.path_chain import smoother_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.run_state import RunId
@@ -36,6 +36,7 @@ from cnc_interp.wire.path_messages import (
     chunk_from,
     functions_from,
     segment_messages,
+    settings_of_plan,
 )
 from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
@@ -110,26 +111,22 @@ class Repetition:
             for m in self._bag.messages('machine_state')
             if run_id_of(m).same_attempt(self._run_id) and m.plan_over
         }
-        for number, settings in _settings_of(self._bag, self._run_id, self._plans).items():
+        for number in sorted(self._plans):
             chunks, run_id = self._plans[number], replace(self._run_id, plan=number)
             if any(chunk.joins for chunk in chunks.values()):
                 count = sum(len(chunk.sequences) for chunk in chunks.values())
                 yield Comparison(run_id, count, 0, math.inf, True, segment)
                 continue
             recorded = joined(self._bag, chunks)
-            found = []
-            for each in settings:
-                if not number:
-                    planner = self._planner(recorded[0], each)
-                elif planner is None or number - 1 not in rests:
-                    text = f'does not tell where plan {number - 1} was left'
-                    raise InterpError(f'{self._bag.path}: {text}')
-                else:
-                    planner.resume(rests[number - 1], recorded[0].samples.position[0], each)
-                found.append(_compared(recorded, _all_chunks(planner, recorded)))
-                if found[-1][0] == sum(len(chunk.samples) for chunk in recorded):
-                    break
-            same, difference = max(found)
+            settings = settings_of_plan(chunks[0])
+            if not number:
+                planner = self._planner(recorded[0], settings)
+            elif planner is None or number - 1 not in rests:
+                text = f'does not tell where plan {number - 1} was left'
+                raise InterpError(f'{self._bag.path}: {text}')
+            else:
+                planner.resume(rests[number - 1], recorded[0].samples.position[0], settings)
+            same, difference = _compared(recorded, _all_chunks(planner, recorded))
             count = sum(len(chunk.samples) for chunk in recorded)
             yield Comparison(run_id, count, same, difference, False, segment)
             segment = -1
@@ -206,38 +203,6 @@ def joined(bag: Bag, chunks: Chunks) -> list[Chunk]:
         parts.append(chunk_from(chunks[first]))
         following = first + len(parts[-1].samples)
     return parts
-
-
-def _settings(state: Any) -> OperatorSettings:
-    shares = state.rapid_override, state.spindle_override
-    return OperatorSettings(state.feed_override, state.single_block, *shares)
-
-
-def _settings_of(
-    bag: Bag, run_id: RunId, plans: dict[int, Chunks]
-) -> dict[int, list[OperatorSettings]]:
-    """Return the settings with which each plan may have begun, the most probable ones first.
-
-    They are those of the last state before its first setpoints, and of all since the setpoints
-    of another plan; a state that came late counts, too.
-    """
-    found: dict[int, list[OperatorSettings]] = {}
-    told, plan = [OperatorSettings()], -1
-    for topic, _, data in bag.raw('machine_state', 'setpoints'):
-        message = bag.sound(topic, data)
-        if topic == 'machine_state' and message is not None:
-            told.append(_settings(message))
-            if plan >= 0 and len(told) == 2:  # the first one after the first setpoints
-                found[plan].append(told[-1])
-        elif message is not None and run_id_of(message).same_attempt(run_id):
-            if message.plan != plan and message.plan not in found:
-                plan = message.plan
-                found[plan] = told[::-1]
-            told = told[-1:]
-    return {
-        number: list(dict.fromkeys(found.get(number, [OperatorSettings()])))
-        for number in sorted(plans)
-    }
 
 
 def _all_chunks(planner: RunPlanner, recorded: list[Chunk]) -> list[Chunk]:

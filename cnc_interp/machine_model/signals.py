@@ -315,17 +315,24 @@ def _refuse_old_answers(
 def _switched_off(
     given: Mapping[str, Any], outputs: tuple[Signal, ...]
 ) -> dict[str, tuple[int, ...]]:
-    """Read the table of what is switched off, and when: by default whatever is no number."""
+    """Read the table of what is switched off, and when.
+
+    A number without a row stays. An output that is on or off needs a row: neither a clamp that
+    opens at a stop nor a spindle that goes on may be an oversight.
+    """
     rows = _mapping(given, 'switched_off')
     for name in rows:
         if name not in [signal.name for signal in outputs]:
             raise MachineError('must name outputs', f'signals.switched_off.{name}')
-    found = dict[str, tuple[int, ...]]()
+    found, named = dict[str, tuple[int, ...]](), _mapping(given, 'outputs')
     for k, signal in enumerate(outputs):
+        where = f'signals.switched_off.{signal.name}'
+        if signal.name not in rows and signal.name in named and not signal.is_number:
+            text = f'is missing: write {ALWAYS}, {NEVER} (as for a clamp), or a list of'
+            raise MachineError(f'{text} {", ".join(STOPS)}', where)
         stops = rows.get(signal.name, NEVER if signal.is_number else ALWAYS)
         if stops in (ALWAYS, NEVER):
             stops = [*STOPS] if stops == ALWAYS else []
-        where = f'signals.switched_off.{signal.name}'
         if not isinstance(stops, list) or not all(stop in STOPS for stop in stops):
             raise MachineError(
                 f'must be {ALWAYS}, {NEVER}, or a list of {", ".join(STOPS)}', where

@@ -22,8 +22,7 @@ from cnc_interp.machine_model.transform import Transform, positions_of_pose
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics, answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.nodes.seals import publishers_of
-from cnc_interp.run.motion_plan import OperatorSettings
-from cnc_interp.run.overrides import OVERRIDES, sound_override
+from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
 

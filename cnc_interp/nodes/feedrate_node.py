@@ -27,7 +27,7 @@ from cnc_interp.nodes.qos import SETPOINTS
 from cnc_interp.nodes.streams import Inlet, Outlet
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.notices import WARNING
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Chunk, Wait
 from cnc_interp.smoothing.segments import PathSegments
@@ -245,7 +245,8 @@ class FeedrateNode(LifecycleNode):
             raise StreamError('a setpoint was asked for before its run')
         period, signals = self._values['interpolation_period'], self._transform.machine.signals
         told, joins = session.planner.with_lines(chunk), 0 < first == session.joins_at
-        return chunk_message(told, session.run_id, first, period, joins, signals)
+        settings = session.planner.stream.current.settings
+        return chunk_message(told, session.run_id, first, period, joins, signals, settings)
 
     def close(self) -> None:
         """Close. The setpoints sent end with a stop tail."""

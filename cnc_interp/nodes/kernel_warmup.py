@@ -21,7 +21,8 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.course import LIVE
-from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.path_chain import segments_of, way_time
 from cnc_interp.run.run_state import RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from cnc_interp.core import FloatArray, InterpError, Refusal
 from cnc_interp.program.blocks.functions import Functions
-from cnc_interp.run.motion_plan import MotionPlan, OperatorSettings
+from cnc_interp.run.motion_plan import MotionPlan
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_phase import LEFT, MachineReport
 from cnc_interp.run.run_planner import Revision, RunPlanner
 from cnc_interp.run.run_state import NO_RUN, RunId

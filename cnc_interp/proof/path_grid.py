@@ -8,7 +8,15 @@ from cnc_interp.core import MM, FloatArray, IntArray
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.axis_limits import limits_at
-from cnc_interp.proof.plan_files import NO_LENGTH, PATH_CELLS, PlanFiles, held, spans
+from cnc_interp.proof.overrides import Overrides, scaled
+from cnc_interp.proof.plan_files import (
+    NO_LENGTH,
+    PATH_CELLS,
+    PlanFiles,
+    gathered,
+    held,
+    spans,
+)
 from cnc_interp.proof.verdict import Ledger
 
 ROUND_TRIP = 1e-8  #: Largest distance of setpoints, forward kinematics and path file [m, rad].
@@ -25,7 +33,7 @@ SWIVEL = 10.0 / MM
 ROUNDING = 1.001  #: An excess of up to 0.1 % of a limit is rounding.
 
 
-def prove_grid(ledger: Ledger) -> None:
+def prove_grid(ledger: Ledger, overrides: Overrides) -> None:
     plan, machine = ledger.plan, ledger.machine
     path, s, rows = plan.path, np.asarray(plan.path['s']), np.asarray(plan.path['block'])
     points, transform = len(s), Transform.of(machine)
@@ -55,7 +63,7 @@ def prove_grid(ledger: Ledger) -> None:
             share = np.where(inner, (jump / room).max(axis=1, initial=0.0), 0.0)
             jumps[order] += int(np.count_nonzero(~(share <= 1.0)))
         _prove_cells(ledger, rows, (a, b))
-        _prove_feeds(ledger, rows, (a, b))
+        _prove_feeds(ledger, rows, (a, b), overrides)
         _prove_programmed_feed(ledger, rows, (a, b), written)
     ledger.require(rising, 'path.npz: s must increase at every grid point')
     for order, count in jumps.items():
@@ -81,13 +89,20 @@ def _prove_cells(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
             )
 
 
-def _prove_feeds(ledger: Ledger, rows: IntArray, part: tuple[int, int]) -> None:
+def _prove_feeds(
+    ledger: Ledger, rows: IntArray, part: tuple[int, int], overrides: Overrides
+) -> None:
     (a, b), path, machine, cells = part, ledger.plan.path, ledger.machine, len(rows) - 1
     feed, near = path['feed'][a:b], held(path['programmed_feed'], a, b, 1, 1)
     around = np.maximum(near[1:-1], np.maximum(near[2:], near[:-2]))
+    steps = gathered(
+        ledger.plan.setpoints['s'], overrides.first.clip(0, len(ledger.plan.position) - 1)
+    )
+    place = held(path['s'], a, b, 1, 1)
+    around = scaled(around, overrides.near(place, steps, rows[a:b]))
     ledger.check('planned feed', feed, around, allowed=ROUNDING, rows=rows[a:b])
     # [B2013, Eq. 10], on both sides of a grid point.
-    bound = near[1:-1] / float(ledger.plan.summary.get('largest_override', 1.0))
+    bound = near[1:-1].copy()
     first, last = max(a, 1), min(b, cells)
     for cell, side in (
         (path['cell_left'][:, a:last], slice(0, last - a)),

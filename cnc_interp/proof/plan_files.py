@@ -88,8 +88,9 @@ SELDOM = {
 # One-sided derivatives of the cells between the rows of path.npz, shape (4, N - 1, n); needed.
 PATH_CELLS = ('cell_left', 'cell_right')
 MAY_BE_INFINITE = frozenset(('programmed_feed', 'feed_limit', 'feed'))  #: No limit.
-# Largest feed and spindle override together, and the periods that can be chosen [s].
-LARGEST_OVERRIDE, PERIODS = 1.8, (1e-5, 0.1)
+# Ranges of the feed and the spindle override [-], and of the periods that can be chosen [s].
+LARGEST, PERIODS = ((0.0, 1.5), (0.5, 1.2)), (1e-5, 0.1)
+MOST_SAMPLES = 1 << 62  #: No plan has so many setpoints.
 # Most columns of a file; the length [bytes] above which it may unpack to so many times its length.
 MOST_COLUMNS, SMALL, UNPACKED = 64, 1 << 26, 20
 # What the readers of archives and arrays raise for files that are not sound.
@@ -325,19 +326,6 @@ def _nonsense(blocks: Columns) -> str:
     return ''
 
 
-def with_override(plan: PlanFiles) -> PlanFiles:
-    """Return the plan with feeds and durations at the largest feed override of its run."""
-    share = float(plan.summary.get('largest_override', 1.0))
-    if share == 1.0:
-        return plan
-    blocks, path = dict(plan.blocks), dict(plan.path)
-    blocks['feed'] = blocks['feed'] * share
-    blocks['duration'] = blocks['duration'] / share
-    if 'programmed_feed' in path:
-        path['programmed_feed'] = np.asarray(path['programmed_feed']) * share
-    return replace(plan, blocks=blocks, path=path)
-
-
 def _read_summary(file: Path) -> Mapping[str, Any]:
     try:
         summary = read_json(file)
@@ -347,14 +335,31 @@ def _read_summary(file: Path) -> Mapping[str, Any]:
         value = summary.get(key) if isinstance(summary, dict) else None
         if not isinstance(value, int | float) or not 0.0 <= value < np.inf:
             raise InterpError(f'{file}: {key} must be a number >= 0, not {value!r}')
-    for key, (low, high) in (
-        ('interpolation_period', PERIODS),
-        ('largest_override', (1.0, LARGEST_OVERRIDE)),
-    ):
-        value = summary.get(key, high)
-        if not isinstance(value, int | float) or not low <= value <= high:
-            raise InterpError(f'{file}: {key} must be from {low:g} to {high:g}, not {value!r}')
+    low, high = PERIODS
+    value = summary.get('interpolation_period', high)
+    if not isinstance(value, int | float) or not low <= value <= high:
+        text = f'interpolation_period must be from {low:g} to {high:g}, not {value!r}'
+        raise InterpError(f'{file}: {text}')
+    if wrong := _wrong_overrides(summary.get('overrides', [[0, 1.0, 1.0]])):
+        raise InterpError(f'{file}: {wrong}')
     return summary
+
+
+def _wrong_overrides(steps: Any) -> str:
+    if not isinstance(steps, list) or not steps:
+        return 'overrides must be a list that is not empty'
+    before = -1
+    for step in steps:
+        real = isinstance(step, list) and len(step) == 3
+        if not real or not all(isinstance(value, int | float) for value in step):
+            return f'a step of the overrides must be three numbers, not {step!r}'
+        within = [
+            low <= share <= high for share, (low, high) in zip(step[1:], LARGEST, strict=True)
+        ]
+        if not all(within) or not before < step[0] < MOST_SAMPLES or step[0] != int(step[0]):
+            return f'a step of the overrides cannot be {step!r}'
+        before = step[0]
+    return '' if steps[0][0] == 0 else 'the overrides must begin with setpoint 0'
 
 
 def _read_columns(file: Path, declared: Mapping[str, Column]) -> dict[str, Any]:

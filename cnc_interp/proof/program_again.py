@@ -429,6 +429,9 @@ class _Comparison:
         else:
             start, end = self.points(move)[first] - extra[first] @ direction, move.end
         way = float(np.linalg.norm(end - start))
+        if way <= DIGITS * move.digit:  # printed so, the rows tell whether X Y Z move
+            points = self.points(move)
+            way = float(np.linalg.norm(points[last] - points[first]))
         if move.sweep:
             way = self.arc_length(move, start, end)
         elif not move.tcp and np.abs(move.rotary - before.rotary).max(initial=0.0) <= SAME_PLACE:

@@ -293,9 +293,11 @@ def given_of(plan: PlanFiles, machine: Machine, name: str, source: Path) -> tupl
         told = f'{len(plan.collision.get("begin", ()))} certificates and hits'
         digest = hashlib.sha256(content).hexdigest()[:DIGITS]
         rows.append(Given('scene', told, f'{found} with its meshes', digest))
-    override = float(summary.get('largest_override', 1.0))
-    if override != 1.0:
-        rows.append(Given('feed override', f'up to {override:.1%}', of_summary))
+    for name, column in (('feed override', 1), ('spindle override', 2)):
+        shares = [step[column] for step in summary.get('overrides', [])]
+        if set(shares) - {1.0}:
+            told = f'{min(shares):.1%} to {max(shares):.1%}'
+            rows.append(Given(name, f'{told}, in {len(shares)} steps', of_summary))
     if (source / 'segments.npz').is_file():
         rows += [
             Given('not checked', 'segments.npz, which only the report draws', 'its folder'),

@@ -20,8 +20,9 @@ from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.functions import prove_followed, prove_functions
 from cnc_interp.proof.order import order_of
+from cnc_interp.proof.overrides import Overrides, scaled
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
-from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans, with_override
+from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans
 from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes, measure, measure_widely
 from cnc_interp.proof.programmed_path import WINDOW, with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
@@ -39,7 +40,6 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     if machine.has_rotary and plan.flank_height <= 0.0:
         why = 'so that the tool axis would not be checked'
         raise InterpError(f'flank_height is 0, {why}; plan again')
-    plan = with_override(plan)
     ledger, programmed = Ledger(plan, machine), len(plan.blocks['tip']) - 1
     axes = machine.axis_names
     if plan.position.shape[1] != len(axes):
@@ -47,13 +47,14 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
         text = f'the plan has {count} axes, machine {machine.name} has {len(axes)}'
         ledger.fail(f'{text}; check it with the machine that it was planned for')
         return ledger.close()
+    overrides = Overrides(plan, machine)
     _prove_limits(ledger, plan, machine)
     _prove_order(ledger, plan)
     _prove_summary(ledger, plan)
     prove_functions(ledger, plan, machine)
     prove_followed(ledger, plan, machine)
     if plan.path:
-        prove_grid(ledger)
+        prove_grid(ledger, overrides)
     if plan.settings.get('scene') or plan.collision:
         from cnc_interp.proof.clearance import prove_clearance  # loaded with a scene only
 
@@ -63,7 +64,7 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
     plan = _prove_sequence(ledger, plan, program)
     _prove_tolerances(ledger, plan, program)
     prove_completeness(ledger, plan, program)
-    _prove_feed(ledger, plan, program)
+    _prove_feed(ledger, plan, program, overrides)
     _prove_columns(ledger, plan, machine)
     if plan.path:
         _prove_path(ledger, plan, program)
@@ -227,7 +228,9 @@ def _prove_sequence(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> 
     return replace(plan, setpoints={**plan.setpoints, 'block': possible})
 
 
-def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None:
+def _prove_feed(
+    ledger: Ledger, plan: PlanFiles, program: ProgramShapes, overrides: Overrides
+) -> None:
     lines, contour = program.lines, program.contour
     blocks, period = plan.blocks, plan.period
     duration = np.asarray(blocks['duration'], dtype=float)
@@ -244,12 +247,14 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
     feed[timed] = chord[timed] / duration[timed]
     feed[np.asarray(blocks['rapid'], dtype=bool) | (chord < SLACK)] = np.inf
     feed[0] = feed[1]
-    spent = np.zeros(len(feed), dtype=np.int64)
-    for a, b in spans(len(plan.position)):
+    spent = np.zeros(len(feed))
+    programmed = feed
+    for a, b, share in overrides.spans(len(plan.position)):
+        feed = scaled(programmed, share)
         position, block = plan.position[a : b + 1], plan.block[a : b + 1]
         tip = program.transform.forward(position)[0]
         if len(turning):
-            spent += np.bincount(block[: b - a], minlength=len(feed))
+            spent += np.bincount(block[: b - a], minlength=len(feed)) * share
         speed = np.linalg.norm(np.diff(tip, axis=0), axis=1) / period
         before, after = np.sort(np.stack([block[:-1], block[1:]]), axis=0)
         if lines is not None:
@@ -270,7 +275,7 @@ def _prove_feed(ledger: Ledger, plan: PlanFiles, program: ProgramShapes) -> None
         speed = np.where(np.isfinite(allowed), speed, 0.0)
         ledger.judge('tip feed', speed, allowed, allowed=ROUNDING, slack=SLACK, first=a)
     if len(turning):
-        shortest = duration[turning] / ROUNDING - 2.0 * period
+        shortest = duration[turning] / ROUNDING - 2.0 * period * max(overrides.largest, 1.0)
         allowed = np.maximum(spent[turning] * period, 1e-12)
         ledger.judge('rotation time', shortest, allowed, rows=turning)
 

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.run.course import Course, Leg, finely, slowed
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.run.stop_tails import NO_SIGNALS, ChunkCutter, FunctionQueue, StopSearch, way_down
 
@@ -26,16 +26,6 @@ if TYPE_CHECKING:
 #: A revision does not join from motion that stops within this time [s], because the jerk stage
 #: cannot resolve the path of a few periods. It lets the motion stop, and goes on from rest.
 BRIEF = 0.01
-
-
-@dataclass(frozen=True)
-class OperatorSettings:
-    #: Factor on the programmed feed, 0 or 0.001 to 1.5 [-]; 0 stops on the path and waits.
-    override: float = 1.0
-    single_block: bool = False  #: Rest at the end of each source line until cycle_start.
-    rapid: float = 1.0  #: Factor on the speed of rapids, up to 1 [-].
-    #: Factor on the speed of the spindle, 0.5 to 1.2, and on the feed in a turn of it (G95) [-].
-    spindle: float = 1.0
 
 
 class MotionPlan:

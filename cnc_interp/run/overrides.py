@@ -1,4 +1,7 @@
-"""The overrides of the operator: their ranges, and which value counts."""
+"""The settings of the operator: ranges of the overrides, and which value counts."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from cnc_interp.core import StreamError
 
@@ -9,6 +12,27 @@ OVERRIDES = {
     'spindle_override': (0.5, 1.2),
 }
 LEAST_FEED = 1e-3  #: A feed override below this counts as 0 [-].
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    #: Factor on the programmed feed, 0 or 0.001 to 1.5 [-]; 0 stops on the path and waits.
+    override: float = 1.0
+    single_block: bool = False  #: Rest at the end of each source line until cycle_start.
+    rapid: float = 1.0  #: Factor on the speed of rapids, up to 1 [-].
+    #: Factor on the speed of the spindle, 0.5 to 1.2, and on the feed in a turn of it (G95) [-].
+    spindle: float = 1.0
+
+
+class OverrideStep(NamedTuple):
+    """The overrides that count from a setpoint of a run on."""
+
+    sample: int
+    feed: float
+    spindle: float
+
+
+NOMINAL = (OverrideStep(0, 1.0, 1.0),)  #: A run or a plan without overrides.
 
 
 def sound_override(name: str, value: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from cnc_interp.feedrate.plan_options import wanted_tool
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.run.overrides import NOMINAL, OverrideStep
 from cnc_interp.run.setpoints import BEFORE, Setpoints, largest_shares, torque_shares
 from cnc_interp.run.start_place import StartPlace
 from cnc_interp.settings.options import Settings, values_of
@@ -161,7 +162,7 @@ class PlanFigures:
         self,
         source: str,
         seconds: Mapping[str, float],
-        largest_override: float = 1.0,
+        overrides: Sequence[OverrideStep] = NOMINAL,
         setup: str = '',
     ) -> dict[str, Any]:
         """Return the summary, SI units; ``seconds`` is the planning time of each stage, if any."""
@@ -193,7 +194,7 @@ class PlanFigures:
             'flank_height': self._height,
             'settings': values_of(self._settings),
             'setup': setup,
-            'largest_override': largest_override,
+            'overrides': [list(step) for step in overrides],
             'start': None if self.start is None else self.start.to_json(),
             **({'cut': self.cut} if self.cut else {}),
             **({} if self.waits_first is None else {'waits_first': self.waits_first}),

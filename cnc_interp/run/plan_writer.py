@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -22,6 +22,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.run.overrides import NOMINAL, OverrideStep
 from cnc_interp.run.plan_figures import PlanFigures
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
@@ -182,7 +183,7 @@ class PlanWriter:
         self,
         source: str,
         seconds: Mapping[str, float],
-        largest_override: float = 1.0,
+        overrides: Sequence[OverrideStep] = NOMINAL,
         setup: str = '',
     ) -> dict[str, Any]:
         """Put the files together and return the summary; see ``PlanFigures.summary``."""
@@ -203,7 +204,7 @@ class PlanWriter:
                 (self._directory / f'{name}.npz').unlink(missing_ok=True)
         for name, archive in self._archives.items():
             archive.save(self._directory / f'{name}.npz')
-        summary = self.figures.summary(source, seconds, largest_override, setup)
+        summary = self.figures.summary(source, seconds, overrides, setup)
         text = json.dumps(summary, indent=2)
         (self._directory / 'summary.json').write_text(text + '\n', encoding='utf-8')
         return summary

@@ -16,7 +16,8 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.course import SAME, from_place
-from cnc_interp.run.motion_plan import MotionPlan, MotionStream, OperatorSettings
+from cnc_interp.run.motion_plan import MotionPlan, MotionStream
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import NO_FUNCTIONS, Chunk, Wait
 from cnc_interp.run.start_place import approach, approach_inside
 from cnc_interp.settings.options import Settings

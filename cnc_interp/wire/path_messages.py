@@ -22,6 +22,7 @@ from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Signals
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import NO_RUN, RunId
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 from cnc_interp.smoothing.segments import CORNER, POINTS, SPLINE, PathSegments
@@ -254,7 +255,7 @@ SETPOINT_FIELDS = {
     'line_numbers': 'line',
 }
 INTEGERS = {'sequences': 'Q', 'line_numbers': 'I'}  #: Those of integers, with their types.
-NO_SIGNALS = Signals()
+NO_SIGNALS, AS_PROGRAMMED = Signals(), OperatorSettings()
 
 
 def chunk_message(
@@ -264,12 +265,17 @@ def chunk_message(
     period: float,
     joins: bool = False,
     signals: Signals = NO_SIGNALS,
+    settings: OperatorSettings = AS_PROGRAMMED,
 ) -> SetpointChunk:
     """Convert a chunk to a message; ``joins``: the first of a plan that joins in motion."""
     samples = chunk.samples
     return SetpointChunk(
         **vars(run_id),
         joins=joins,
+        feed_override=settings.override,
+        rapid_override=settings.rapid,
+        spindle_override=settings.spindle,
+        single_block=settings.single_block,
         first_sample=first,
         period=period,
         axis_count=samples.position.shape[1],
@@ -279,6 +285,12 @@ def chunk_message(
         **setpoint_fields(samples),
         **setpoint_fields(chunk.tail, 'tail_'),
     )
+
+
+def settings_of_plan(message: SetpointChunk) -> OperatorSettings:
+    """Return the settings of the operator with which the plan of a message was made."""
+    shares = message.rapid_override, message.spindle_override
+    return OperatorSettings(message.feed_override, message.single_block, *shares)
 
 
 def setpoint_fields(rows: Setpoints, prefix: str = '') -> dict[str, Any]:

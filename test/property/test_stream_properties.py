@@ -15,8 +15,8 @@ from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
-from cnc_interp.run.overrides import OVERRIDES, sound_override
+from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait
 from cnc_interp.settings.options import Settings
 

@@ -14,10 +14,12 @@ from cnc_interp_msgs.action import RunProgram
 from cnc_interp_msgs.msg import G1Block, G1BlockBatch, MachineState
 from nodes_under_test import NodesUnderTest
 from relay import ARGUMENTS, SENT, Relay
+from std_msgs.msg import Float64
 
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.streams import sealed
+from cnc_interp.processes.node_processes import NODES
 
 HERE = Path(__file__).resolve().parent
 #: Chunks as long as they may be: fewer tails, smaller bags.
@@ -30,15 +32,27 @@ G1 Y6 A14 C20
 G1 X0 Y8 A12 C30
 M30
 """
+LONG = """G21 G90 G94
+TRAORI
+G0 X0 Y0 Z0 A10 C0
+G1 X30 A12 C10 F1200
+G1 Y20 A14 C20
+G1 X0 Y25
+M30
+"""
+#: Feed overrides of the operator, and the places where they are set [m].
+OVERRIDES = ((0.008, 0.5), (0.018, 1.3), (0.05, 1.0))
 
 
 class Session:
     """Nodes, recorder, and a relay that may be bad, until closed."""
 
-    def __init__(self, bag, share=0.0, seed=0):
+    def __init__(self, bag, share=0.0, seed=0, period=1e-3):
         shutil.rmtree(bag, ignore_errors=True)
         arguments = {'program_node': ARGUMENTS['program_node']}
-        self.nodes = NodesUnderTest(PARAMETERS, arguments)
+        parameters = {name: {'interpolation_period': period} for name in NODES}
+        parameters['feedrate_node'] |= PARAMETERS['feedrate_node']
+        self.nodes = NodesUnderTest(parameters, arguments)
         self.relay = Relay(
             self.nodes.namespace,
             self.nodes.domain,
@@ -89,6 +103,23 @@ class Session:
         self.nodes.spin_until(self.recorder.complete)
         return result.starvations
 
+    def run_at(self, overrides):
+        publisher = self.nodes.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
+        self.nodes.spin_until(lambda: publisher.get_subscription_count() == 1)
+        handle = self.nodes.start(text=LONG)
+        for place, share in overrides:
+            self.nodes.spin_until(
+                lambda place=place: (
+                    self.nodes.peers.state.path_position > place
+                    and self.nodes.peers.state.approach_samples
+                )
+            )
+            publisher.publish(Float64(data=share))
+        result = self.nodes.result_of(handle)
+        assert result.code == RunProgram.Result.SUCCEEDED, result.message
+        self.nodes.spin_until(self.recorder.complete)
+        return result.starvations
+
     def close(self):
         self.recorder.close()
         self.relay.close()
@@ -96,15 +127,16 @@ class Session:
 
 
 def main():
-    record(HERE / 'held', 0.0, hold=True)
-    record(HERE / 'faulty', 0.6, hold=False)
+    record(HERE / 'held', 0.0, lambda session: session.run(hold=True))
+    record(HERE / 'faulty', 0.6, Session.run)
+    record(HERE / 'overridden', 0.0, lambda session: session.run_at(OVERRIDES), 4e-3)
 
 
-def record(bag, share, hold):
+def record(bag, share, run, period=1e-3):
     """Record until a run was held and never without setpoints: what then comes is chance."""
     for seed in range(20):
-        session = Session(bag, share, seed)
-        starved = session.run(hold)
+        session = Session(bag, share, seed, period)
+        starved = run(session)
         print(bag.name, session.relay.counts, f'{starved} times starved or not held')
         session.close()
         if not starved:

@@ -41,7 +41,7 @@ HELD, FAULTY = HERE / 'held', HERE / 'faulty'
 @pytest.fixture(scope='module')
 def recorded_now(tmp_path_factory):
     bag = tmp_path_factory.mktemp('bags') / 'now'
-    record(bag, 0.0, hold=True)
+    record(bag, 0.0, lambda session: session.run(hold=True))
     return bag
 
 

@@ -27,6 +27,14 @@ def recorded():
     return replace(run, chunks=list(run.chunks))
 
 
+@pytest.fixture(autouse=True)
+def _sent_as_recorded(recorded):
+    """Copies of a run share what was sent."""
+    settings = recorded.sent.settings
+    yield
+    recorded.sent.settings = settings
+
+
 def chunks(change):
     """Change the values of one field of all chunks: name, and what becomes of them."""
     name, new = change
@@ -67,14 +75,26 @@ def without(field, k):
     return changed
 
 
+def overridden(share):
+    def changed(run):
+        run.sent.settings = {
+            run_id: replace(settings, override=share)
+            for run_id, settings in run.sent.settings.items()
+        }
+        return run
+
+    return changed
+
+
 TABLE = {
     'one chunk is missing': without('chunks', 3),
     'the last chunk is missing': without('chunks', -1),
     'a block is missing': without('blocks', 2),
     'the last block is missing': without('blocks', -1),
-    'an override of 1000': lambda run: replace(run, largest_override=1000.0),
-    'an override of -1': lambda run: replace(run, largest_override=-1.0),
-    'an override that is no number': lambda run: replace(run, largest_override=float('nan')),
+    'an override of 1000': overridden(1000.0),
+    'an override of -1': overridden(-1.0),
+    'an override that is no number': overridden(float('nan')),
+    'an override of 50 %': overridden(0.5),
     'a setpoint off by 1 um': chunks(('positions', shifted)),
     'positions times 1.0001': chunks(('positions', lambda q: q * 1.0001)),
     'velocities times 2': chunks(('velocities', lambda v: v * 2)),

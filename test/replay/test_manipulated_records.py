@@ -32,7 +32,7 @@ from cnc_interp.nodes.streams import sealed
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.verify import verify
 
-HELD = Path(__file__).parent / 'held'
+HELD, OVERRIDDEN = (Path(__file__).parent / name for name in ('held', 'overridden'))
 
 
 class Messages(list):
@@ -74,6 +74,12 @@ class Record:
 @pytest.fixture(scope='module')
 def held():
     with Bag(HELD) as bag:
+        return Record(bag)
+
+
+@pytest.fixture(scope='module')
+def overridden():
+    with Bag(OVERRIDDEN) as bag:
         return Record(bag)
 
 
@@ -312,6 +318,69 @@ def test_an_override_in_one_state_does_not_switch_the_comparison_off(held):
     one('setpoints', adds('positions', 1e-6), 0.2)(record)
     assert repeated(record) != repeated(held)
     assert not all(c.ok for c in compute_again(record))
+
+
+def told_between(first, last, share):
+    """Have the machine tell another override in states that count from first to last setpoints."""
+
+    def changed(record):
+        for state in record.read('machine_state'):
+            if first <= state.samples <= last:
+                state.feed_override = share
+
+    return changed
+
+
+def planned(before, share, told=True):
+    """Have a plan name another override, and the machine, too."""
+
+    def changed(record):
+        sent, states = record.read('setpoints'), record.read('machine_state')
+        for message in sent + states if told else sent:
+            if message.feed_override == before:
+                message.feed_override = share
+
+    return changed
+
+
+#: The operator set 0.5 after 335 setpoints, 1.3 after 497, and 1.0 after 910. The plans with them
+#: joined after 422, 558 and 967 setpoints of 4 ms.
+BY_OVERRIDE = {
+    'set after it was followed': told_between(497, 700, 0.5),
+    'set back long before it was followed no more': told_between(497, 800, 1.0),
+    'lowered long before it was followed': told_between(1, 450, 0.5),
+    'lowered before the run': told_between(0, 450, 0.5),
+    'never set': told_between(497, 909, 1.0),
+    'faster than the override of its plan': planned(0.5, 0.45),
+    'faster than the largest override': planned(1.3, 1.25),
+    'a plan for another override': planned(0.5, 1.5, told=False),
+    'a plan with two overrides': one('setpoints', sets('feed_override', 0.7)),
+}
+
+
+def test_a_run_with_overrides_is_proven(overridden, tmp_path):
+    assert unproven(overridden, tmp_path) == []
+    steps = recorded_run(overridden).overrides()
+    assert [step.feed for step in steps] == [1.0, 0.5, 1.3, 1.0]
+    assert all(c.ok for c in compute_again(overridden))
+
+
+@pytest.mark.parametrize('name', BY_OVERRIDE)
+def test_an_override_that_did_not_count_then_is_found(name, overridden, tmp_path):
+    """The largest override of a run was allowed in all of it."""
+    record = copy.deepcopy(overridden)
+    BY_OVERRIDE[name](record)
+    assert unproven(record, tmp_path)
+
+
+@pytest.mark.parametrize('share', [0.2, 0.5, 0.9])
+def test_one_state_with_another_override_allows_nothing(share, overridden, tmp_path):
+    record = copy.deepcopy(overridden)
+    one('machine_state', sets('feed_override', 1.5), share)(record)
+    assert recorded_run(record).overrides() == recorded_run(overridden).overrides()
+    assert repeated(record) == repeated(overridden)
+    planned(0.5, 0.45)(record)
+    assert any('tip feed' in fault for fault in unproven(record, tmp_path))
 
 
 def test_a_bag_without_the_first_setpoints_of_a_plan_is_refused_in_a_line(held):

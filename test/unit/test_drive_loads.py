@@ -28,7 +28,8 @@ from cnc_interp.proof.verify import verify_plan
 from cnc_interp.report.plots import axes_figure
 from cnc_interp.report.series import series_of
 from cnc_interp.run.chain import plan_to_files
-from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import Setpoints, Wait
 from cnc_interp.settings.options import Settings
 

@@ -360,6 +360,7 @@ def test_an_own_word_takes_values_of_its_block() -> None:
             'would take an old answer of i; begin with {a: 0, wait_for: not i}',
         ),
         ({'switched_off': {'b': 'always'}}, 'switched_off.b: must name outputs'),
+        ({'switched_off': {}}, 'switched_off.a: is missing: write always, never .as for a clamp'),
         ({'switched_off': {'a': ['crash']}}, 'switched_off.a: must be always, never, or a list'),
         (
             {'outputs': {'a': {'range': [1, 2]}}, 'switched_off': {'a': 'always'}},
@@ -377,7 +378,8 @@ def test_an_own_word_takes_values_of_its_block() -> None:
 def test_a_machine_file_that_cannot_be_meant_is_refused(changed: object, told: str) -> None:
     given = changed
     if isinstance(changed, dict):
-        given = {'outputs': {'a': None}, 'inputs': {'i': None}, **changed}
+        rows = {'outputs': {'a': None}, 'inputs': {'i': None}, 'switched_off': {'a': 'always'}}
+        given = {**rows, **changed}
     limits = {'velocity_m_per_min': 30.0, 'acceleration_m_per_s2': 3.0, 'jerk_m_per_s3': 30.0}
     with pytest.raises(MachineError, match=told):
         from_mapping({'limits': dict.fromkeys('XYZ', limits), 'signals': given})
@@ -421,6 +423,30 @@ def test_the_check_proves_every_function_and_finds_a_wrong_one(tmp_path) -> None
     ):
         proof = verify(replace(plan, functions={**plan.functions, **changed}), MACHINE)
         assert any(told in failure for failure in proof.failures), told
+
+
+def test_an_override_counts_for_the_rows_that_follow_it(tmp_path) -> None:
+    """M49 takes the feed override away; the spindle override counts with G95 only."""
+    words = ('F600', 'M49', 'M48 G95 F0.6', 'G94 F600')
+    lines = [f'{word} X{10 + 10 * k}' for k, word in enumerate(words)]
+    source = Source.of_text('\n'.join(['M3 S1000', 'G1 X0 F600', *lines, 'M30']), 'part.ngc')
+    machine = Machine.load('vmc')
+    stream = ProgramStream(source, Transform.of(machine), Settings())
+    plan_to_files(stream, machine, tmp_path)
+    plan = replace(read_plan(tmp_path), path={})
+    rows = np.flatnonzero(plan.blocks['line'] > 2)
+
+    def allowed(overrides: list[float]) -> list[bool]:
+        """Tell for which rows a motion that is 1.2 times too fast is allowed."""
+        summary = {**plan.summary, 'overrides': [overrides]}
+        feeds = (np.where(np.arange(rows[-1] + 1) == row, 1 / 1.2, 1.0) for row in rows)
+        slower = ({**plan.blocks, 'feed': plan.blocks['feed'] * share} for share in feeds)
+        return [verify(replace(plan, blocks=b, summary=summary), machine).ok for b in slower]
+
+    assert allowed([0, 1.0, 1.0]) == [False, False, False, False]
+    assert allowed([0, 1.2, 1.0]) == [True, False, True, True]
+    assert allowed([0, 1.0, 1.2]) == [False, False, True, False]
+    assert allowed([0, 1.2, 1.2]) == [True, False, True, True]
 
 
 def test_functions_do_not_change_the_motion(tmp_path) -> None:

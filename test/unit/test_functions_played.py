@@ -19,7 +19,7 @@ from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.run_state import Reason, RunId, State
@@ -278,6 +278,7 @@ def deaf(limit=0.3):
     table = {
         'outputs': {'clamp': None, 'lamp': None},
         'inputs': {'clamped': None},
+        'switched_off': {'clamp': 'never', 'lamp': 'always'},
         'functions': {
             'M100': [{'clamp': 1, 'wait_for': 'clamped', 'limit_s': limit}, {'lamp': 1}],
             'M101': {'lamp': 0, 'wait_for': 'operator'},
@@ -583,12 +584,11 @@ def test_a_planner_that_is_lost_at_a_rest_switches_off_as_well():
 OFF = {
     'never': 'never',
     'always': 'always',
-    'unnamed': None,
     **{stop: [stop] for stop in STOPS},
 }
 TABLE = {
     'outputs': dict.fromkeys(OFF),
-    'switched_off': {name: stops for name, stops in OFF.items() if stops},
+    'switched_off': OFF,
     'functions': {f'M{100 + k}': {name: 1} for k, name in enumerate(OFF)},
 }
 
@@ -616,7 +616,7 @@ def test_each_stop_switches_off_what_the_table_says_and_nothing_else(stop):
         assert outputs.all()  # a hold switches nothing off
         play.reset()
     off = {name for name, value in zip(OFF, outputs, strict=True) if not value}
-    assert off == {'always', 'unnamed', stop}
+    assert off == {'always', stop}
 
 
 @pytest.mark.thorough

@@ -163,7 +163,11 @@ def test_what_the_end_of_the_machine_node_switches_off_has_a_gate_with_the_power
     """After kill -9 of machine_node, the axes lost their power and the spindle turned on."""
     given = {
         'outputs': {'spindle_forward': None, 'spindle_speed': {'range': [0, 9]}, 'lamp': None},
-        'switched_off': {'spindle_speed': ['lost_machine'], 'lamp': ['fault']},
+        'switched_off': {
+            'spindle_forward': 'always',
+            'spindle_speed': ['lost_machine'],
+            'lamp': ['fault'],
+        },
     }
     text = HAL + 'net rate spindle.0.speed-out-abs => pwmgen.0.value\n'
     made, left_out = hal_file(text, 'XYZ', 'XYZ', signals_of({'signals': given}))

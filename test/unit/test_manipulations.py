@@ -323,7 +323,17 @@ for k in range(6):
 for key, values in {
     'flank_height': (0, -1, None, 'high', float('nan')),
     'interpolation_period': (0, 2e-3, 0.5e-3, 1e9, None, '1'),
-    'largest_override': (1000, 0.5, -1, 'all', float('nan')),
+    'overrides': (
+        'all',
+        [],
+        [[0, 1000, 1]],
+        [[0, 0.5, 1]],
+        [[0, -1, 1]],
+        [[0, float('nan'), 1]],
+        [[1, 1, 1]],
+        [[0, 1, 1], [float('inf'), 1, 1]],
+        [[0, 1, 1], [200, 0.5, 1]],
+    ),
     'cycle_time': (0, 1e9, 'long'),
     'samples': (5, 'many'),
     'blocks': (1,),
@@ -340,7 +350,7 @@ for key, values in {
 manipulation(
     'summary: an override of 150 %',
     ACCEPTED,
-    lambda content: content['summary'].update(largest_override=1.5),
+    lambda content: content['summary'].update(overrides=[[0, 1.5, 1.0]]),
 )
 manipulation(
     'summary: another name of the program',

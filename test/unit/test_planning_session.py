@@ -24,7 +24,7 @@ from cnc_interp.nodes.planning_session import (
     PlanningTask,
     Received,
 )
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_phase import MachineReport
 from cnc_interp.run.run_planner import Revision
 from cnc_interp.run.run_state import NO_RUN, RunId, State

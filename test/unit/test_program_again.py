@@ -238,6 +238,17 @@ def test_a_program_that_only_linuxcnc_reads(tmp_path, capsys):
 
 
 @needs_linuxcnc
+def test_a_turn_after_a_place_with_more_digits_lasts_as_long_as_the_turn(tmp_path, capsys):
+    """The digits that LinuxCNC leaves out counted as a motion of 24 nm: it lasted 10 us."""
+    turn = 'G21 G90 G94\nG0 X38.1360914 Y43.3182487 A-27\nG1 Y43.4790242 A-28 F193\nA-27\nM2\n'
+    program, plan = planned('turn.ngc', turn, tmp_path)
+    for feed in ('F193', 'F194'):
+        program.write_text(turn.replace('F193', feed))
+        assert main(['check', str(plan), '--program', str(program)]) == (feed == 'F194')
+    assert 'line 4 of the program, by LinuxCNC: lasts' in capsys.readouterr().out
+
+
+@needs_linuxcnc
 @pytest.mark.parametrize(
     'text',
     [

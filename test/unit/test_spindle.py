@@ -16,7 +16,7 @@ from cnc_interp.machine.spindle import Spindle, see_angle
 from cnc_interp.machine_model.signals import Signals, signals
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.settings.options import Settings
 

@@ -15,7 +15,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
-from cnc_interp.run.motion_plan import OperatorSettings
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Wait

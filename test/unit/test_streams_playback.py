@@ -20,7 +20,8 @@ from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.run.course import SLICE, sliced
-from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk, Interpolator, Setpoints, Wait
 from cnc_interp.run.start_place import approach

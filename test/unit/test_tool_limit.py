@@ -22,7 +22,8 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.motion_plan import MotionStream, OperatorSettings
+from cnc_interp.run.motion_plan import MotionStream
+from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.run_planner import RunPlanner
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait

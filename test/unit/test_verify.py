@@ -189,10 +189,10 @@ def test_a_feed_override_of_the_run_is_allowed(tmp_path, words):
         for name in ('programmed_feed', 'feed_limit'):
             content['path'][name] = content['path'][name] / 1.2
     only_failure(proof_of(tmp_path, content), 'tip feed')
-    content['summary']['largest_override'] = 1.2
+    content['summary']['overrides'] = [[0, 1.2, 1.0]]
     proof = proof_of(tmp_path, content)
     assert proof.ok, proof.failures
-    content['summary']['largest_override'] = 1.19
+    content['summary']['overrides'] = [[0, 1.19, 1.0]]
     only_failure(proof_of(tmp_path, content), 'tip feed')
 
 

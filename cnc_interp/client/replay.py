@@ -42,7 +42,7 @@ from cnc_interp.wire.run_messages import run_id_of, settings_of_block
 
 #: Topics that are published again. The streams are left out: a live machine would follow them.
 SHOWN = ('loaded_program', 'joint_states', 'machine_state', 'executed_setpoints', '/diagnostics')
-COLUMNS = ('position', 'velocity', 'acceleration', 'jerk', 'block', 's', 'line')
+COLUMNS = [name for name in Setpoints.declared if name != 'time']  #: Compared bit for bit.
 
 
 @dataclass(frozen=True)

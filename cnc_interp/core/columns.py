@@ -25,6 +25,7 @@ class Column:
     tail: tuple[int | str, ...] = ()  #: Shape of a row; a name stands for any number, 0 at least.
     kind: type[Any] = np.float64  #: Dtype.
     default: Any = None  #: Value of all rows if the column is left out; None: it is needed.
+    in_plans: bool = True  #: Whether the files of a plan have it.
 
     def filled(self, rows: int) -> NDArray[Any]:
         """Return the column with its default in all rows; where any number fits, with none."""
@@ -44,10 +45,10 @@ class Column:
         return f'({", ".join(map(str, (rows, *self.tail)))}{"" if self.tail else ","})'
 
 
-def column(*tail: int | str, default: Any = None) -> Any:
+def column(*tail: int | str, default: Any = None, in_plans: bool = True) -> Any:
     """Declare a column at its field: the shape of a row, with a name for any number."""
     optional: dict[str, Any] = {} if default is None else {'default': None}
-    return field(**optional, metadata={'tail': tail, 'default': default})
+    return field(**optional, metadata={'tail': tail, 'default': default, 'in_plans': in_plans})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column,))
@@ -62,9 +63,7 @@ class Table:
         found = fields(cls)  # type: ignore[arg-type]
         cls._names = tuple(f.name for f in found)
         cls.declared = {
-            f.name: Column(f.metadata['tail'], KINDS[str(f.type)], f.metadata['default'])
-            for f in found
-            if f.metadata
+            f.name: Column(kind=KINDS[str(f.type)], **f.metadata) for f in found if f.metadata
         }
 
     def __post_init__(self) -> None:

@@ -49,6 +49,7 @@ _AS_IN_BLOCKS = (
     'program_stop',
 )
 SELDOM = 'functions', 'followed', 'collision'  #: Files that only some plans have.
+SETPOINT_COLUMNS = {name: of for name, of in Setpoints.declared.items() if of.in_plans}
 #: Path cells, and setpoints, that are gathered before they are measured and written.
 CELLS_AT_ONCE, SETPOINTS_AT_ONCE = 4096, 1 << 14
 
@@ -100,8 +101,8 @@ class PlanWriter:
 
     def piece(self, piece: PlannedPiece) -> None:
         """Write the path of a further piece; InterpError if its setpoints do not fit the disk."""
-        # Time, row, path position, and position, velocity, acceleration of every axis.
-        row = 8.0 * (3 + 3 * len(self._machine.axis_names))
+        axes = len(self._machine.axis_names)
+        row = 8.0 * sum(axes if of.tail else 1 for of in SETPOINT_COLUMNS.values())
         needed = 2.0 * row * piece.law.end_time / self._period  # columns, then the archive
         room = shutil.disk_usage(self._directory).free + row * self.figures.samples
         if needed > room:
@@ -175,9 +176,7 @@ class PlanWriter:
             return
         samples, self._samples = Setpoints.concatenate(self._samples), []
         self.figures.setpoints(samples)
-        columns = samples.columns()
-        del columns['jerk'], columns['line']  # the proof has positions and blocks
-        self._archives['setpoints'].append(columns)
+        self._archives['setpoints'].append({n: getattr(samples, n) for n in SETPOINT_COLUMNS})
 
     def finish(
         self,

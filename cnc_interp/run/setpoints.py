@@ -28,10 +28,11 @@ class Setpoints(Table):
     position: FloatArray = column('axes')
     velocity: FloatArray = column('axes')
     acceleration: FloatArray = column('axes')
-    jerk: FloatArray = column('axes')
+    jerk: FloatArray = column('axes', in_plans=False)  # the proof differentiates positions
     block: IntArray = column()  #: Row of the block being executed.
     s: FloatArray = column()  #: Path position [m].
-    line: IntArray = column(default=0)  #: Line of the source; 0 where it is not known yet.
+    #: Line of the source; 0 where it is not known yet. Plans have it for each block.
+    line: IntArray = column(default=0, in_plans=False)
 
     @staticmethod
     def at_rest(time: float, position: FloatArray, block: IntArray, s: FloatArray) -> Setpoints:

@@ -4,7 +4,7 @@ Units are those of the shop floor in SI: ``0.02 * MM`` is a length in metres. Al
 code are SI.
 """
 
-from enum import IntEnum
+from enum import Enum, IntEnum
 from math import pi
 from typing import Any
 
@@ -59,11 +59,27 @@ class InterpError(Exception):
     """A request cannot be carried out; the message says what is wrong and what to do."""
 
 
+class DependsOn(Enum):
+    """What a refusal of a line depends on; after a refused line that may be wrong."""
+
+    LINE = 1  #: Its own words only.
+    PLACE = 2  #: Where the lines before have led.
+    STATE = 3  #: What they have set.
+    LEFT_OVER = 4  #: The same; but the rest of the line was executed.
+
+
 class ProgramError(InterpError):
     """A part program cannot be read; ``line_number`` counts from 1, 0 is the whole file."""
 
-    def __init__(self, message: str, source: str = '', line_number: int = 0, word: str = ''):
-        self.message = message
+    def __init__(
+        self,
+        message: str,
+        source: str = '',
+        line_number: int = 0,
+        word: str = '',
+        depends_on: DependsOn = DependsOn.STATE,
+    ):
+        self.message, self.depends_on = message, depends_on
         self.source, self.line_number, self.word = source, line_number, word
         place = source + (f':{line_number}' if line_number else '')
         at = f'{word}: ' if word else ''

@@ -5,7 +5,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from cnc_interp.core import ProgramError, RefusedLinesError
+from cnc_interp.core import DependsOn, ProgramError, RefusedLinesError
 
 #: How a notice of something begins that somebody must do before the tool cuts.
 WARNING = 'WARNING: '
@@ -47,28 +47,32 @@ _HEAD = re.compile(r'[GM]\d+(?:\.\d+)?|[A-Z_]+|\S+', re.IGNORECASE)
 class Refusals:
     """Refused lines of a program, collected while the rest of it is read.
 
-    A refusal that may only follow from a line that was passed over is not kept: an arc that no
-    longer begins where it should, a feed or a variable that is missing.
+    After a refused line neither the position nor what it has set is known, so a refusal that
+    depends on them is not kept: an arc that no longer begins where it should, a missing feed.
     """
 
     def __init__(self) -> None:
         self._alike: dict[tuple[str, str, str], list[ProgramError]] = {}
         self._count = 0
-        self._is_lost = False  # whether the position is unknown
+        #: Whether the position, and what the lines before have set, are unknown.
+        self._is_lost = self._is_unset = False
 
     def __bool__(self) -> bool:
         return self._count > 0
 
-    def add(self, problem: ProgramError, of_place: bool, of_state: bool = False) -> None:
-        """Keep a refusal unless it may only follow from a lost position or state."""
-        follows = (of_place and self._is_lost) or (of_state and self._count > 0)
+    def add(self, problem: ProgramError, ends: bool = False) -> None:
+        """Keep a refusal unless it may only follow from another one; one that ends the reading."""
+        on = problem.depends_on
+        key = problem.source, problem.message, problem.word
+        place, state = on is DependsOn.PLACE, on in (DependsOn.STATE, DependsOn.LEFT_OVER)
+        follows = (place and self._is_lost) or (state and self._is_unset)
         self._count += 1
-        if not follows:
-            key = problem.source, problem.message, problem.word
+        if not follows or ends or key in self._alike:
             alike = self._alike.setdefault(key, [])
             if not alike or problem.line_number != alike[-1].line_number:
                 alike.append(problem)
-        self._is_lost = True
+        if on is not DependsOn.LEFT_OVER:
+            self._is_lost, self._is_unset = True, self._is_unset or not place
         if len(self._alike) >= MOST or self._count >= MOST_LINES:
             raise self.error(ended=True)
 
@@ -86,7 +90,7 @@ class Refusals:
     def error(self, ended: bool = False) -> ProgramError:
         """Return the error with all refusals; ``ended``: the reading ended too early."""
         first = [problem for problem, *_ in self._alike.values()]
-        if len(first) == 1 and self._count == 1:
+        if sum(map(len, self._alike.values())) == 1 and not ended:
             return first[0]
         texts = []
         for problem, *others in self._alike.values():

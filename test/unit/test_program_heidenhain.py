@@ -234,7 +234,7 @@ def test_what_cannot_be_done_is_refused_with_its_line(text, part):
 
 
 @pytest.mark.parametrize(
-    'turn', ['STAY|L X+1 FMAX', 'STAY|L X+1 A+30 C+0 FMAX', 'TURN|L A+0|L X+1']
+    'turn', ['STAY|L X+1 FMAX', 'STAY|L X+1 A+30 C+0 FMAX', 'TURN|L A+0 FMAX|L X+1']
 )
 def test_moves_in_a_plane_on_which_the_tool_does_not_stand_upright_are_refused(turn):
     with pytest.raises(ProgramError, match='does not stand upright'):

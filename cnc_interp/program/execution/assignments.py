@@ -2,7 +2,7 @@
 
 import re
 
-from cnc_interp.core import DEG
+from cnc_interp.core import DEG, DependsOn
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.geometry.arcs import Corner
 from cnc_interp.program.geometry.contact_normal import NORMAL_WORDS
@@ -62,12 +62,12 @@ def assign(at: Execution, words: BlockWords) -> None:
 def _set_name(at: Execution, name: str, value: float, others: bool) -> None:
     if not at.variables.exists(name) and not name.startswith('<'):
         if why := codes.REFUSED_NAMES.get(name):
-            raise at.fault(why, name)
+            raise at.fault(why, name, DependsOn.LINE)
         if name in codes.HARMLESS_NAMES or re.fullmatch(r'[SM]\d', name):
             at.notice(name, 'no effect, it does not move the tool')
             return
         if re.fullmatch(r'[A-QS-Z]\d+', name):
-            raise at.fault(codes.NO_SUCH_AXIS, name)
+            raise at.fault(codes.NO_SUCH_AXIS, name, DependsOn.LINE)
         if others and not re.fullmatch(r'R\d+', name):
             raise at.fault(codes.UNKNOWN_NAME, name)
     at.variables.set_name(name, value)

@@ -3,7 +3,7 @@
 import re
 from difflib import get_close_matches
 
-from cnc_interp.core import ProgramError
+from cnc_interp.core import DependsOn, ProgramError
 from cnc_interp.program.execution.assignments import assign
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.machine_words import (
@@ -91,7 +91,7 @@ def _unknown(at: Execution, key: str) -> ProgramError:
     if re.fullmatch(r'[A-Z]O+', key):
         zero = key.replace('O', '0')
         unknown = f'the letter O stands where a number must; write {zero} with the digit 0'
-    return at.fault(codes.refused_key(key) or unknown, key)
+    return at.fault(codes.refused_key(key) or unknown, key, DependsOn.LINE)
 
 
 def _set_modes(at: Execution, words: BlockWords) -> None:

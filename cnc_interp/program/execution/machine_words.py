@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cnc_interp.core import MM
+from cnc_interp.core import MM, DependsOn
 from cnc_interp.machine_model import signals
 from cnc_interp.program.blocks.functions import Acting, acting
 from cnc_interp.program.execution.context import Execution, State
@@ -89,7 +89,7 @@ def functions_of(at: Execution, words: BlockWords) -> tuple[list[Acting], list[A
 
 
 def refuse_function(at: Execution, code: str, _: BlockWords) -> None:
-    raise at.fault(codes.REFUSED_M[code], code)
+    raise at.fault(codes.REFUSED_M[code], code, DependsOn.LINE)
 
 
 def machine_function(at: Execution, code: str, _: BlockWords) -> None:

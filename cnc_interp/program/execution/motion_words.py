@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cnc_interp.core import MINUTE
+from cnc_interp.core import MINUTE, DependsOn
 from cnc_interp.program.blocks.functions import acting
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.geometry.arcs import PLANES
@@ -111,12 +111,14 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
         if letter in 'STDHE':
             at.notice(letter, 'no effect, it does not move the tool')
         elif letter in 'ABCUVW':
-            raise at.fault(mover.why_not(letter), words.texts[letter])
+            raise at.fault(mover.why_not(letter), words.texts[letter], DependsOn.LEFT_OVER)
         elif letter == 'L' and len(values) == 1:
             why = 'is not supported; put it into this file'
             raise at.fault(f'the subprogram L{values[letter]:g} {why}', words.texts[letter])
         elif at.cycle is None or letter not in 'QRPKL':
-            raise at.fault('this word has no meaning here', words.texts[letter])
+            raise at.fault(
+                'this word has no meaning here', words.texts[letter], DependsOn.LEFT_OVER
+            )
 
 
 def siemens_cycles(at: Execution, words: BlockWords) -> list[SiemensCycle]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cnc_interp.core import DEG
+from cnc_interp.core import DEG, DependsOn
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.setup_words import cutter_of, keep_shift
 from cnc_interp.program.geometry.arcs import PLANES
@@ -41,14 +41,14 @@ def look_ahead(at: Execution, code: str, words: BlockWords) -> None:
 
 def refuse(at: Execution, code: str, _: BlockWords) -> None:
     unknown = 'this G code is not supported; post without it'
-    raise at.fault(codes.REFUSED_G.get(code, unknown), code)
+    raise at.fault(codes.REFUSED_G.get(code, unknown), code, DependsOn.LINE)
 
 
 def refuse_lathe(at: Execution, code: str, words: BlockWords) -> None:
     values = words.values
     contour = {'P', 'Q'} <= values.keys() and 'Z' not in values
     if contour or ('U' in values and 'U' not in at.mover.extra_letters):
-        raise at.fault('a cycle of a lathe; lathe programs are not read', code)
+        raise at.fault('a cycle of a lathe; lathe programs are not read', code, DependsOn.LINE)
 
 
 def begin_cycle(at: Execution, code: str, _: BlockWords) -> None:

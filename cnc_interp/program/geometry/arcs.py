@@ -50,7 +50,7 @@ FAULTS = {
     9: f'{_OFF}; they fit as the way from the centre to the start: --arc-centres reversed',
 }
 #: Faults that may only follow from a wrong start.
-OF_PLACE = tuple(FAULTS[kind] for kind in (3, 4, 5, 6))
+OF_PLACE = (3, 4, 5, 6, 8, 9)
 
 
 def arcs_of(

@@ -8,7 +8,7 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray, ProgramError
+from cnc_interp.core import DEG, INCH, MINUTE, MM, DependsOn, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
@@ -141,6 +141,8 @@ class ModalState(ModalValues):
             self._along[EXTRA_LETTERS.index(letter)] = direction
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
+        #: Letters of axes that words have named since the last refused line.
+        self.placed: set[str] = set()
 
     def begin_targets(self) -> None:
         settings = replace(self.settings, from_line=0)
@@ -201,8 +203,10 @@ class ModalState(ModalValues):
             del found['great_circle']
         return found
 
-    def fault(self, message: str, word: str = '') -> ProgramError:
-        return self.flow.fault(message, word)
+    def fault(
+        self, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
+    ) -> ProgramError:
+        return self.flow.fault(message, word, depends_on)
 
     def notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.flow.line_number, f'{key}: {text}')

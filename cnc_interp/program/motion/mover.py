@@ -5,10 +5,10 @@ from math import inf, nan, pi
 
 import numpy as np
 
-from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, ProgramError
+from cnc_interp.core import DEG, MINUTE, MM, BoolArray, DependsOn, FloatArray, ProgramError
 from cnc_interp.machine_model.signals import FOLLOWS, FREE, THREAD
 from cnc_interp.program.blocks.functions import acting
-from cnc_interp.program.geometry.arcs import FAULTS, PLANES, TOLD, Arcs, Corner, arcs_of
+from cnc_interp.program.geometry.arcs import FAULTS, OF_PLACE, PLANES, TOLD, Arcs, Corner, arcs_of
 from cnc_interp.program.geometry.contact_normal import ContactPath, ToolShape
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS, NO_ARC
 from cnc_interp.program.modal.state import FARTHEST, ModalState
@@ -229,7 +229,7 @@ class Mover(ModalState):
             if letter in words.values and letter not in self.rotary_letters:
                 axes = ' '.join(self.geometry.machine.axis_names)
                 text = f'the machine has no axis {letter}, only {axes}'
-                raise self.fault(text, words.texts[letter])
+                raise self.fault(text, words.texts[letter], DependsOn.LINE)
         letters = ('X', 'Y', 'Z', *self.rotary_letters, *self.extra_letters)
         return any(letter in words.values for letter in letters)
 
@@ -248,6 +248,8 @@ class Mover(ModalState):
                 continue
             way = words.ways.get(letter, 'IC' if self.incremental else '')
             size = self.unit if i < 3 else DEG
+            if way != 'IC':
+                self.placed.add(letter)
             if way == 'IC':
                 target[i] = here[i] + self.shifted[i] + value * size
             else:
@@ -473,7 +475,8 @@ class Mover(ModalState):
             kind = 8 if as_centre else 9 if back else kind
         if kind:
             amount = f' (by {arcs.mismatch[0] / self.unit:.4g})' if kind in (3, 4) else ''
-            fault = self.fault(FAULTS[kind] + amount, 'G2' if self.motion == 2 else 'G3')
+            place = DependsOn.PLACE if kind in OF_PLACE else DependsOn.STATE
+            fault = self.fault(FAULTS[kind] + amount, f'G{self.motion}', place)
             if kind < 8 or not self.centres_open or (as_centre and back):
                 raise fault
             self.centres_open, self.centre_absolute = False, as_centre

@@ -7,7 +7,7 @@ from math import inf, nan, pi, sqrt
 
 import numpy as np
 
-from cnc_interp.core import MINUTE, MM, MM_PER_MIN, FloatArray, ProgramError
+from cnc_interp.core import MINUTE, MM, MM_PER_MIN, DependsOn, FloatArray, ProgramError
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
@@ -110,8 +110,7 @@ class ClReader:
             try:
                 self._statement(line_number, statement)
             except ProgramError as problem:
-                unset = problem.message == _NO_FEED
-                refused.add(problem, self._circle is not None, unset)
+                refused.add(problem)
                 self._circle = None
             else:
                 if statement.startswith('GOTO'):
@@ -166,8 +165,10 @@ class ClReader:
         if begun:
             yield begun, _UNENDED
 
-    def _fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source.name, self.line_number, word[:40])
+    def _fault(
+        self, message: str, word: str = '', depends_on: DependsOn = DependsOn.LINE
+    ) -> ProgramError:
+        return ProgramError(message, self.source.name, self.line_number, word[:40], depends_on)
 
     def _notice(self, key: str, text: str) -> None:
         self.notices.once(key, self.line_number, f'{key}: {text}')
@@ -209,7 +210,7 @@ class ClReader:
         rapid, self.rapid = self.rapid, False
         feedrate = inf if rapid or self.targets.empty else self.feedrate
         if feedrate is None:
-            raise self._fault(_NO_FEED, 'GOTO')
+            raise self._fault(_NO_FEED, 'GOTO', DependsOn.STATE)
         speed = (feedrate, nan, rapid, 0.0)
         self.targets.state = self._state(rapid)
         self.targets.add(
@@ -393,6 +394,7 @@ class ClReader:
                 f'the tool is {off / self.unit:.4g} away from this circle; correct '
                 'the circle or the point before',
                 'CIRCLE',
+                DependsOn.PLACE,
             )
         self._circle = circle
 
@@ -429,7 +431,7 @@ class ClReader:
         if first:
             if not off <= allowed:
                 away = f'this point is {off / self.unit:.4g} away'
-                raise self._fault(f'{away} from its circle; correct it', 'GOTO')
+                raise self._fault(f'{away} from its circle; correct it', 'GOTO', DependsOn.PLACE)
             circle.pitch = rise / angle
         elif (
             off > allowed

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cnc_interp.core import DEG, INCH, MINUTE, MM, FloatArray
+from cnc_interp.core import DEG, INCH, MINUTE, MM, DependsOn, FloatArray
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.setting_words import tolerances
 from cnc_interp.program.execution.setup_words import cutter_of
@@ -138,7 +138,9 @@ class HeidenhainReader(ProgramReader):
         try:
             return float(text)
         except ValueError:
-            raise self.fault('not a number; write digits with one point, as 0.5', text) from None
+            raise self.fault(
+                'not a number; write digits with one point, as 0.5', text, DependsOn.LINE
+            ) from None
 
     def _assign(self, line: str) -> bool:
         if match := _SET.fullmatch(line):
@@ -205,7 +207,9 @@ class HeidenhainReader(ProgramReader):
                 self.flow.loops.clear()
                 self.flow.back_or_on(place)
         elif number > 13 or not self._assign(rest):
-            raise self.fault('only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}')
+            raise self.fault(
+                'only FN 0 to FN 13 without SYSREAD are supported', f'FN {number}', DependsOn.LINE
+            )
 
     def _statement(self, line: str) -> None:
         if line.startswith('BEGIN PGM'):
@@ -225,18 +229,22 @@ class HeidenhainReader(ProgramReader):
             self._drill()
         elif match := re.fullmatch(r'FUNCTION\s+(RESET\s+)?TCPM\b(.*)', line):
             if not match[1] and 'SPAT' in match[2]:
-                raise self.fault('angles in space are not supported; post with AXIS POS', 'TCPM')
+                raise self.fault(
+                    'angles in space are not supported; post with AXIS POS', 'TCPM', DependsOn.LINE
+                )
             self.execute(BlockWords(m=['M129' if match[1] else 'M128']))
         elif match := _CORNER.fullmatch(line):
             if self.mover.held is None:  # the line before has looked for it
-                raise self.fault('stands between two lines L, in the plane', match[1])
+                raise self.fault('stands between two lines, L or LP, in the plane', match[1])
         elif match := re.fullmatch(r'(LN|LP|L|CC|CP|CR|CT|C)(?![A-Z])\s*(.*)', line):
             self._motion(match[1], match[2])
         elif re.match(r'(?:I?[XYZABCUVW]\s*[-+Q\d.]|R[0LR]?\s|[SMF]\s*(?:\d|MAX|$))', line):
             self._motion('L', line)  # a line along one axis, or without motion
         else:
             raise self.fault(
-                'this word of Heidenhain is not supported; post it as L and C', line[:20]
+                'this word of Heidenhain is not supported; post it as L and C',
+                line[:20],
+                DependsOn.LINE,
             )
 
     def _words(self, text: str) -> tuple[dict[str, float], list[str], str]:
@@ -246,7 +254,9 @@ class HeidenhainReader(ProgramReader):
         while at < len(text):
             match = _WORD.match(text, at)
             if match is None:
-                raise self.fault('this word is not supported here', text[at:].split()[0])
+                raise self.fault(
+                    'this word is not supported here', text[at:].split()[0], DependsOn.LINE
+                )
             at = match.end()
             if match['code'] or match['radius']:
                 found.append(f'M{int(match["code"][1:])}' if match['code'] else match['radius'])
@@ -298,11 +308,12 @@ class HeidenhainReader(ProgramReader):
             words.g[:1] = [self._arc(kind, values, words, turn)]
         self._frames.before(place.keys(), 'G53' in words.g)
         start = self._flat(self.mover.here())
-        if kind == 'L' and moves and words.g[0] != 'G0':
+        straight = moves and kind in ('L', 'LP')
+        if straight and words.g[0] != 'G0':
             self.mover.corner = self._coming_corner()
         self.execute(words)
         self._frames.after()
-        if kind == 'L' and moves:
+        if straight:
             way = self._flat(self.mover.here()) - start
             self.heading = way / abs(way) if abs(way) > 1e-9 else self.heading
         if drills or (self.modal_cycle and place and kind in ('L', 'LP')):
@@ -313,7 +324,9 @@ class HeidenhainReader(ProgramReader):
     ) -> None:
         for code in words.m[:]:
             if code in _REFUSED_M:
-                raise self.fault('this M code is not supported; post without it', code)
+                raise self.fault(
+                    'this M code is not supported; post without it', code, DependsOn.LINE
+                )
             if code in _IDLE_M or code in _OWN_M:
                 words.m.remove(code)
             if code in _IDLE_M:
@@ -330,7 +343,7 @@ class HeidenhainReader(ProgramReader):
             elif word in ('RL', 'RR') and self.mover.radius_code != f'G4{1 + (word == "RR")}':
                 words.g.append(f'G4{1 + (word == "RR")}')
         if 'DR' in values or 'DL' in values:
-            raise self.fault('stands in TOOL CALL only', 'DR')
+            raise self.fault('stands in TOOL CALL only', 'DR', DependsOn.LINE)
         if self.shortest:
             words.ways |= dict.fromkeys(self.mover.rotary_letters, 'DC')
 
@@ -414,7 +427,9 @@ class HeidenhainReader(ProgramReader):
     def _tool_call(self, number: str | None, axis: str, rest: str, named: str) -> None:
         values, _, _ = self._words(rest)
         if any(values.get(name) for name in ('DL', 'DR', 'DR2')):
-            raise self.fault('DL and DR are not supported; put them into the setup', 'TOOL CALL')
+            raise self.fault(
+                'DL and DR are not supported; put them into the setup', 'TOOL CALL', DependsOn.LINE
+            )
         words = BlockWords(g=[{'Z': 'G17', 'Y': 'G18', 'X': 'G19'}[axis]])
         tools = self.mover.setup.tools
         if named:
@@ -441,7 +456,9 @@ class HeidenhainReader(ProgramReader):
             acts[number](self._words(rest)[0])
         elif number in (8, 11, 26) and part:
             if re.search(r'[1-9XYZ]', rest):
-                raise self.fault('mirroring and scaling are not supported', f'CYCL DEF {number}')
+                raise self.fault(
+                    'mirroring and scaling are not supported', f'CYCL DEF {number}', DependsOn.LINE
+                )
         elif number == 9 or number in (32, 13, 12):
             if number == 9 and part != '0':
                 self.mover.targets.stop_here()
@@ -457,7 +474,9 @@ class HeidenhainReader(ProgramReader):
             self._old_cycle(part, rest)
         else:
             raise self.fault(
-                'this cycle is not supported; post it as L and C', f'CYCL DEF {number}'
+                'this cycle is not supported; post it as L and C',
+                f'CYCL DEF {number}',
+                DependsOn.LINE,
             )
 
     def _old_cycle(self, part: str | None, rest: str) -> None:

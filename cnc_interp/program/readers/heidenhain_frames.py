@@ -5,7 +5,7 @@ from functools import reduce
 
 import numpy as np
 
-from cnc_interp.core import DEG, FloatArray
+from cnc_interp.core import DEG, DependsOn, FloatArray
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.program.modal.state import ORIENTED
@@ -105,7 +105,9 @@ class HeidenhainFrames:
         if kind == 'AXIAL':
             return self._turn_of_axes(values)
         raise self._fault(
-            'of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported', f'PLANE {kind}'
+            'of PLANE only SPATIAL, VECTOR, EULER, AXIAL and RESET are supported',
+            f'PLANE {kind}',
+            DependsOn.LINE,
         )
 
     def _turn_of_axes(self, values: Mapping[str, float]) -> FloatArray:

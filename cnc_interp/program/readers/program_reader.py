@@ -12,12 +12,9 @@ from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.execution.block_executor import execute
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.machine_words import restore
-from cnc_interp.program.geometry.arcs import OF_PLACE
-from cnc_interp.program.modal.state import NO_F, NO_NEW_F
 from cnc_interp.program.motion.mover import Mover
 from cnc_interp.program.notices import Refusals
 from cnc_interp.program.text.dialects import LINUXCNC
-from cnc_interp.program.text.expressions import UNSET
 from cnc_interp.program.text.words import BlockWords
 
 
@@ -72,14 +69,13 @@ class ProgramReader(ABC):
                 self._next_lines(together=not refused)
             except ProgramError as problem:
                 if self.in_flow:  # what follows may not be what would be executed
-                    refused.add(problem, of_place=False)
+                    refused.add(problem, ends=True)
                     raise refused.error() from None
-                later = problem.line_number not in (flow.line_number, flow.main_line)
-                unset = problem.message in (NO_F, NO_NEW_F) or problem.message.endswith(UNSET)
-                refused.add(problem, later or problem.message.startswith(OF_PLACE), unset)
+                refused.add(problem)
+                self.mover.placed.clear()
                 flow.row += 1
             else:
-                if refused and self.mover.motion in (0, 1):
+                if refused and self.mover.placed >= set('XYZ'):
                     refused.arrive()
             parts = self.targets.take()
             if not refused:

@@ -6,7 +6,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from cnc_interp.core import InterpError, ProgramError
+from cnc_interp.core import DependsOn, InterpError, ProgramError
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.program.text.expressions import ProgramVariables
 from cnc_interp.program.text.source import LineStart, Source, subprogram_file
@@ -104,8 +104,11 @@ class Cursor:
                 return self.main.share(call.back)
         return self.main.share(self.window.place(self.row))
 
-    def fault(self, message: str, word: str = '') -> ProgramError:
-        return ProgramError(message, self.source.name, self.line_number, word[:40])
+    def fault(
+        self, message: str, word: str = '', depends_on: DependsOn = DependsOn.STATE
+    ) -> ProgramError:
+        line = self.line_number
+        return ProgramError(message, self.source.name, line, word[:40], depends_on)
 
     def close(self) -> None:
         for call in self._calls:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import nan
 from typing import Any
 
-from cnc_interp.core import ProgramError
+from cnc_interp.core import DependsOn, ProgramError
 from cnc_interp.program.text import expressions
 from cnc_interp.program.text.codes import HARMLESS_KEYS, refused_key
 
@@ -62,7 +62,7 @@ class BlockWords:
     arguments: list[tuple[str, float]] = field(default_factory=list)
 
 
-Fault = Callable[[str, str], ProgramError]
+Fault = Callable[[str, str, DependsOn], ProgramError]
 
 
 def without_comments(line: str, fault: Fault) -> str:
@@ -96,7 +96,7 @@ def _end_of_comment(line: str, at: int, fault: Fault) -> int:
         depth += (line[here] == '(') - (line[here] == ')')
         if depth == 0:
             return here + 1
-    raise fault('the comment is not closed; add )', line[at:].split()[0])
+    raise fault('the comment is not closed; add )', line[at:].split()[0], DependsOn.LINE)
 
 
 def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault) -> BlockWords:
@@ -104,7 +104,7 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
     if '(' in line:
         line = _IDLE_CALL.sub(r'\1 ', line)
     if 'E' in line and (exponent := _EXPONENT.search(line)):
-        raise fault('a number with an exponent; write all its digits', exponent[1])
+        raise fault('a number with an exponent; write all its digits', exponent[1], DependsOn.LINE)
     words = BlockWords()
     at = 0
     while at < len(line):
@@ -113,7 +113,7 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
             # After words such as FOR or PROC the rest has another syntax: report this word.
             for key, _ in words.keys:
                 if why := refused_key(key):
-                    raise fault(why, key)
+                    raise fault(why, key, DependsOn.LINE)
             if _EXPRESSION_SIGNS.search(line) and not _TRAFO.search(line):
                 return _by_grammar(line, variables, fault)
             raise _no_word(line, at, fault)
@@ -140,7 +140,9 @@ def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) 
     if 'G65' in words.g:
         words.arguments.append((letter, value))
     if letter in words.values and not (letter in 'IJK' and words.arguments):
-        raise fault(f'{letter} is written twice in one block; keep one of them', text)
+        raise fault(
+            f'{letter} is written twice in one block; keep one of them', text, DependsOn.LINE
+        )
     words.values[letter] = value
     words.texts[letter] = text
 
@@ -152,7 +154,11 @@ def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault
         line = line.replace(name[0], ' ')
     word = line.split()[0] if line.split() else line
     try:
-        for item in expressions.parse(line):
+        items = expressions.parse(line)
+    except expressions.ExpressionError as problem:
+        raise fault(str(problem), word, DependsOn.LINE) from None
+    try:
+        for item in items:
             kind, word = item[0], str(item[1])
             if kind == 'word':
                 node = item[2]
@@ -178,10 +184,10 @@ def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault
                     words.sets.append((expressions.parameter_index(item[1], variables), value))
             else:
                 if why := refused_key(word):
-                    raise fault(why, word)
+                    raise fault(why, word, DependsOn.LINE)
                 words.keys.append((word, tuple(_given(node, variables) for node in item[2:])))
     except expressions.ExpressionError as problem:
-        raise fault(str(problem), word) from None
+        raise fault(str(problem), word, DependsOn.STATE) from None
     return words
 
 
@@ -206,4 +212,4 @@ def _no_word(line: str, at: int, fault: Fault) -> ProgramError:
         message = 'not a number; write for example X10.5'
     else:
         message = 'not a word of G-code; remove it or put it into a comment'
-    return fault(message, chunk)
+    return fault(message, chunk, DependsOn.LINE)

@@ -104,6 +104,8 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
     found, readers = [], []
     dialect = settings.get('dialect', 'auto')
     linuxcnc = dialect == 'linuxcnc' or program.suffix.lower() == '.ngc'
+    combined = {'fanuc': (True,), 'auto': (False, True)}.get(dialect, (False,))
+    combined = (False,) if linuxcnc else combined
     try:
         if not linuxcnc and _OTHER_HOLES.search(text):
             raise LinuxCNCError('LinuxCNC leaves the holes of G74, G84 and G89 in another way')
@@ -111,6 +113,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
             text, names, skip, len(plan.blocks['tip']), setup
         )
         by_places = _FollowPlaces(plan.blocks, machine, tolerances)
+        by_places.combined = combined
         found.append(by_places.follow(_as_planned(moves, settings)))
         readers.append(f"read by LinuxCNC's rs274 to {second.LAST_DIGIT:g} of its unit")
     except LinuxCNCError as reason:
@@ -131,6 +134,7 @@ def compare_with_text(plan: PlanFiles, machine: Machine, program: Path) -> Agree
         )
         moves = read_plainly(text, str(program), names, plain)
         by_lines = _Comparison(plan.blocks, machine, tolerances)
+        by_lines.combined = combined
         found.append(by_lines.follow(_as_planned(moves, settings)))
         found.append(replace(found[-1], faults=by_lines.waits(plan)))
         readers.append('read by the second reader of plain words')
@@ -171,6 +175,8 @@ class _Comparison:
     def __init__(self, blocks: Columns, machine: Machine, tolerances: Sequence[float]):
         self.blocks, self.machine, self.tolerances = blocks, machine, tolerances
         self.transform = Transform.of(machine)
+        # Whether degrees count in the feed, as millimetres; both where the text leaves it open.
+        self.combined: tuple[bool, ...] = (False,)
         self.faults: list[str] = []
         self.row = self.motions = self.arcs = 0  # row: the first one that is not compared yet
         # Axis positions with the tip at the workpiece zero and the rotary axes at zero.
@@ -391,13 +397,15 @@ class _Comparison:
             if np.isfinite(duration).any() or np.isfinite(feed).any():
                 self.fault(move, 'is a rapid, a row of it has a feed or a duration')
             return
-        timed, wanted = np.isfinite(duration), self.lasts(move, before, rows)
+        timed, times = np.isfinite(duration), self.lasts(move, before, rows)
         if np.isnan(move.feed) and np.isnan(move.duration):
             if not timed.all():
                 self.fault(move, 'has no feed')
         elif timed.any() or np.isfinite(move.duration):
             # The rows of a motion share its time evenly.
-            spent, share = float(duration.sum()), wanted / len(rows)
+            spent = float(duration.sum())
+            wanted = min(times, key=lambda time: abs(time - spent))
+            share = wanted / len(rows)
             room = SAME_FEED * wanted + self.unsure_time(move, wanted, rows)
             even = np.abs(duration - share).max() <= room
             if not (even and abs(spent - wanted) <= room):
@@ -415,13 +423,13 @@ class _Comparison:
             unsure += 2.0 * (DIGITS * move.digit + self.room(move)) / move.feed
         return unsure
 
-    def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> float:
-        """Return the time of a motion [s]: as written, or at the feed of what moves.
+    def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> list[float]:
+        """Return what a motion may last [s]: as written, or at the feed of what moves.
 
         X Y Z move, or the tip; or else extra axes; or else the rotary axes turn.
         """
         if np.isfinite(move.duration) or np.isnan(move.feed):
-            return move.duration
+            return [move.duration]
         first, last = rows[0] - 1, rows[-1]
         extra, direction = self.blocks['extra_axes'], self.machine.extra_direction
         if move.tcp:
@@ -438,9 +446,10 @@ class _Comparison:
             aside = extra[last] - extra[first]
             along = end - start + aside @ direction
             way = max(float(np.linalg.norm(along)), float(np.linalg.norm(aside)))
-        if way > SAME_PLACE:
-            return way / move.feed
-        return float(np.linalg.norm(move.rotary - before.rotary)) / move.turn_feed
+        turning = float(np.linalg.norm(move.rotary - before.rotary)) / move.turn_feed
+        alone = way / move.feed if way > SAME_PLACE else turning
+        both = float(np.hypot(way / move.feed, turning))
+        return [alone if move.tcp or not combined else both for combined in self.combined]
 
     def arc_length(self, move: ReadMove, start: FloatArray, end: FloatArray) -> float:
         arms = np.linalg.norm(_arms(move, np.stack([start, end])), axis=1)

@@ -289,3 +289,27 @@ def test_dense_blocks_become_poses_however_they_are_read():
     other = read(start + dense(500, fast=False) + end).blocks
     for name in blocks.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(blocks, name), getattr(other, name), name)
+
+
+@pytest.mark.parametrize(
+    ('dialect', 'unit', 'seconds'),
+    [
+        ('fanuc', 'G21', [6.0, 4.8, 3.6, np.hypot(20 * np.pi, 80) * 0.12]),
+        ('fanuc', 'G20', [6.0, 4.8, 3.6, np.hypot(20 * np.pi, 80) * 0.12]),
+        ('linuxcnc', 'G21', [3.6, 4.8, 3.6, 20 * np.pi * 0.12]),
+        ('auto', 'G21', [3.6, 4.8, 3.6, 20 * np.pi * 0.12]),
+    ],
+)
+def test_on_fanuc_degrees_count_in_the_feed_as_millimetres(dialect, unit, seconds):
+    text = f'{unit}\nG0 X0 Y0 A0\nG1 X30 A40 F500\nA0\nX0\nG2 X0 Y0 I10 A80\n'
+    program = read_text(
+        text, 'part.nc', Transform.of(Machine.load('xyza')), Settings(dialect=dialect)
+    )
+    blocks = program.blocks
+    # A line with one kind of axis may have a feed instead.
+    step = np.linalg.norm(np.diff(blocks.tip, axis=0, prepend=0.0), axis=1)
+    time = np.where(np.isfinite(blocks.duration), blocks.duration, step / blocks.feedrate)
+    found = [time[blocks.line_number == line].sum() for line in (3, 4, 5, 6)]
+    np.testing.assert_allclose(found, seconds)
+    told = any('degrees count' in notice for notice in program.notices)
+    assert told == (dialect == 'auto')

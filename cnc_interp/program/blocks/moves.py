@@ -277,7 +277,8 @@ class Moves:
     def speeds(self) -> tuple[FloatArray, FloatArray]:
         """Return feedrate [m/s] and duration [s] of the motions, (n,); one of both is NaN.
 
-        With axis positions F is the speed of X Y Z or of extra axes, or else of the rotary axes.
+        With axis positions F is the speed of X Y Z or of extra axes, or else of the rotary axes;
+        or of all of them (``COMBINED``).
         """
         feedrate, duration = self.rows[:, col.FEEDRATE].copy(), self.rows[:, col.DURATION].copy()
         turning = (self.rows[:, col.AXES] != 0.0) & (np.abs(self.sweep).max(axis=1) > SAME)
@@ -298,7 +299,9 @@ class Moves:
             directions = self.axis_before[row], self.rows[row, col.AXIS]
             angle[by_direction] = angle_between(*directions)[by_direction]
             turning = angle / self.rows[row, col.TURN_RATE]
-            duration[row] = np.where(way <= SAME, turning, way / feedrate[row])
+            alone = np.where(way <= SAME, turning, way / feedrate[row])
+            combined = self.rows[row, col.AXES] == col.COMBINED
+            duration[row] = np.where(combined, np.hypot(way / feedrate[row], turning), alone)
             feedrate[row] = nan
         return feedrate, duration
 

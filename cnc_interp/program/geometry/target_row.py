@@ -10,7 +10,9 @@ NAMED, GREAT_CIRCLE = 8, 9
 FEEDRATE, DURATION = 10, 11  #: [m/s], [s]; one of both counts.
 RAPID, EXACT_STOP = 12, 13  #: Whether it is a rapid; 1 for an exact stop, or ``AT_M1``, ``AT_M0``.
 CONTOUR, ORIENTATION, LINE = 14, 15, 16  #: Tolerances [m], and the line of the main program.
-AXES, TURN_RATE = 17, 18  #: Whether POINT is axis positions; feedrate of rotary axes [rad/s].
+#: Whether POINT is axis positions, ``COMBINED`` where F is the speed of all axes, with degrees as
+#: millimetres; feedrate of rotary axes [rad/s].
+AXES, TURN_RATE, COMBINED = 17, 18, 2.0
 #: Centre [m], normal [-] and sweep [rad] of an arc, NaN without; positions of U V W [m].
 CENTRE, NORMAL, SWEEP, EXTRA = slice(19, 22), slice(22, 25), 25, slice(26, 29)
 #: How often the line at which a run starts was reached before the target; the reader counts.

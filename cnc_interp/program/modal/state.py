@@ -15,11 +15,11 @@ from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.contact_normal import ContactPath
 from cnc_interp.program.geometry.frames import Frames
-from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
+from cnc_interp.program.geometry.target_row import COMBINED, EXTRA_LETTERS
 from cnc_interp.program.job import JobSetup, SetupChange
 from cnc_interp.program.modal.groups import MODES, ModalValues
 from cnc_interp.program.notices import Notices
-from cnc_interp.program.text.dialects import LINUXCNC, PLAIN
+from cnc_interp.program.text.dialects import FANUC, LINUXCNC, PLAIN
 from cnc_interp.program.text.flow import Flow
 from cnc_interp.settings.options import Settings
 
@@ -141,6 +141,7 @@ class ModalState(ModalValues):
             self._along[EXTRA_LETTERS.index(letter)] = direction
         #: Tool axis from direction words; None if rotary words were the last ones.
         self.vector: FloatArray | None = None
+        self.told_feed_of_turns = False
         #: Letters of axes that words have named since the last refused line.
         self.placed: set[str] = set()
 
@@ -226,6 +227,20 @@ class ModalState(ModalValues):
     def by_axes(self) -> bool:
         """True where axis words are axis positions: with rotary or extra axes, without TCP."""
         return bool(self.rotary_letters or self.extra_letters) and not self.tcp
+
+    @property
+    def axes_column(self) -> float:
+        """Return the column AXES of targets: on Fanuc, degrees count as millimetres of the way."""
+        return COMBINED if self.by_axes and self.dialect is FANUC else float(self.by_axes)
+
+    def tell_feed_of_turns(self, point: FloatArray) -> None:
+        if self.by_axes and self.dialect is PLAIN and (point != self.point).any():
+            self.told_feed_of_turns = True
+            self.notice(
+                'F of a line that also turns',
+                'the speed of X Y Z, as on LinuxCNC; on Fanuc degrees count as millimetres of the '
+                'way, so --dialect fanuc takes longer',
+            )
 
     @property
     def tool_axis(self) -> FloatArray:

@@ -357,6 +357,8 @@ class Mover(ModalState):
         self.leaves_contour = False
         feed = (inf, nan, inf) if rapid else self.feed(feed_given)
         self.tell_long_way(np.abs(rotary - self.rotary), rapid)
+        if not (rapid or self.told_feed_of_turns or (rotary == self.rotary).all()):
+            self.tell_feed_of_turns(point)
         before = self.point
         self.point, self.rotary = point, rotary
         if vector is not None:
@@ -385,7 +387,7 @@ class Mover(ModalState):
             self.stop_always or self.stop_once,
             *self.tolerances(),
             self.flow.main_line,
-            self.by_axes,
+            self.axes_column,
             turn_rate,
             *arc,
             *self.extra,

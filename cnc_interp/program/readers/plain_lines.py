@@ -11,6 +11,7 @@ from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion.mover import MOST_TURN, Mover
 from cnc_interp.program.text import scan
+from cnc_interp.program.text.dialects import PLAIN
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 SHORTEST = 6  #: Shorter runs are as fast line by line.
@@ -43,7 +44,8 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     on_arc = motion >= 2.0
     rotary_words = np.isfinite(values[:, _ROTARY_WORDS])
     mover.targets.length = mover.frames.length if mover.tcp else 0.0
-    if mover.targets.length and rotary_words.any():
+    tells = mover.by_axes and mover.dialect is PLAIN and not mover.told_feed_of_turns
+    if (tells or mover.targets.length) and rotary_words.any():
         return False
     moves = np.isfinite(linear_words).any(axis=1) | rotary_words.any(axis=1) | (on_arc & arc_words)
     others = [i for i, letter in enumerate('ABC') if letter not in mover.rotary_letters]
@@ -77,7 +79,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
     rows[:, col.FEED] = _filled(values[:, scan.F] * per_word, mover.feed_word)[moves]
     rows[:, col.MOTION] = motion[moves]
     rows[:, col.CONTOUR], rows[:, col.ORIENTATION] = mover.tolerances()
-    rows[:, col.LINE], rows[:, col.AXES] = lines[moves], mover.by_axes
+    rows[:, col.LINE], rows[:, col.AXES] = lines[moves], mover.axes_column
     if mover.rotary_letters and len(rows):
         turned = np.abs(np.diff(np.vstack([mover.rotary, rotary[moves]]), axis=0))
         cutting = turned.max(axis=1) * ~rapid

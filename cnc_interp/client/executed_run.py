@@ -76,8 +76,8 @@ class Follower:
         if not self._lost and (not self._rests or (self._tail is not None and len(self._tail))):
             self._fault('was left in motion')
 
-    def close(self, cut: bool) -> None:
-        if not cut:
+    def close(self, cut: bool, at_rest: bool = False) -> None:
+        if at_rest or not cut:
             self._close()
         if not (cut or self._lost or self.ended):
             self._fault('did not reach the end that was sent')
@@ -146,7 +146,7 @@ def faults_of(bag: Bag, run: RecordedRun, machine: Machine) -> list[str]:
             told.compare_overrides(follower.count, rows, settings)
         feedback.compare(message)
         follower.take(message)
-    follower.close(bool(run.cut))
+    follower.close(bool(run.cut), run.by_operator)
     faults = [*sent.faults, *follower.faults, *told.faults(follower, run), *feedback.faults]
     faults += _faults_of_functions(bag, run, machine)
     return [*faults, *_faults_of_program(bag, run)]

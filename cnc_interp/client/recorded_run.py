@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cnc_interp_msgs.msg import FollowedSpindle, G1Block, PathSegment, SetpointChunk
+from cnc_interp_msgs.msg import (
+    FollowedSpindle,
+    G1Block,
+    MachineState,
+    PathSegment,
+    SetpointChunk,
+)
 
 from cnc_interp.client.bag import Bag
 from cnc_interp.client.sent_setpoints import SentSetpoints
@@ -24,7 +30,7 @@ from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine
 from cnc_interp.proof.functions import MISSING
-from cnc_interp.proof.plan_files import BY_PROBE
+from cnc_interp.proof.plan_files import BY_OPERATOR, BY_PROBE
 from cnc_interp.run.overrides import OperatorSettings, OverrideStep
 from cnc_interp.run.plan_writer import PlanWriter
 from cnc_interp.run.run_state import NO_RUN, RunId
@@ -57,6 +63,8 @@ class RecordedRun:
     setup: str = ''
     followed: Sequence[FollowedSpindle] = ()  #: What was in step with the spindle.
     probed: int = 0  #: Source line that ended where the probe answered; 0: none.
+    #: Number of executed setpoints after which the operator held the machine for good, or -1.
+    held_at: int = -1
 
     @property
     def flank_height(self) -> float:
@@ -87,7 +95,13 @@ class RecordedRun:
         line = f'the record ends {end}, in line {last.line_numbers[-1]}'
         if self.probed and end == 'at rest':
             line = f'{BY_PROBE}, in line {self.probed}'
+        elif following == self.held_at and end == 'at rest':
+            line = f'{BY_OPERATOR}, in line {last.line_numbers[-1]}'
         return order, '' if last.end_of_program else line
+
+    @property
+    def by_operator(self) -> bool:
+        return self.cut.startswith(BY_OPERATOR)
 
     @property
     def settings(self) -> Settings:
@@ -236,6 +250,9 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
     tables: dict[str, str] = {}
     for table in bag.messages('setup_table'):  # the first one of a run is that of its start
         tables.setdefault(table.program_id, table.text)
+    states = [m for m in bag.messages('machine_state') if m.program_id == last.program_id]
+    counted = max((int(state.samples) for state in states), default=-1)
+    held = any(int(state.samples) == counted and ended_by_operator(state) for state in states)
     return RecordedRun(
         program_id=last.program_id,
         name=names.get(last.program_id, str(bag.path)),
@@ -247,7 +264,14 @@ def recorded_run(bag: Bag, program_id: str = '') -> RecordedRun:
         sent=SentSetpoints(bag, last.program_id),
         followed=[m for m in bag.messages('followed_spindle') if m.program_id == last.program_id],
         probed=probed.get(last.program_id, 0),
+        held_at=counted if held else -1,
     )
+
+
+def ended_by_operator(state: MachineState) -> bool:
+    """Return whether the machine rests in a run that the operator has held or stopped."""
+    stopped = state.state == MachineState.FAULT and state.reason == state.REASON_EMERGENCY_STOP
+    return (state.state == MachineState.HELD or stopped) and not state.completed
 
 
 def programs_of(bag: Bag) -> list[list[str]]:

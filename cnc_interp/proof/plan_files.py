@@ -115,6 +115,7 @@ LOCAL_HEADER = struct.Struct('<26sHH')
 NO_LENGTH, UNIT = 1e-9, 1e-6
 CHUNK = 1 << 14  #: Rows that are proven at a time.
 BY_PROBE = 'the probe has ended it'  #: How ``cut`` begins for the part of a program with probes.
+BY_OPERATOR = 'the operator has ended it'  #: The same after a hold or an emergency stop, in a bag.
 
 
 class Stored:
@@ -237,6 +238,10 @@ class PlanFiles:
     def by_probe(self) -> bool:
         """Whether it ends where a probe has answered, at rest."""
         return self.cut.startswith(BY_PROBE)
+
+    @property
+    def ends_at_rest(self) -> bool:
+        return self.by_probe or self.cut.startswith(BY_OPERATOR)
 
     @property
     def position(self) -> FloatArray:

@@ -54,7 +54,8 @@ class Proof:
     given: tuple[Given, ...] = ()  #: What is taken as given.
     program: str = ''  #: What was compared with the text of the program, or ''.
     beside: str = ''  #: What was executed beside the program, or ''.
-    #: How far a cut record goes, or ''; a failure unless a probe of the program ended it.
+    #: How far a cut record goes, or ''; a failure unless a probe of the program ended it, or a bag
+    #: shows that the operator did.
     until: str = ''
 
     @property
@@ -114,7 +115,7 @@ class Ledger:
         self._faults: list[str | tuple[str, str]] = []
         # Of a cut record nothing is known from here on: the next setpoints would tell.
         count, rows = len(plan.position), len(plan.blocks['tip'])
-        self.known_samples = count - BEFORE_END if plan.cut and not plan.by_probe else count
+        self.known_samples = count - BEFORE_END if plan.cut and not plan.ends_at_rest else count
         self.known_rows = int(plan.block[count - 1]) if plan.cut and count else rows
 
     @property
@@ -198,7 +199,7 @@ class Ledger:
 
     def close(self) -> Proof:
         plan, machine, until = self.plan, self.machine, self.plan.cut
-        if until and not plan.by_probe:
+        if until and not plan.ends_at_rest:
             until += f'; nothing is known after {self.known_samples * plan.period:.3f} s'
         return Proof(
             machine.name,

@@ -470,3 +470,52 @@ def test_each_run_of_a_bag_is_judged(unsound, held, tmp_path, capsys):
     assert main(['check', str(tmp_path / 'bag'), '--json']) == int(bool(unsound))
     parts = json.loads(capsys.readouterr().out)['parts']
     assert [part['ok'] for part in parts] == [k not in unsound for k in range(2)]
+
+
+def ended_at_the_hold(record):
+    """Leave out what came after the hold, as if the operator had ended the run there."""
+    of_plans = ('setpoints', 'executed_setpoints', 'axis_feedback')
+    record.without([m for topic in of_plans for m in record.read(topic) if m.plan > 0])
+    held = next(m.samples for m in record.read('machine_state') if m.state == MachineState.HELD)
+    record.without([m for m in record.read('machine_state') if m.samples > held])
+
+
+def without_the_hold(record):
+    record.without([m for m in record.read('machine_state') if m.state == MachineState.HELD])
+
+
+def before_the_hold(record):
+    """Have the machine tell a hold where it was in motion still."""
+    record.without(record.read('executed_setpoints')[-1:])
+    count = sum(len(m.sequences) for m in record.read('executed_setpoints'))
+    record.without([m for m in record.read('machine_state') if m.samples > count])
+    record.read('machine_state')[-1].state = MachineState.HELD
+    record.read('machine_state')[-1].samples = count
+
+
+def counted_after(record):
+    record.read('machine_state')[-1].samples += 5
+
+
+@pytest.mark.parametrize(
+    ('forged', 'fault'),
+    [
+        (None, ''),
+        (without_the_hold, 'the record ends at rest'),
+        (before_the_hold, 'the record ends in motion'),
+        (counted_after, 'the record ends at rest'),
+    ],
+)
+def test_a_run_that_ends_at_a_hold_needs_the_hold(forged, fault, held, tmp_path, capsys):
+    def change(record):
+        ended_at_the_hold(record)
+        if forged is not None:
+            forged(record)
+
+    write_runs(tmp_path / 'bag', held, [change])
+    assert main(['check', str(tmp_path / 'bag')]) == (forged is not None)
+    told = capsys.readouterr().out
+    if forged is None:
+        assert 'proven as far as it goes: the operator has ended it, in line 4' in told
+    else:
+        assert fault in told

@@ -17,7 +17,7 @@ import pytest
 from cnc_interp.commands.cli import main
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.plan_files import BY_PROBE, read_plan
+from cnc_interp.proof.plan_files import BY_OPERATOR, BY_PROBE, read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
 
@@ -179,7 +179,8 @@ def changed_cuts(plan):
         found = plan.functions
         sample = np.where(found['sample'] < count, found['sample'], -1)
         functions = found | {'sample': sample}
-        for cause in ('', f'{BY_PROBE}, in line {line}', f'held in line {line}'):
+        causes = '', f'{BY_PROBE}, in line {line}', f'{BY_OPERATOR}, in line {line}'
+        for cause in (*causes, f'held in line {line}'):
             given = summary | ({'cut': cause} if cause else {})
             name = f'cut after setpoint {place} of line {line}: {cause or "no cause"}'
             yield name, replace(plan, setpoints=columns, summary=given, functions=functions)

@@ -1,6 +1,7 @@
 """The cam commands: from a surface to executed motion, and one line for what does not fit."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from cnc_interp.cam.nbuffer import cut_needles
 from cnc_interp.cam.needles import Needles
 from cnc_interp.cam.shapes import Bumps
 from cnc_interp.cam.simulation import Motion, cross_sections, programmed, thinned
+from cnc_interp.cam.strategies import STRATEGIES, Strategy, StrategyOption
 from cnc_interp.cam.surface import Placed
 from cnc_interp.cam.surface_file import read_part
+from cnc_interp.commands import cli
 from cnc_interp.commands.cli import main, parser
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core import DEG, MM, UM
@@ -193,3 +196,30 @@ def test_what_does_not_fit_gets_one_line(arguments, says, surface, tmp_path, cap
     error = capsys.readouterr().err
     assert says in error and error.count('\n') == 1
     assert not out.exists()
+
+
+def test_a_strategy_is_its_own_code_and_a_row(surface, tmp_path, capsys, monkeypatch):
+    """Command line, program, summary and text follow from the row."""
+    asked = []
+
+    def passes(face, cutter, normal, wanted, show):
+        asked.append(wanted.choices)
+        steep = replace(wanted, choices={'tilt': wanted.choices['lead']})
+        return STRATEGIES['classical'].passes(face, cutter, normal, steep, show)
+
+    row = Strategy(
+        'steep',
+        'with a steep mill',
+        (StrategyOption('lead', 'its lead (4 deg)', 4.0, 'DEG', DEG, positive=True),),
+        passes,
+        facts=lambda paths: {'steep_passes': len(paths.passes)},
+        words=lambda facts: [f'steep passes   {facts["steep_passes"]}'],
+    )
+    monkeypatch.setitem(STRATEGIES, 'steep', row)
+    monkeypatch.setattr(cli, 'parser', parser.__wrapped__)
+    words = ['--strategy', 'steep', '--lead', '6', '--tool-diameter', '13']
+    assert main(['cam', 'iso-scallop', str(surface), '--out', str(tmp_path), *words]) == FINE
+    found = json.loads((tmp_path / 'summary.json').read_text())
+    assert asked == [{'lead': pytest.approx(6 * DEG)}]
+    assert found['strategy'] == 'steep' and found['steep_passes'] == found['passes'] > 2
+    assert f'steep passes   {found["passes"]}' in capsys.readouterr().out

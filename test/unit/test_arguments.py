@@ -16,7 +16,6 @@ ALLOWED = {
     'feedrate.stop_law._brake',
     'feedrate.stop_law._first_stop',
     'machine.cycle.__init__',
-    'program.blocks.moves.__init__',
     'program.geometry.arcs.arcs_of',
     'proof.verdict.judge',
 }

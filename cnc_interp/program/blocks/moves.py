@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from math import nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,17 @@ BESIDE_ARC = 8  #: A short line has the tolerance of an arc that is at most so m
 FARTHEST = 1000  #: At most so many motions before one near the pole are joined with it.
 
 
+class Preceding(NamedTuple):
+    """What counts of the motions before the first one."""
+
+    dense: int = 0  #: Number of dense motions at the end of them, as far as it counts.
+    led: bool = False  #: Whether words rule the rotary axes in the last one.
+    since_arc: int = BESIDE_ARC  #: Motions since an arc, as far as they count.
+
+
+NOTHING_BEFORE = Preceding()
+
+
 class Moves:
     """Motions between consecutive targets, which can be evaluated at any parameter.
 
@@ -43,13 +55,11 @@ class Moves:
         before: FloatArray,
         rows: FloatArray,
         settings: Settings,
-        dense: int = 0,
-        led: bool = False,
-        since_arc: int = BESIDE_ARC,
+        preceding: Preceding = NOTHING_BEFORE,
         coming: FloatArray | None = None,
     ):
         self._geometry, self._zero, self._before, self.rows = geometry, zero, before, rows
-        self.dense, self.led, self.undecided = dense, led, 0
+        (self.dense, self.led, self.since_arc), self.undecided = preceding, 0
         self.sweep = np.nan_to_num(rows[:, col.ROTARY] - before[:, col.ROTARY])
         self.axis_before = before[:, col.AXIS]
         self._along = np.zeros((3, 3))
@@ -69,9 +79,13 @@ class Moves:
         turned = turned.any(axis=1) | beside.any(axis=1)
         self._by_axes = (rows[:, col.AXES] != 0.0) & turned
         self.interpolation = self._interpolation(settings)
-        self.since_arc = since_arc
         coming = rows[:0] if coming is None else coming
         self.beside_arcs = self._beside_arcs(np.isfinite(coming[:, col.SWEEP]), settings)
+
+    @property
+    def preceding(self) -> Preceding:
+        """Return what counts of these motions for those after them."""
+        return Preceding(self.dense, self.led, self.since_arc)
 
     def __getitem__(self, part: slice) -> Moves:
         some = copy(self)

@@ -21,7 +21,14 @@ from cnc_interp.program.blocks import (
     Blocks,
 )
 from cnc_interp.program.blocks.block_modes import NONE, ModesOfBlocks
-from cnc_interp.program.blocks.moves import BESIDE_ARC, CHORD_SHARE, SAME, Moves, merge_repeated
+from cnc_interp.program.blocks.moves import (
+    BESIDE_ARC,
+    CHORD_SHARE,
+    NOTHING_BEFORE,
+    SAME,
+    Moves,
+    merge_repeated,
+)
 from cnc_interp.program.blocks.start_line import StartLine
 from cnc_interp.program.geometry import target_row as col
 from cnc_interp.program.geometry.cutter_radius import CutterRadius, Told
@@ -70,8 +77,7 @@ class TargetColumns:
         self._parts: list[Blocks] = []
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
-        # What goes before the next motion (``Moves``).
-        self._dense, self._led, self._since_arc = 0, False, BESIDE_ARC
+        self._preceding = NOTHING_BEFORE  # the next motion
         self._zero = geometry.linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
         names = geometry.machine.extra_names
         self._extra = [col.EXTRA.start + col.EXTRA_LETTERS.index(name) for name in names]
@@ -187,8 +193,7 @@ class TargetColumns:
                 self._rows = array('d', later.tobytes()) + self._rows
                 moves = self._moves(self._before, rows, np.concatenate([later, held]))
             if len(rows):
-                self._before, self._dense, self._led = rows[-1], moves.dense, moves.led
-                self._since_arc = moves.since_arc
+                self._before, self._preceding = rows[-1], moves.preceding
             for part in portions(moves):
                 some = moves[part]
                 blocks, row = blocks_of(some, self._settings, self._extra, self._source)
@@ -236,9 +241,7 @@ class TargetColumns:
             np.vstack([start, rows])[:-1],
             rows,
             self._settings,
-            self._dense,
-            self._led,
-            self._since_arc,
+            self._preceding,
             coming,
         )
 

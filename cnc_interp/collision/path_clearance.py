@@ -9,7 +9,7 @@ import numpy as np
 
 from cnc_interp.collision.chain import pose_links
 from cnc_interp.collision.clearance import Found, Route, Space, descend
-from cnc_interp.collision.enclosure import bezier_table
+from cnc_interp.collision.enclosure import DEGREE, bezier_table
 from cnc_interp.collision.hits import PLACES, CollisionError, Hit, least_apart, positions_at
 from cnc_interp.collision.mesh_file import SceneError
 from cnc_interp.collision.pieces import winding
@@ -105,16 +105,10 @@ class PathClearance:
                 self._until[pair] = line_end[0]
         for first, last, pairs in self._stretches(path, rapid):
             self._refuse_inside(route, first, pairs)
-            roots = [
-                (p, q)
-                for a, b in pairs
-                for p in self.placed.roots(a)
-                for q in self.placed.roots(b)
-            ]
-            if not roots:
+            roots = self._roots(pairs)
+            if not len(roots):
                 continue
-            table = np.array(roots, dtype=np.int64)
-            found = descend(self._space, route, (first, last), table, self._until, self._most)
+            found = descend(self._space, route, (first, last), roots, self._until, self._most)
             hits += self._hits(route, lines, found)
             parts.append(certificates_of(found))
             self.figures.intervals += int(found.effort[0])
@@ -125,6 +119,28 @@ class PathClearance:
             raise SceneError(touching_text(self.scene, hits[0]))
         self._begun = True
         return hits, Certificates.concatenate(parts) if parts else Certificates.none()
+
+    def contact(self, positions: FloatArray, tool: int = 0) -> Hit | None:
+        """Return the first contact on straight ways between axis positions, (K, n_axes) [m, rad].
+
+        That is motion by hand, which may bring the cutter to the stock to touch it off.
+        """
+        ways, cells = np.diff(positions, axis=0), len(positions) - 1
+        bezier = positions[:-1, :, None] + ways[:, :, None] * np.arange(DEGREE + 1.0) / DEGREE
+        route = Route(np.arange(cells + 1.0), bezier, np.full(cells, float(cells)))
+        pairs = self.placed.with_tool(tool or self.scene.first_tool)
+        roots = self._roots([pair for pair in pairs if self.scene.in_feed(*pair)])
+        if not len(roots) or not cells:
+            return None
+        until = np.full_like(self._until, -np.inf)
+        found = descend(self._space, route, (0, cells), roots, until, 1)
+        hits = self._hits(route, np.zeros(cells, np.int64), found)
+        return hits[0] if hits else None
+
+    def _roots(self, pairs: list[tuple[int, int]]) -> IntArray:
+        placed = self.placed
+        roots = [(p, q) for a, b in pairs for p in placed.roots(a) for q in placed.roots(b)]
+        return np.array(roots, dtype=np.int64).reshape(-1, 2)
 
     def _stretches(
         self, path: AxisPath, rapid: BoolArray

@@ -1,7 +1,7 @@
 """Motion by hand: beats ask for velocities, moves for targets; both become pieces with stops."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,8 @@ class Move:
 
 
 class Jog:
-    def __init__(self, playback: Playback):
+    def __init__(self, playback: Playback, contact: Callable[[FloatArray], str] | None = None):
+        self._contact = contact  # text of the first contact on ways of axes (K, n), or ''
         self._playback, self._machine = playback, playback.axes.machine
         self._period = playback.axes.period
         self._axes = Slides.of_axes(self._machine)
@@ -171,12 +172,12 @@ class Jog:
                 self._steer(motion)
                 self._fill(motion)
         except StreamError:
-            self._wish = None
+            self._wish, self._released = None, False
             raise
 
     def _begin(self, wish: Beat | Move) -> None:
-        stands = self._before[-1]
-        motion = JogMotion(wish.slides, self._period, wish.slides.coordinates(stands))
+        coordinates = wish.slides.coordinates(self._before[-1])
+        motion = JogMotion(wish.slides, self._period, coordinates, self._contact)
         self._steer(motion)
         if motion.over:
             self._fill(motion)
@@ -203,6 +204,9 @@ class Jog:
     def _fill(self, motion: JogMotion) -> None:
         while not motion.over and self._playback.plans.buffer.count < self._setpoints(AHEAD):
             self._playback.push(self._piece(motion))
+            if motion.blocked:
+                hit, motion.blocked = motion.blocked, ''
+                raise StreamError(hit)
         if motion.over and isinstance(self._wish, Move):
             self._wish = None
 

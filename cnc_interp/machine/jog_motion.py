@@ -3,12 +3,14 @@
 ruckig (Berscheid and Kroeger, 2021) gives the fastest motion within velocity, acceleration and
 jerk limits. The setpoints are samples of it, so their differences keep the limits, too. A velocity
 towards an end of travel is a motion to that end. A piece is handed out only if it, and the stop
-after it, stay within the travel; else the motion stops before it, as the piece before can.
+after it, stay within the travel and hit no body of the scene, if there is one. Otherwise the
+motion stops before it, as the piece before can.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +67,16 @@ class Slides:
 
 
 class JogMotion:
-    def __init__(self, slides: Slides, period: float, x: FloatArray):
+    def __init__(
+        self,
+        slides: Slides,
+        period: float,
+        x: FloatArray,
+        contact: Callable[[FloatArray], str] | None = None,
+    ):
         self.slides, self._period = slides, period
+        self._contact = contact  # what is hit on the way through axis positions (K, n), or ''
+        self.blocked = ''  #: What the motion stops before, so that it does not hit it.
         self._solver = ruckig.Ruckig(len(x))
         #: Position, velocity and acceleration at the last setpoint handed out, shape (3, m).
         self._state = np.stack([x, np.zeros_like(x), np.zeros_like(x)])
@@ -118,8 +128,12 @@ class JogMotion:
         if self._velocity is not None and self._next * self._period > 0.5 * HORIZON:
             self.run(self._velocity)
         rows, tail = self._next_rows(count)
-        if not (self._inside(rows) and self._inside(tail)):
+        hit = self._hit(rows, tail)
+        if hit or not (self._inside(rows) and self._inside(tail)):
+            self.blocked = hit
             self.stop()
+            if self.over:  # at rest already
+                raise StreamError(hit)
             rows, tail = self._next_rows(count)
         before = self._state[2]
         self._next += len(rows)
@@ -183,6 +197,12 @@ class JogMotion:
         low, high = self.slides.travel.T
         x = rows[:, 0]
         return bool(((x >= low - THERE) & (x <= high + THERE)).all())
+
+    def _hit(self, rows: FloatArray, tail: FloatArray) -> str:
+        if self._contact is None:
+            return ''
+        x = np.concatenate([self._state[:1], rows[:, 0], tail[:, 0]])
+        return self._contact(self.slides.positions(x))
 
     def _setpoints(self, rows: FloatArray, before: FloatArray, number: int) -> Setpoints:
         """Return states as setpoints of the axes; ``before`` is the acceleration before them."""

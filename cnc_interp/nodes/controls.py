@@ -12,7 +12,7 @@ from cnc_interp_msgs.srv import Home, MoveAxes, SwitchOutputs
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
-from cnc_interp.core import BlockError, StreamError
+from cnc_interp.core import BlockError, FloatArray, StreamError
 from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
@@ -37,10 +37,12 @@ class Controls:
         diagnostics: Diagnostics,
         give_up: Callable[[str], None],
         wake: Callable[[], None],
+        contact: Callable[[FloatArray], str] | None = None,
     ):
         self._playback, self._diagnostics = playback, diagnostics
         self._give_up, self._wake = give_up, wake
-        self._jog, self._transform = Jog(playback), Transform.of(playback.axes.machine)
+        self._jog = Jog(playback, contact)
+        self._transform = Transform.of(playback.axes.machine)
         self.homing = Homing(playback, self._jog)
         for kind, name, act in (
             (Trigger, 'feed_hold', partial(self._press, playback.hold)),

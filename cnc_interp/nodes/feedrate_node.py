@@ -20,7 +20,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.nodes import node_main, parameters
 from cnc_interp.nodes.controls import OperatorInputs
-from cnc_interp.nodes.kernel_warmup import warm_all
+from cnc_interp.nodes.kernel_warmup import warm_all, warm_clearance
 from cnc_interp.nodes.peers import SenderWatch, watch_machine
 from cnc_interp.nodes.planning_session import Activity, PlanningSession, PlanningTask, Received
 from cnc_interp.nodes.qos import SETPOINTS
@@ -103,6 +103,7 @@ class FeedrateNode(LifecycleNode):
         values, period = self._values, self._values['interpolation_period']
         self._transform = Transform.of(Machine.load(values['machine']))
         warm_all(values['machine'], period)
+        warm_clearance(self._transform.machine, parameters.settings_of(values), period)
         told = tool_warnings(self._transform.machine, parameters.settings_of(values))
         self._diagnostics = node_main.Diagnostics(self)
         if told:
@@ -218,6 +219,9 @@ class FeedrateNode(LifecycleNode):
             longest_step_ms=round(self._thread.longest / MS, 1),
             setpoints_sent=session.sent_before + sender.sent,
         )
+        planner = session.planner
+        if planner is not None and planner.clearance is not None and planner.clearance.hits:
+            self._diagnostics.say('collision', node_main.WARN, planner.clearance.texts()[-1])
         self._thread.longest = 0.0
 
     def make_planner(

@@ -3,13 +3,14 @@
 import gc
 import signal
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from multiprocessing import get_context
 
 import numpy as np
 
-from cnc_interp.core import MM, MM_PER_MIN, FloatArray
+from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
 from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
@@ -20,6 +21,7 @@ from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
+from cnc_interp.run.clearance_stage import clearance_of
 from cnc_interp.run.course import LIVE
 from cnc_interp.run.motion_plan import MotionStream
 from cnc_interp.run.overrides import OperatorSettings
@@ -130,6 +132,15 @@ def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
     state = stream.current.state_at(handed_out - 1)
     assert state is not None
     stop_law(path, state[1], machine.limit_table, 0.0)
+
+
+def warm_clearance(machine: Machine, settings: Settings, period: float) -> None:
+    """Read the scene, if there is one, and load the kernels that check clearances."""
+    clearance = clearance_of(machine, settings)
+    if clearance is not None:
+        path = warm_kinematics(machine.file or machine.name, period)
+        with suppress(InterpError):  # the tiny path knows nothing of the scene
+            clearance.push(path, np.zeros(len(path.s) - 1, dtype=np.bool_), int)
 
 
 def path_without_kernels(machine: Machine) -> AxisPath:

@@ -18,6 +18,7 @@ from cnc_interp.nodes.controls import Controls, Overrides
 from cnc_interp.nodes.kernel_warmup import warm_machine
 from cnc_interp.nodes.machine_topics import MachineTopics
 from cnc_interp.nodes.streams import Inlet
+from cnc_interp.run.clearance_stage import contact_by_hand
 from cnc_interp.run.run_planner import JOIN_RESERVE
 from cnc_interp.run.run_state import Reason, State
 from cnc_interp.wire.message_checks import check_chunk
@@ -80,7 +81,8 @@ class MachineNode(LifecycleNode):
         self._pace = node_main.Pace(self, WORK_PERIOD, self._work)
         self._overrides = Overrides(self, self._playback, self._diagnostics, self._pace.wake)
         told = self._diagnostics, self._give_up, self._pace.wake
-        self._controls = Controls(self, self._playback, *told)
+        contact = contact_by_hand(machine, parameters.settings_of(values), drives.outputs)
+        self._controls = Controls(self, self._playback, *told, contact)
         self._topics = MachineTopics(
             self, self._playback, values, self._overrides, self._controls.homing, self._diagnostics
         )

@@ -60,6 +60,7 @@ MACHINE_NODE = (
     MACHINE,
     AUTOSTART,
     *of_settings(Stage.MOTION),
+    *(each for each in of_settings(Stage.PLANNING) if each.name == 'scene'),
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),

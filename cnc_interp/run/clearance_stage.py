@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cnc_interp.core import BoolArray, IntArray
+from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -17,7 +18,8 @@ if TYPE_CHECKING:
     from cnc_interp.collision.hits import Hit
     from cnc_interp.collision.path_clearance import Certificates, PathClearance
 
-REFUSE, WARN = 'refuse', 'warn'
+REFUSE = 'refuse'
+TIP_MOVES = 1e-9  #: In a cell with less the tip rests [m].
 
 
 def clearance_of(machine: Machine, settings: Settings, most_hits: int = 0) -> PathClearance | None:
@@ -28,6 +30,65 @@ def clearance_of(machine: Machine, settings: Settings, most_hits: int = 0) -> Pa
     from cnc_interp.collision.scene_file import read_scene
 
     return PathClearance(machine, read_scene(settings.scene), most_hits or MOST_HITS)
+
+
+def contact_by_hand(
+    machine: Machine, settings: Settings, outputs: FloatArray
+) -> Callable[[FloatArray], str] | None:
+    """Return what names the first contact on ways through axis positions, or ''; None: no scene.
+
+    ``outputs``: those of the machine, one of which is the number of the tool in the spindle.
+    """
+    clearance = clearance_of(machine, settings, 1)
+    if clearance is None:
+        return None
+    from cnc_interp.collision.path_clearance import TOOL_OUTPUT
+
+    names = [signal.name for signal in machine.signals.outputs]
+    place = names.index(TOOL_OUTPUT) if TOOL_OUTPUT in names else -1
+
+    def contact(positions: FloatArray) -> str:
+        tool = int(outputs[place]) if place >= 0 else 0
+        hit = clearance.contact(positions, tool)
+        return '' if hit is None else f'stopped before a contact of {" and ".join(hit.names)}'
+
+    contact(np.zeros((2, len(machine.axis_names))))  # its kernels, before anything moves
+    return contact
+
+
+class LiveClearance:
+    """Checks the parts of a run before the feed planner gets them; a hit ends the run there."""
+
+    def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
+        self._clearance, self._mode, self._line_of = clearance, mode, line_of
+        self._functions = Functions.none()
+        self.hits: list[Hit] = []  #: Hits of a run that is only warned of them.
+
+    @staticmethod
+    def of(
+        machine: Machine, settings: Settings, line_of: Callable[[int], int]
+    ) -> LiveClearance | None:
+        most = 1 if settings.collision == REFUSE else 0
+        clearance = clearance_of(machine, settings, most)
+        return None if clearance is None else LiveClearance(clearance, settings.collision, line_of)
+
+    def call_tools(self, functions: Functions) -> None:
+        self._functions = Functions.concatenate([self._functions, functions])
+        self._clearance.call_tools(self._functions)
+
+    def check(self, path: AxisPath) -> None:
+        """Raise CollisionError if a part hits something; rapids are told by their feed."""
+        from cnc_interp.collision.hits import CollisionError
+
+        moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES
+        rapid = np.isinf(path.cell_feed) & moves
+        hits, _ = self._clearance.push(path, rapid, self._line_of)
+        if hits and self._mode == REFUSE:
+            raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
+        self.hits += hits
+
+    def texts(self) -> list[str]:
+        return [hit.text(self._clearance.machine) for hit in self.hits]
 
 
 class ClearanceStage:

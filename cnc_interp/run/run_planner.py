@@ -15,6 +15,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.run.clearance_stage import LiveClearance
 from cnc_interp.run.course import SAME, from_place
 from cnc_interp.run.motion_plan import MotionPlan, MotionStream
 from cnc_interp.run.overrides import OperatorSettings
@@ -70,6 +71,8 @@ class RunPlanner:
         self._lines_left = 0  # when some were forgotten last
         self._enough = round(JOIN_RESERVE / period)
         self._asks = asks
+        #: What checks the path before it is planned; None without a scene.
+        self.clearance = LiveClearance.of(machine, choices, self.line_of)
         self._starts: tuple[float, FloatArray] | None = None  # place and axis positions
         self._continue_at = continue_at if continue_at > 0.0 else None
 
@@ -81,6 +84,8 @@ class RunPlanner:
         waits = functions.waits(self._transform.machine.signals)
         self.stream.pause_blocks |= dict.fromkeys((waits - 1).tolist(), Wait.FUNCTION) | pauses
         self.stream.functions.push(functions)
+        if self.clearance is not None:
+            self.clearance.call_tools(functions)
         path = self._builder.push(segments)
         if path is None:
             return
@@ -89,7 +94,12 @@ class RunPlanner:
             if found is None:
                 return
             path = found
+        self._check(path)
         self.stream.push(path)
+
+    def _check(self, path: AxisPath) -> None:
+        if self.clearance is not None:
+            self.clearance.check(path)
 
     def _begin(self, path: AxisPath) -> AxisPath | None:
         """Add the approach before the path, or skip what comes before the place to go on from."""
@@ -116,10 +126,14 @@ class RunPlanner:
     def _way(self, stands: FloatArray, there: FloatArray, inside: bool) -> AxisPath | None:
         """Make the way from rest to a place, inside the program or at its top."""
         choices, height = self._choices, self._choices.flank_height
-        if not inside:
-            return approach(self._transform, height, stands, there)
-        how = choices.retract, choices.plunge_feed
-        return approach_inside(self._transform, height, stands, there, *how)
+        if inside:
+            how = choices.retract, choices.plunge_feed
+            way = approach_inside(self._transform, height, stands, there, *how)
+        else:
+            way = approach(self._transform, height, stands, there)
+        if way is not None:
+            self._check(way)
+        return way
 
     def finish(self) -> None:
         """End the path; raises PlanningError if the place to go on from lies after the end."""

@@ -1,0 +1,155 @@
+"""Clearances of a live run and of motion by hand: both come to rest before anything is hit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from collision_cases import distance
+from test_jog import Bench, beyond, use_of
+
+from cnc_interp.collision.hits import CollisionError
+from cnc_interp.collision.mesh_file import SceneError
+from cnc_interp.collision.scene_file import read_scene
+from cnc_interp.core import MM, StreamError
+from cnc_interp.machine.jog import Jog
+from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.transform import Transform
+from cnc_interp.nodes.kernel_warmup import warm_clearance
+from cnc_interp.program import read_text
+from cnc_interp.run.clearance_stage import contact_by_hand
+from cnc_interp.run.path_chain import batches, smoother_of
+from cnc_interp.run.run_planner import RunPlanner
+from cnc_interp.settings.options import Settings
+
+MACHINE = Machine.load('xyzac')
+TRANSFORM = Transform.of(MACHINE)
+SCENE = """
+bodies:
+  - {name: clamp, link: workpiece, box_mm: {low: [50, -20, -20], high: [70, 20, 30]}}
+tools:
+  1: {diameter_mm: 6, flute_mm: 12, holder_mm: [[20, 5], [40, 15]]}
+"""
+PROGRAM = 'G21 G90\nG0 X0 Y0 Z20 A0 C0\nG1 X10 F3000\nG61\nX20 Y20\nX45 Y0 Z0\nX0 Z40\nM30\n'
+
+
+@pytest.fixture
+def settings(tmp_path):
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    return Settings(scene=tmp_path / 'scene.yaml')
+
+
+def holder_gap(scene, q):
+    bodies = {body.name: body.pieces[0] for body in read_scene(scene).bodies}
+    return min(
+        distance(MACHINE, (bodies[name], bodies['clamp']), ('tool_tip', 'workpiece'), q)
+        for name in ('holder', 'shank', 'cutter')
+    )
+
+
+def segments_of_program(settings):
+    blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, settings).blocks
+    smoother = smoother_of(TRANSFORM, settings)
+    return [*(smoother.push(batch) for batch in batches(blocks)), smoother.finish()]
+
+
+def planner_of(settings, stands):
+    return RunPlanner(TRANSFORM, settings, 0.01, stands)
+
+
+def start_of(settings):
+    blocks = read_text(PROGRAM, 'part.ngc', TRANSFORM, settings).blocks
+    place = np.zeros((1, 2))
+    return np.concatenate([TRANSFORM.linear(blocks.tip[:1], place)[0], np.zeros(2)])
+
+
+def test_a_run_ends_before_the_line_that_hits_and_rests_on_the_path(settings):
+    stands = start_of(settings)
+    planner, parts = planner_of(settings, stands), segments_of_program(settings)
+    singles = [part[np.array([k])] for part in parts for k in range(len(part))]
+    refused = None
+    for segment in singles:
+        try:
+            planner.push(segment, {})
+        except CollisionError as problem:
+            refused = problem
+            break
+    assert refused is not None and refused.line_number == 6
+    assert 'holder and clamp' in str(refused)
+    plan = planner.stream.current
+    chunks = []
+    while plan.can_plan or plan.can_sample:
+        chunks += planner.work(plan, True, -np.inf)
+    assert chunks, 'what was sound is executed'
+    q = np.concatenate([chunk.samples.position for chunk in chunks])
+    tail = chunks[-1].tail.position
+    assert min(holder_gap(settings.scene, row) for row in [*q[::20], q[-1], *tail[::20]]) > 1e-4
+
+
+def test_a_warned_run_goes_on_and_lists_the_hit(settings):
+    planner = planner_of(replace(settings, collision='warn'), start_of(settings))
+    for part in segments_of_program(settings):
+        planner.push(part, {})
+    assert [hit.line for hit in planner.clearance.hits] == [6, 7]  # line 7 leads away from it
+    assert 'line 6' in planner.clearance.texts()[0]
+
+
+def test_the_way_to_the_start_is_checked(settings):
+    start = start_of(settings)
+    stands = start + np.array([100, 0, -20, 0, 0]) * MM  # the clamp lies between
+    planner = planner_of(settings, stands)
+    with pytest.raises(CollisionError, match='clamp'):
+        for part in segments_of_program(settings):
+            planner.push(part, {})
+
+
+def test_a_node_reads_its_scene_before_anything_moves(settings):
+    warm_clearance(MACHINE, settings, 1e-3)
+    settings.scene.write_text('bodies: 3')
+    with pytest.raises(SceneError, match='bodies'):
+        warm_clearance(MACHINE, settings, 1e-3)
+
+
+def bench_with(settings, position):
+    bench = Bench(MACHINE, position)
+    contact = contact_by_hand(MACHINE, settings, bench.play.drives.outputs)
+    bench.jog = Jog(bench.play, contact)
+    return bench
+
+
+def jogged(bench, time, **shares):
+    told = ''
+    for _ in range(round(time / 0.05)):
+        try:
+            bench.run(0.05, **shares)
+        except StreamError as problem:
+            told = str(problem)
+            bench.now += 0.05
+    return told
+
+
+@pytest.mark.parametrize('share', [0.05, 0.4])
+def test_jogging_into_a_clamp_stops_before_it_within_the_limits(settings, share):
+    start = start_of(settings)
+    bench = bench_with(settings, start)
+    told = jogged(bench, 2.0, X=share)
+    bench.rest()
+    assert 'stopped before a contact of' in told and 'clamp' in told
+    gaps = [holder_gap(settings.scene, q) for q in bench.q[::10]]
+    assert min(gaps) > 1e-4
+    speed = share * MACHINE.max_velocity[0]
+    stop = speed * (0.5 * speed / MACHINE.max_acceleration[0] + 0.5) + 0.07 * speed
+    assert gaps[-1] < 1e-4 + stop, 'it stops no farther away than it must'
+    assert max(use_of(MACHINE, bench.q)) <= 1.001 and beyond(MACHINE, bench.q) <= 1e-9
+    still = bench.q[-1].copy()
+    jogged(bench, 0.5)  # the key is let go
+    jogged(bench, 0.5, X=-share)
+    bench.rest()
+    assert bench.q[-1, 0] < still[0] - MM, 'away from it is free'
+
+
+def test_a_move_through_a_clamp_ends_before_it(settings):
+    bench = bench_with(settings, start_of(settings))
+    bench.move(X=0.1, speed=0.1)
+    assert 'clamp' in jogged(bench, 4.0)
+    bench.rest()
+    assert min(holder_gap(settings.scene, q) for q in bench.q[::10]) > 1e-4

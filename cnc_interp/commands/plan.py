@@ -204,6 +204,8 @@ def add_panel_command(commands: Any) -> None:
     panel.machine_option()
     panel.drives_option()
     panel.option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
+    text = 'folder whose programs the page lists, opens and saves (that of PROGRAM, or this one)'
+    panel.option('--programs', text, Path, 'FOLDER')
     panel.flag('--attach', 'join nodes that run already; start none')
     panel.nodes_options()
     panel.page_options()

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cnc_interp.core import InterpError
+from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.signals import home_input
+from cnc_interp.machine_model.transform import Transform
 
 if TYPE_CHECKING:
     from cnc_interp.machine.drives import Drives
@@ -50,7 +51,7 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
     from cnc_interp.drives.learning import learnt_for
     from cnc_interp.machine.simulated_drives import CompensatedDrives, SimulatedDrives
 
-    position, touches = np.zeros(len(machine.axis_names)), values['probe_touches']
+    position, touches = _start(machine, values['start_height']), values['probe_touches']
     drives = SimulatedDrives(machine, period, position)
     if touches:
         from cnc_interp.machine.simulated_probe import ProbingDrives
@@ -61,6 +62,16 @@ def _simulated(machine: Machine, period: float, values: Values, _link: Link) -> 
     if not model:
         return drives
     return CompensatedDrives(drives, compensated_model(model, machine), period, motion)
+
+
+def _start(machine: Machine, height: float) -> FloatArray:
+    """Return where simulated axes stand at first: at 0, or the tip over the part."""
+    position = np.zeros(len(machine.axis_names))
+    if height > 0.0:
+        zero = Transform.of(machine).linear(np.zeros((1, 3)), np.zeros((1, 2)))[0]
+        low, high = machine.travel[2]
+        position[2] = min(max(zero[2] + height, low), high)
+    return position
 
 
 def _hal(machine: Machine, period: float, values: Values, _link: Link) -> Drives:
@@ -89,7 +100,17 @@ LIMITS = (
 KINDS = {
     'simulated': DriveKind(
         'models of the machine file',
-        (Declared('probe_touches', '', 'YAML file of what a simulated probe touches'),),
+        (
+            Declared('probe_touches', '', 'YAML file of what a simulated probe touches'),
+            Declared(
+                'start_height',
+                0.0,
+                'Height of the tip over the workpiece zero at the start, other axes at 0; 0: all '
+                'axes at 0 [m]',
+                0,
+                10,
+            ),
+        ),
         _simulated,
     ),
     'hal': DriveKind(

@@ -24,7 +24,7 @@ from cnc_interp.machine_model.axis_drives import (
     axis_drives,
     drive_loads,
 )
-from cnc_interp.machine_model.machine_entries import control, homing, standstill
+from cnc_interp.machine_model.machine_entries import Macro, control, homing, macros, standstill
 from cnc_interp.machine_model.signals import Signals, signals
 
 #: Likely largest velocities of linear and of rotary axes [mm/min, deg/min], and likely times to
@@ -136,6 +136,7 @@ class Machine:
     standstill: entries.Standstill = field(default_factory=entries.Standstill)
     #: What its control means by a program: choices of the reader, by name.
     control: dict[str, Any] = field(default_factory=dict)
+    macros: tuple[Macro, ...] = ()  #: Keys of the page.
     #: Its outputs and inputs, and the functions of a program that switch them.
     signals: Signals = field(default_factory=Signals)
     file: str = ''  #: Where it was read from; empty for bundled machines, which their name finds.
@@ -289,6 +290,7 @@ def from_mapping(content: dict[str, Any]) -> Machine:
         pace=entries.block_pace(content, float(table[:3, 2].min())),
         standstill=standstill(content),
         control=control(content),
+        macros=macros(content),
         signals=signals(content, switches.index),
         **(entries.rotary_geometry(rotary) if rotary else entries.linear_geometry(content)),
     )

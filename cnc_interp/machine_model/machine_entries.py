@@ -1,5 +1,6 @@
 """Entries of a machine file, checked and turned into SI units."""
 
+import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
@@ -110,6 +111,39 @@ def standstill(content: dict[str, Any]) -> Standstill:
             for key, unit in STANDSTILL.items()
         )
     )
+
+
+@dataclass(frozen=True)
+class Macro:
+    name: str  #: What its key says.
+    lines: tuple[str, ...]  #: Lines of G-code, executed one after the other.
+
+    @property
+    def moves(self) -> bool:
+        """Whether any line may move an axis: all but spindle, outputs and dwells."""
+        return not all(_STILL.fullmatch(line.upper()) for line in self.lines)
+
+
+#: Lines that move nothing: M codes except M6 and calls, S and T, and dwells.
+_STILL = re.compile(r'(?:\s*(?:M(?!0*6\b|98\b|198\b)\d+|[ST]\d+(?:\.\d+)?|G0?4\s*[PX][\d.]+))+\s*')
+MOST_MACROS, LONGEST_MACRO = 24, 40
+
+
+def macros(content: dict[str, Any]) -> tuple[Macro, ...]:
+    given = content.get('macros') or {}
+    if not isinstance(given, dict) or len(given) > MOST_MACROS:
+        raise MachineError(f'must be a mapping of at most {MOST_MACROS} names', 'macros')
+    found = []
+    for name, told in given.items():
+        lines = [told] if isinstance(told, str) else told
+        texts = isinstance(lines, list) and all(isinstance(line, str) for line in lines)
+        if not (texts and lines and all(line.strip() for line in lines)):
+            raise MachineError('must be a line of G-code, or a list of lines', f'macros.{name}')
+        if len(lines) > LONGEST_MACRO or any('\n' in line for line in lines):
+            why = f'at most {LONGEST_MACRO} lines; call a subprogram for more'
+            raise MachineError(why, f'macros.{name}')
+        found.append(Macro(str(name), tuple(line.strip() for line in lines)))
+    return tuple(found)
 
 
 def extra_axes(content: dict[str, Any]) -> dict[str, FloatArray]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 #: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
 SHORTEST_TOKEN = 16
 LONGEST_TOKEN = 1000  #: Longest one [bytes].
+START_HEIGHT = 0.1  #: Of the tip over the part on a simulated machine at the start [m].
 LAST_WAIT = 5.0  #: How long the page may take to end [s].
 
 
@@ -36,7 +37,7 @@ def run_panel(options: Namespace) -> None:
     from cnc_interp.page.server import Served
 
     token = token_of(options.token_file)
-    served = Served.prepare(options.host, options.port, token, options.program)
+    served = Served.prepare(options.host, options.port, token, options.program, options.programs)
     if not is_loopback(options.host):
         print(
             f'cnc-interp: {options.host} is seen by others; page and token go unencrypted',
@@ -54,6 +55,8 @@ def run_panel(options: Namespace) -> None:
     Machine.load(options.machine)  # a wrong name is told before anything starts
     machine = f"'{options.machine}'"
     parameters: dict[str, dict[str, object]] = {name: {'machine': machine} for name in NODES}
+    if options.drives.get('drives', 'simulated') == 'simulated':
+        parameters['machine_node']['start_height'] = START_HEIGHT
     parameters['machine_node'] |= options.drives
     if options.setup is not None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"

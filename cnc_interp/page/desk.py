@@ -4,6 +4,7 @@ import asyncio
 import re
 import time
 from collections import deque
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.page.preview import Planner, Preview
+from cnc_interp.page.program_folder import ProgramFolder
 from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
@@ -90,7 +92,8 @@ class Job:
 
 
 class Desk:
-    def __init__(self, namespace: str, domain: int):
+    def __init__(self, namespace: str, domain: int, folder: Path):
+        self.folder = ProgramFolder(folder)
         self.history: deque[Moment] = deque(maxlen=round(SPAN / STEP) + 1)
         self._moved = 0.0
         self._stopped = False  # by an emergency stop or a fault
@@ -200,6 +203,33 @@ class Desk:
             return Answer(False, f'{name} is no text: choose a file with a program')
         job = Job(name, [], self._planner.keep(name, text), self._for_nodes())
         return await asyncio.wrap_future(self.nodes.start_program(job.goal(StartChoice())))
+
+    async def load_listed(self, name: str) -> Answer:
+        return await self._listed(name, self.load)
+
+    async def queue_listed(self, name: str) -> Answer:
+        return await self._listed(name, self.queue)
+
+    async def _listed(self, name: str, take: Callable[[str, str], Awaitable[Answer]]) -> Answer:
+        try:
+            text = await asyncio.to_thread(self.folder.read, name, LONGEST_PROGRAM)
+        except InterpError as problem:
+            return Answer(False, str(problem))
+        answer = await take(name, text)
+        if answer.ok:
+            await asyncio.to_thread(self.folder.opened, name)
+        return answer
+
+    async def save(self, name: str, text: str) -> Answer:
+        """Save a program in the folder, and load it unless one runs."""
+        try:
+            await asyncio.to_thread(self.folder.save, name, text)
+        except InterpError as problem:
+            return Answer(False, str(problem))
+        await asyncio.to_thread(self.folder.opened, name)
+        if in_program(self.nodes.state):
+            return Answer(True, f'{name} saved')
+        return await self.load(name, text)
 
     async def empty_queue(self) -> Answer:
         count = self.nodes.cancel_waiting()

@@ -58,6 +58,37 @@ def keyboard_list() -> Any:
     return dialog
 
 
+#: Titles of the settings, with the names below each; others are below the last one.
+GROUPS = {
+    'tolerances': (
+        'contour_tolerance',
+        'orientation_tolerance',
+        'flank_height',
+        'force_tolerances',
+    ),
+    'how the program is read': (
+        'feedrate',
+        'skip_blocks',
+        'dialect',
+        'units',
+        'numbers',
+        'arc_centres',
+        'interpolation',
+        'rotary_sense',
+        'most_jumps',
+        'setup',
+    ),
+    'smoothing': (),
+}
+
+
+def grouped() -> dict[str, list[Choice]]:
+    known = {choice.name: choice for choice in offered()}
+    found = {title: [known.pop(name) for name in names] for title, names in GROUPS.items()}
+    found['smoothing'] += known.values()
+    return found
+
+
 class SettingsDialog:
     def __init__(self, use: Callable[[Settings], Awaitable[None]]):
         self._use = use
@@ -73,7 +104,10 @@ class SettingsDialog:
             ui.label('settings of the next run').classes('title')
             with ui.element('div').classes('fields'):
                 texts = filled_in(settings)
-                self._fields = {c.name: self._field(c, texts[c.name]) for c in offered()}
+                self._fields = {}
+                for title, choices in grouped().items():
+                    ui.label(title).classes('heading')
+                    self._fields |= {c.name: self._field(c, texts[c.name]) for c in choices}
             with ui.element('div').classes('ends'):
                 key('defaults', 'defaults settings', lambda: self.open(Settings()), 'primary')
                 key('cancel', 'cancel settings', self._dialog.close, 'primary')
@@ -83,7 +117,9 @@ class SettingsDialog:
 
     @staticmethod
     def _field(choice: Choice, text: str) -> Any:
-        ui.label(choice.sentence).classes('name')
+        with ui.element('div'):
+            ui.label(choice.name.replace('_', ' '))
+            ui.label(choice.sentence).classes('small')
         field: Any
         if choice.kind is bool:
             field = ui.switch(value=text == 'true')
@@ -112,7 +148,7 @@ class SetupDialog:
         setup: SetupClient,
         unit: ShownUnit,
         command: Command,
-        give_line: Callable[[str], Awaitable[None]],
+        give_line: Callable[[str], Awaitable[bool]],
     ):
         self._setup, self._unit, self._command = setup, unit, command
         self.give_line = give_line

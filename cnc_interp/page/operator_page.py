@@ -16,6 +16,7 @@ from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.probe_dialog import ProbeDialog
 from cnc_interp.page.program_column import Listing, MdiField, StartField
+from cnc_interp.page.program_dialogs import EditorDialog, FolderDialog, MacroKeys
 from cnc_interp.page.readings import (
     NOTHING,
     Charts,
@@ -42,6 +43,12 @@ def marked(element: Any, name: str) -> Any:
 
 
 class Page:
+    _listing: Listing
+    _mdi: MdiField
+    _probe: ProbeDialog
+    _folder: FolderDialog
+    _editor: EditorDialog
+
     def __init__(self, desk: Desk, access: Access, tab: str, trusted: bool, why: str = ''):
         self._why = why  # the page may not command; empty if it may
         self._desk, self._access, self._tab, self._trusted = desk, access, tab, trusted
@@ -220,6 +227,8 @@ class Page:
             upload.disable()  # until the page is in charge: then nothing is taken from others
             self._upload = upload
             self._loader = key('load', act=lambda: self._pick(waits=False))
+            self._lister = key('programs', act=lambda: self._folder.open())
+            self._editing = key('edit', act=lambda: self._editor.open())
             self._follower = key('queue next', act=lambda: self._pick(waits=True))
             self._checker = key('check', act=partial(self._command, desk.check))
             self._setter = key('settings', act=lambda: self._settings.open(desk.settings))
@@ -235,6 +244,9 @@ class Page:
         self._mdi = MdiField(desk.lines, desk.nodes.give_line, self._command_in_sight)
         self._probe = ProbeDialog(desk.nodes, desk.setup, self._unit, self._command_in_sight)
         self._signals = SignalKeys(desk.nodes, self._command_in_sight)
+        self._macros = MacroKeys(desk, self._mdi.give)
+        self._folder = FolderDialog(desk, self._command)
+        self._editor = EditorDialog(desk, self._command)
         self._messages = Messages(self._desk.nodes.alarms)
 
     # Commands: every one is allowed or refused here, on the server ----------------------------
@@ -369,9 +381,9 @@ class Page:
         if self._changed('rights', rights):
             self._labels['rights'].set_text(rights)
             self._take.set_visibility(not self._in_charge)
-            buttons = (self._loader, self._follower, self._checker, self._setter)
+            buttons = (self._loader, self._lister, self._editing, self._follower, self._checker)
             fields = (self._upload, *self._start.keys, self._mdi.field)
-            for element in (*buttons, *fields, *self._zeros):
+            for element in (*buttons, self._setter, *fields, *self._zeros, *self._macros.keys):
                 element.set_enabled(self._in_charge)
             self._keys.allow(self._in_charge, self._trusted)
         self._keys.show()
@@ -387,4 +399,5 @@ class Page:
         self._signals.show()
         self._messages.show()
         self._mdi.show(*desk.modes())
+        self._editor.show()
         self._pad.show(state)

@@ -107,10 +107,11 @@ class MdiField:
     async def _enter(self) -> None:
         await self.give(str(self.field.value or '').strip())
 
-    async def give(self, line: str) -> None:
-        """Have a line executed, as if it was entered here."""
+    async def give(self, line: str) -> bool:
+        """Have a line executed, as if it was entered here; tell whether it was."""
         if not line or self._busy:
-            return
+            return False
+        done = False
 
         async def given() -> Answer:
             self._history.add(line)
@@ -119,6 +120,8 @@ class MdiField:
             answer = await asyncio.wrap_future(self._give(line))
             if answer.ok and str(self.field.value).strip() == line:
                 self.field.set_value('')
+            nonlocal done
+            done = answer.ok
             self._tell(answer.message if not answer.ok else f'{line}: done', not answer.ok)
             return answer
 
@@ -127,6 +130,7 @@ class MdiField:
             await self._command(given)
         finally:
             self._busy = False
+        return done
 
     def _tell(self, text: str, failed: bool) -> None:
         self._told.set_text(text)

@@ -173,6 +173,8 @@ WAY, WAY_RADIUS = '#ff5ec4', 0.004
 FOV = 40.0
 #: What the view of the part leaves out.
 MACHINE_LINKS = (links.BASE, 'x_slide', 'y_slide', 'z_slide', links.WORKPIECE)
+#: Opacity of what carries the tool in the view of the part: the point of cutting is seen.
+SEE_THROUGH = 0.3
 
 
 class MachineView:
@@ -187,6 +189,12 @@ class MachineView:
         self._legs: tuple[tuple[str, FloatArray], ...] = ()
         self._drawn_way: Any = None
         self._hidden: list[Any] = []
+        self._carriers: list[tuple[Any, urdf.Shape]] = []  # what carries the tool, and the tool
+        joints = {joint.child: joint.parent for joint in description.joints}
+        link, self._tool_side = links.TOOL_TIP, {links.TOOL_TIP}
+        while link in joints:
+            link = joints[link]
+            self._tool_side.add(link)
         self._joints: dict[str, tuple[links.Joint, Any]] = {}
         camera = ui.scene.perspective_camera(fov=FOV, near=0.005, far=20.0)
         self._scene = ui.scene(grid=False, camera=camera, background_color=GROUND, fps=10)
@@ -202,6 +210,8 @@ class MachineView:
             found = self._add(shape)
             if link in MACHINE_LINKS:
                 self._hidden.append(found.visible(False))
+            elif link in self._tool_side:
+                self._carriers.append((found, shape))
         if link == links.TOOL_TIP:
             ray = urdf.Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
             self._add(ray).material(RAY_COLOUR)
@@ -350,6 +360,8 @@ class MachineView:
         self._of_part = of_part
         for shape in self._hidden:
             shape.visible(not of_part)
+        for found, drawn in self._carriers:
+            found.material(css(drawn.colour), SEE_THROUGH if of_part else drawn.colour[3])
         if not of_part:
             self._look(np.array([0.0, 0.0, 0.12]), 1.15)
         elif self._path is not None:

@@ -32,6 +32,7 @@ PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
 SCRIPTS: Mapping[str, Mapping[str, Any]] = {
     'contact': {},
     'listing': {},
+    'editor': {},
     'shortcuts': {'MARKS': MARKS},
     'hand_motion': {
         'ARROWS': ARROWS,
@@ -71,11 +72,18 @@ class Served:
     #: A program that is laid on the desk at start.
     name: str = ''
     text: str | None = None
+    folder: Path = Path()  #: Whose programs pages list, open and save.
 
     @staticmethod
-    def prepare(host: str, port: int, token: str, program: Path | None) -> Served:
+    def prepare(
+        host: str, port: int, token: str, program: Path | None, folder: Path | None = None
+    ) -> Served:
         text = read(program) if program is not None else None
-        return Served(host, free_port(host, port), token, program.name if program else '', text)
+        folder = folder or (program.parent if program else Path())
+        if not folder.is_dir():
+            raise InterpError(f'{folder}: no such folder')
+        name = program.name if program else ''
+        return Served(host, free_port(host, port), token, name, text, folder)
 
 
 def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
@@ -83,7 +91,7 @@ def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
     access = Access(served.token)
     with ExitStack() as closing:
         with stops_later():  # half a desk could not be closed, nor one that nobody knows yet
-            desk = Desk(namespace, domain)
+            desk = Desk(namespace, domain, served.folder)
             closing.callback(desk.close)
         _serve(served, access, desk, revive)
 

@@ -31,14 +31,14 @@ VIEW = 'document.querySelector(".scene canvas")'
 
 
 class PageUnderTest:
-    def __init__(self, namespace, domain):
+    def __init__(self, namespace, domain, *options):
         self._folder = tempfile.TemporaryDirectory()
         token_file = Path(self._folder.name) / 'token'
         token_file.write_text(TOKEN)
         command = [sys.executable, '-m', 'cnc_interp', 'panel', '--attach', '--port', '0']
         command += ['--namespace', namespace, '--domain', str(domain), '--token-file', token_file]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, env=clean_environment()
+            [*command, *options], stdout=subprocess.PIPE, text=True, env=clean_environment()
         )
         self.address = re.search(r'http://\S+/', self.process.stdout.readline())[0]
         self.browser = Browser()
@@ -78,12 +78,12 @@ class PageUnderTest:
 
 
 class PanelUnderTest(NodesUnderTest):
-    def __init__(self, parameters=None):
+    def __init__(self, parameters=None, *options):
         super().__init__(parameters)
         self.set_override = self.node.create_publisher(Float64, 'feed_override', qos.OVERRIDE)
         self.told = self.listen('setup_table', SetupTable, qos.LOADED)
         self.spin_until(lambda: self.told)
-        self.page = PageUnderTest(self.namespace, self.domain)
+        self.page = PageUnderTest(self.namespace, self.domain, *options)
         self.open, self.open_in_charge = self.page.open, self.page.open_in_charge
 
     @property

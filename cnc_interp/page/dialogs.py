@@ -229,8 +229,24 @@ class SetupDialog:
         return str(self._fields[mark].value or '').strip()
 
     async def take_tools(self, tools: Mapping[int, Tool]) -> None:
-        for number, tool in tools.items():
-            await self.ask('set_tool', **whole_tool(number, tool))
+        async def taken() -> Answer:
+            answer = Answer(True, 'no tools')
+            for number, tool in tools.items():
+                asked = self._setup.ask('set_tool', **whole_tool(number, tool))
+                answer = await asyncio.wrap_future(asked)
+                if not answer.ok:
+                    break
+            await self._show_new_table(tools)
+            return answer
+
+        await self._command(taken)
+
+    async def _show_new_table(self, tools: Mapping[int, Tool]) -> None:
+        for _ in range(20):  # it follows the answers on another topic
+            if all(self._setup.setup.tools.get(n) == tool for n, tool in tools.items()):
+                break
+            await asyncio.sleep(0.05)
+        self.show_again()
 
     async def ask(self, service: str, **request: Any) -> None:
         before = self._setup.table

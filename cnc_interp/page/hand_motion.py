@@ -82,8 +82,11 @@ class JogPad:
         self._shown: list[bool] = []  # which axes are homed
         self._alarm: Alarm | None = None  # the last one of motion by hand
         with ui.element('div').classes('jog') as self._pad:
-            self._steps = ui.toggle([HOLD], value=HOLD, on_change=self._choose)
-            self._steps.props('dense no-caps unelevated color=blue-grey-9 data-mark="jog step"')
+            with ui.element('div').classes('top'):
+                self._steps = ui.toggle([HOLD], value=HOLD, on_change=self._choose)
+                look = 'dense no-caps unelevated color=blue-grey-9 data-mark="jog step"'
+                self._steps.props(look)
+                key('×', 'close jog', self.toggle).tooltip('close')
             crossed = [name for name in CROSS if name in self._names]
             with ui.element('div').classes('cross'):
                 for name in crossed:

@@ -108,6 +108,8 @@ class Page:
             marked(ui.label(self._why).classes('refused'), 'refused')
             keyboard = outlined('?', 'keyboard', lambda: self._keyboard.open())
             keyboard.tooltip('keyboard')
+            reach = outlined('MDI', 'to the MDI field').classes('reach')
+            reach.on('click', js_handler='() => keyboard.reach("mdi")')
             for mark in ('inch', 'light'):
                 outlined(mark).on('click', js_handler=f'() => preferences.toggle("{mark}")')
             self._label('rights', '')

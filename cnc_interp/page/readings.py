@@ -57,11 +57,11 @@ def why_text(desk: Desk, state: MachineState, unit: LengthUnit) -> str:
         return change_text(tool, desk.setup.setup, unit)
     if state.reason != MachineState.REASON_SINGLE_BLOCK or modes is None:
         return str(state.message or desk.nodes.waits_for)
-    beside = f'{unit.length(modes.contour_tolerance)} {unit.name}'
-    return (
-        f'single block: rests after line {state.line_number}, where its corner is rounded up to '
-        f'{beside} beside its end. Cycle start executes the next line'
-    )
+    where = f'rests at the end of line {state.line_number}'
+    if 'G61' not in modes.codes:
+        beside = f'{unit.length(modes.contour_tolerance)} {unit.name}'
+        where = f'{where}, up to {beside} beside it where its corner is rounded'
+    return f'single block: {where}. Cycle start executes the next line'
 
 
 def change_text(number: int, setup: JobSetup, unit: LengthUnit) -> str:
@@ -248,7 +248,7 @@ HEADROOM = 1.5
 
 class Charts:
     def __init__(self, axis_names: tuple[str, ...], unit: ShownUnit):
-        names = (('feed', FEED), ('programmed', ASKED), ('axes allow', LIMIT))
+        names = (('feed', FEED), ('programmed', ASKED), ('limit', LIMIT))
         self._unit = unit
         self._feed = chart('', names, None)
         self._entitle(unit.now)

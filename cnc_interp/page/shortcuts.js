@@ -3,6 +3,11 @@
 window.keyboard = {
   names: MARKS,
   typing: (element) => element.closest('input, textarea, select, [contenteditable], .q-dialog'),
+  reach(mark) {
+    const field = document.querySelector(`input[data-mark="${mark}"], [data-mark="${mark}"] input`);
+    field.scrollIntoView({ block: 'center' });
+    field.focus({ preventScroll: true });
+  },
   press(event) {
     const space = event.key === ' ' || event.key === 'Enter';
     if (space && event.target.closest?.('.moves, .changes')) {

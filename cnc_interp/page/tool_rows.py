@@ -13,7 +13,7 @@ from cnc_interp.program.job import MOST_TOOL, TOOL_SIZES, JobSetup, Tool
 from cnc_interp.program.tool_files import csv_text, tbl_text, tools_of_text
 
 SIZES = dict(
-    zip(TOOL_SIZES, ('length', 'radius', 'corner', 'wear of length', 'of radius'), strict=True)
+    zip(TOOL_SIZES, ('length', 'radius', 'corner', 'length wear', 'radius wear'), strict=True)
 )
 TOUCH = 'touch Z'  #: Mark of the field with the Z at which a tool touches.
 

@@ -199,3 +199,27 @@ def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     tab.click_with_mouse('remove tool 5')
     tab.wait(lambda: '-> not set' in (tab.text('setup change') or ''))
     tab.click_with_mouse('close setup')
+
+
+@pytest.mark.parametrize(('mode', 'rounded'), [('G64 P0.05', True), ('G61', False)])
+def test_single_block_says_where_the_tool_rests(panel, tmp_path, mode, rounded):
+    program = tmp_path / 'corner.ngc'
+    program.write_text(f'G21 G90 {mode}\nG0 X0 Y0 Z10\nG1 X20 F1500\nY20\nX0\nM30\n')
+    tab = panel.open_in_charge(width=1500, height=900)
+    panel.load(tab, program)
+    tab.click_with_mouse('single block')
+    panel.spin_until(lambda: panel.peers.state.single_block)
+    places = []
+    for line in (3, 4):
+        tab.click_with_mouse('cycle start')
+        tab.wait(lambda line=line: f'at the end of line {line}' in tab.text('why'))
+        state = panel.next_state()
+        assert state.reason == MachineState.REASON_SINGLE_BLOCK and state.resting
+        assert ('up to 0.050 mm beside it' in tab.text('why')) == rounded
+        places.append(1e3 * np.array(state.program_positions[:2]))
+    beside = np.linalg.norm(np.array(places) - [[20, 0], [20, 20]], axis=1)
+    # In a rounded corner it rests beside the end of the line, by what the page says at most.
+    assert beside.max() <= (0.05 if rounded else 0.005) + 1e-3
+    assert (beside > 0.01).all() == rounded
+    tab.click_with_mouse('single block')
+    panel.reset(tab)

@@ -97,3 +97,28 @@ def test_what_a_program_uses_is_refused_with_one_line(panel, tmp_path):
     tab.click('close setup')
     panel.reset(tab)
     panel.until(MachineState.IDLE)
+
+
+def test_tools_come_from_a_file_and_are_touched_off(panel, tmp_path):
+    tab = panel.open_in_charge(width=1500, height=1000)
+    tab.wait(lambda: tab.text('state') == 'idle')
+    table = tmp_path / 'tool.tbl'
+    table.write_text('T8 P3 Z+61.25 D8.0 ;mill\nT9 P9 Z+40 D6\n')
+    tab.click_with_mouse('offsets')
+    tab.centre('import tools')
+    tab.choose_file('.tool-file input', table)
+    panel.spin_until(lambda: {8, 9} <= set(panel.setup.tools))
+    tool = panel.setup.tools[8]
+    assert (tool.length, tool.radius) == pytest.approx((0.06125, 0.004))
+    assert (tool.pocket, tool.remark) == (3, 'mill')
+    tab.wait(lambda: tab.value('tool 9 length') == '40.000')
+    # The tip touches Z 2 of the program: its length is what is left.
+    tab.fill('touch Z', '2')
+    tab.click_with_mouse('touch tool 9')
+    panel.spin_until(lambda: panel.setup.tools[9].length != pytest.approx(0.04))
+    stands = panel.next_state().commanded_positions[2]
+    zero = dict(zip(panel.told[-1].axes, panel.told[-1].zero, strict=True))['Z']
+    zero = panel.setup.work_offsets.get(panel.setup.offset, {}).get('Z', zero)
+    assert panel.setup.tools[9].length == pytest.approx(stands - zero - 0.002, abs=1e-9)
+    tab.wait(lambda: 'tool 9: length 40' in (tab.text('setup change') or ''))
+    tab.click_with_mouse('close setup')

@@ -104,6 +104,14 @@ def test_expressions(expression, value):
         'CASE (R1+1) OF 5 GOTOF C_A 2 GOTOF C_B DEFAULT GOTOF C_C\nC_A: X9\nC_B: X1\nX2\nC_C: X3',
         'DEF REAL A_B[2,2]=SET(0,1,2)\nX=A_B[0,1]\nX=A_B[1,0]\nA_B[1,1]=3\nX=A_B[1,A_B[0,1]]',
         'X1\nGOTOC NOWHERE\nX2\nGOTO 70\nX9\nN70 X3',
+        'AGAIN: G0 X=IC(1)\nIF $AA_IW[X]<3 GOTOB AGAIN\nSETAL(65000)',
+        'DEF REAL A_B[4]=REP(1)\nX=A_B[3]\nA_B[1]=SET(2,3)\nX=A_B[1]\nX=A_B[2]',
+        'DEF INT A_B[4]\nA_B[1]=REP(2,2)\nX=1+A_B[0]\nX=A_B[2]\nX=3+A_B[3]',
+        'DEF STRING[9] A_B="ON"\nX1\nIF A_B=="OFF" GOTOF C_A\nA_B="OFF"\nX2\n'
+        'IF A_B=="OFF" GOTOF C_A\nX9\nC_A: X3',
+        'DEF AXIS A_B[2]=(Y,X)\nDEF AXIS C_D=X\nACC[X]=60\nAX[A_B[1]]=1\nAX[C_D]=IC(1)\nAX[X]=3',
+        'X1\nX=$P_EP[X]+1\nDEF AXIS C_D=X\nX=$AA_IM[C_D]+1',
+        'R1=6 B_AND 3\nX=R1-1\nX=R1\nX=6 B_XOR 5',
     ],
 )
 def test_three_steps(loop):

@@ -30,7 +30,7 @@ formula: q_sum
      | "#" index "=" expression                -> set_parameter
      | NAME                                    -> key
      | NAME "(" [given ("," given)*] ")"       -> key
-given: [expression | STRING]
+given: [expression]
 
 ?signed: atom
        | SIGN atom                             -> sign
@@ -41,6 +41,7 @@ _binary: POWER | SIGN | TIMES | COMPARISON | BITS | LOGIC
       | SIGN unary                             -> sign
       | NOT unary                              -> sign
 ?atom: NUMBER                                  -> number
+     | STRING                                  -> text
      | "#" index                               -> parameter
      | bracketed
      | NAME "[" expression ("," expression)* "]" -> call
@@ -89,8 +90,11 @@ Q_FUNCTION: /[A-Z]+/
 """
 _TOO_DEEP = 'the expression is nested too deeply; use parameters'
 
-#: What Siemens names after a measurement: whether it has answered, and where.
-_MEASURED = re.compile(r'\$AC_MEA\s*\[\s*1\s*\]|\$AA_MW\s*\[\s*([XYZABC])\s*\]')
+#: Places of axes that Siemens names, with the number of the first one; whether a probe answered.
+_PLACES = {'$AA_IW': 5041, '$P_EP': 5041, '$AA_IM': 5021, '$AA_MW': 5061}
+_ANSWERED = {'$AC_MEA[1]': 5070}
+_AXIS = re.compile(r'(\$\w+\s*\[\s*)([A-Z])(?=\s*\])')
+_FIRST_TEXT = 1e9  #: Texts are numbers from here on, so that they can be compared.
 
 Node = Any
 
@@ -112,10 +116,8 @@ def _parser() -> Lark:
 
 @lru_cache(maxsize=4096)
 def parse(text: str, start: str = 'line') -> tuple[Node, ...]:
-    if '$A' in text:
-        text = _MEASURED.sub(
-            lambda x: f'#{5061 + "XYZABC".index(x[1])}' if x[1] else '#5070', text
-        )
+    if '$' in text:
+        text = _AXIS.sub(r'\1"\2"', text)
     try:
         return tuple(_Nodes().transform(_parser().parse(text, start=start))[1:])
     except RecursionError:
@@ -152,6 +154,8 @@ def _value(node: Node, variables: ProgramVariables) -> float:
     kind = node[0]
     if kind == 'number':
         return float(node[1])
+    if kind == 'text':
+        return variables.number_of(str(node[1]).strip('"'))
     if kind == 'group':
         return _value(node[1], variables)
     if kind == 'parameter' and node[1][0] == 'own_name':
@@ -234,7 +238,14 @@ def _call(name: str, arguments: tuple[Node, ...], variables: ProgramVariables) -
         if index[0] == 'own_name':
             return float(variables.exists(str(index[1])))
         return float(1 <= parameter_index(index, variables) <= MOST_NUMBER)
+    if name in _PLACES and len(arguments) == 1:
+        axis = variables.text_of(_value(arguments[0], variables))
+        if len(axis) != 1 or axis not in 'XYZABC':
+            raise ExpressionError(f'{name} takes an axis, as {name}[X]')
+        return variables.number(_PLACES[name] + 'XYZABC'.index(axis))
     element = element_name(name, arguments, variables)
+    if element in _ANSWERED:
+        return variables.number(_ANSWERED[element])
     if variables.exists(element):
         return variables.named(element)
     if name not in _FUNCTIONS:
@@ -250,6 +261,20 @@ def element_name(name: str, indices: tuple[Node, ...], variables: ProgramVariabl
     if name in _FUNCTIONS:
         return ''
     return f'{name}[{",".join(f"{_value(index, variables):g}" for index in indices)}]'
+
+
+def elements_from(
+    name: str, indices: tuple[Node, ...], series: Node, variables: ProgramVariables
+) -> list[tuple[str, float]]:
+    """Return what SET(a,b,..) or REP(a,count) gives to an element and those after it."""
+    element, known = element_name(name, indices, variables), variables.elements(name)
+    after = known[known.index(element) :] if element in known else [element]
+    values = [_value(argument, variables) for argument in series[2:]]
+    if series[1] == 'REP':
+        values = values[:1] * int(values[1] if len(values) > 1 else len(after))
+    if len(values) > len(after):
+        raise ExpressionError(f'more values than elements of {name}; correct the size')
+    return list(zip(after, values, strict=False))
 
 
 OPERATORS: dict[str, Callable[[float, float], float]] = {
@@ -396,10 +421,12 @@ class ProgramVariables:
         self._numbers: dict[int, float] = {}
         self._names: dict[str, float] = {}
         self._locals: list[tuple[dict[int, float], dict[str, float]]] = []
+        self._texts: list[str] = []  # each is a number, as ``number_of`` tells
         self._vacant: list[bool] = []  # whether locals that are not set have no value (G65)
 
     def follow(self, before: ProgramVariables) -> None:
         self._numbers, self._names = dict(before._numbers), dict(before._names)
+        self._texts = list(before._texts)
 
     def enter(self, arguments: Mapping[int, float], vacant: bool) -> None:
         self._locals.append((dict(arguments), {}))
@@ -457,6 +484,20 @@ class ProgramVariables:
             return predefined[name]
         shown = f'#{name}' if name.startswith('<') else name
         raise ExpressionError(f'{shown} {UNSET}')
+
+    def number_of(self, text: str) -> float:
+        """Return the number that stands for a text, or for the name of an axis."""
+        if text not in self._texts:
+            self._texts.append(text)
+        return _FIRST_TEXT + self._texts.index(text)
+
+    def text_of(self, number: float) -> str:
+        known = dict(enumerate(self._texts))
+        return known.get(round(number - _FIRST_TEXT), '')
+
+    def elements(self, name: str) -> list[str]:
+        """Return the elements of an array, in their order."""
+        return [each for each in self._names if each.startswith(f'{name}[')]
 
     def set_name(self, name: str, value: float) -> None:
         names = self._table(name)

@@ -41,6 +41,7 @@ _TYPE = re.compile(r'(REAL|INT|BOOL|CHAR|STRING\s*\[\s*\d+\s*\]|AXIS|FRAME)\s+(.
 _NAME = re.compile(r'\s*([A-Z_]\w*)\s*(?:\[([^\]]*)\])?\s*(?:=(.*))?')
 _COMMAS = re.compile(r',(?![^(\[]*[)\]])(?![^"]*"(?:[^"]*"[^"]*")*[^"]*$)')
 _CALL = re.compile(r'(?:CALL\s*"([^"]+)"|([A-Z_][A-Z_]\w*|L\d+))\s*(?:P\s*=?\s*(\d+))?')
+_AXIS_NAME = re.compile(r'(?<![\w"])[XYZABCUVW](?![\w"])')
 _MOST_ELEMENTS = 10_000  #: More elements of an array are not set to 0 one by one.
 #: The last word of each structure by its first one, and the reverse. WHILE also ends DO.
 ENDS = {
@@ -174,17 +175,17 @@ class Flow(Cursor):
 
     def _define(self, rest: str) -> None:
         match = _TYPE.fullmatch(rest)
-        if match is None or match[1] in ('AXIS', 'FRAME'):
+        if match is None or match[1] == 'FRAME':
             raise self.fault(
-                'write DEF REAL NAME=VALUE; INT, BOOL, CHAR and STRING work, too', 'DEF'
+                'write DEF REAL NAME=VALUE; INT, BOOL, CHAR, STRING and AXIS work, too', 'DEF'
             )
         for part in _COMMAS.split(match[2]):
             found = _NAME.fullmatch(part)
             if found is None:
                 raise self.fault('write DEF REAL NAME=VALUE', part.strip() or 'DEF')
             name, sizes, value = found.groups()
-            if match[1].startswith('STRING') or (value or '').strip().startswith('"'):
-                continue  # texts move nothing; a number that is read from one is not set
+            if match[1] == 'AXIS' and value:
+                value = _AXIS_NAME.sub(r'"\g<0>"', value)
             if sizes is None:
                 self.variables.set_name(name, self.condition(value) if value else 0.0)
             else:
@@ -197,9 +198,11 @@ class Flow(Cursor):
             if not 0 < count * len(indices) <= _MOST_ELEMENTS:
                 raise self.fault(f'an array of more than {_MOST_ELEMENTS} elements', name)
             indices = [f'{before},{i}' for before in indices for i in range(count)]
-        given = re.fullmatch(r'\s*(?:SET)?\s*\((.*)\)\s*', value or '()')
-        parts = _COMMAS.split(given[1] if given else value or '')
+        given = re.fullmatch(r'\s*(SET|REP)?\s*\((.*)\)\s*', value or '()')
+        parts = _COMMAS.split(given[2] if given else value or '')
         values = [self.condition(text) for text in parts if text.strip()]
+        if given and given[1] == 'REP':
+            values = values[:1] * len(indices)
         if len(values) > len(indices):
             raise self.fault('more values than elements; correct the size', name)
         for index, number in zip(indices, values + [0.0] * len(indices), strict=False):

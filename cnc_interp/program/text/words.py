@@ -27,6 +27,11 @@ _TOKEN = re.compile(
 _IDLE_CALL = re.compile(
     rf'(?<![A-Z0-9_])({"|".join(sorted(HARMLESS_KEYS))})\s*\((?:[^()"]|"[^"]*"|\([^()]*\))*\)'
 )
+#: Limits of an axis, as ACC[X]=60; and an axis by its name, as AX[X]=10.
+_LIMIT_OF_AXIS = re.compile(
+    r'(?<!\w)((?:ACC|ACCLIM|VELOLIM|JERKLIM)A?|FGREF)\s*\[\s*\w+\s*\]\s*=\s*\S+'
+)
+_NAMED_AXIS = re.compile(r'(?<!\w)AX\s*\[\s*([A-Z])\s*\]\s*=')
 _EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\s*\(')
 _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
@@ -103,6 +108,8 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
     """Split one line of G-code into words. The line is in upper case and without comments."""
     if '(' in line:
         line = _IDLE_CALL.sub(r'\1 ', line)
+    if '[' in line:
+        line = _NAMED_AXIS.sub(r' \1=', _LIMIT_OF_AXIS.sub(r' \1 ', line))
     if 'E' in line and (exponent := _EXPONENT.search(line)):
         raise fault('a number with an exponent; write all its digits', exponent[1], DependsOn.LINE)
     words = BlockWords()
@@ -161,13 +168,14 @@ def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault
         for item in items:
             kind, word = item[0], str(item[1])
             if kind == 'word':
-                node = item[2]
-                if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
-                    words.ways[word], node = str(node[1]), node[2]
-                value = expressions.evaluate(node, variables)
-                _add(words, word, value, f'{word}{value:g}', fault)
+                _add_expression(words, word, item[2], variables, fault)
             elif kind == 'set_name':
                 words.sets.append((word, expressions.evaluate(item[2], variables)))
+            elif kind == 'set_element' and word == 'AX':
+                word = variables.text_of(expressions.evaluate(item[2], variables))
+                _add_expression(words, word, item[3], variables, fault)
+            elif kind == 'set_element' and item[-1][:2] in (('call', 'SET'), ('call', 'REP')):
+                words.sets += expressions.elements_from(word, item[2:-1], item[-1], variables)
             elif kind == 'set_element':
                 word = expressions.element_name(word, item[2:-1], variables)
                 words.sets.append((word, expressions.evaluate(item[-1], variables)))
@@ -191,8 +199,21 @@ def _by_grammar(line: str, variables: expressions.ProgramVariables, fault: Fault
     return words
 
 
+def _add_expression(
+    words: BlockWords,
+    letter: str,
+    node: Any,
+    variables: expressions.ProgramVariables,
+    fault: Fault,
+) -> None:
+    if node[0] == 'call' and node[1] in WAYS and len(node) == 3:
+        words.ways[letter], node = str(node[1]), node[2]
+    value = expressions.evaluate(node, variables)
+    _add(words, letter, value, f'{letter}{value:g}', fault)
+
+
 def _given(node: Any, variables: expressions.ProgramVariables) -> float | None:
-    if len(node) == 1 or isinstance(node[1], str):
+    if len(node) == 1 or node[1][0] == 'text':
         return None
     return expressions.evaluate(node[1], variables)
 

@@ -140,6 +140,8 @@ def _live(
 ) -> None:
     """Plan sections until the parent ends this process, or has died."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears Ctrl-C
+    for number in (signal.SIGTERM, signal.SIGHUP):  # not the handler of the parent
+        signal.signal(number, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(PARENT_DEATH_SIGNAL, signal.SIGKILL)
     if os.getppid() != parent:
         return

@@ -146,3 +146,13 @@ def test_text_that_cannot_be_read_on_does_not_hide_what_was_refused_before():
     error = str(refused(f'G21 G90 G94\nG0 X0 Y0 Z0\nG1 Xfoo F100\n{lines}{"X" * 200_000}\n'))
     assert 'part.ngc:3: XFOO' in error.upper().replace('PART.NGC', 'part.ngc')
     assert 'a line of more than' in error
+
+
+def test_a_program_of_days_is_refused_by_its_slowest_line():
+    error = refused('G21 G1 X1 F100\nX2\nX9400 F1\nX0 F3000\nM30\n')
+    assert error.line_number == 3 and 'takes more than 100 h' in error.message
+    assert '157 h' in error.message
+    many = 'X900 F10\nX0\n' * 40  # each takes 1.5 h
+    assert refused(f'G1 X0 F10\n{many}').line_number == 2
+    assert refused('G1 X0 F10\nG93 X1 F0.0001\n').line_number == 2
+    assert len(read(f'G1 X0 F10\n{many[:220]}', 'part.ngc').blocks) > 30

@@ -1,5 +1,6 @@
 """Signals that ask a command to end: seen, or held back until nothing must be left half done."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -93,3 +94,26 @@ def test_ctrl_c_in_a_finaliser_or_while_a_library_loads_is_not_lost(load):
     words = [sys.executable, '-c', f'load = {load}\n{LOST}']
     done = subprocess.run(words, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (130, 'cnc-interp: interrupted\n')
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
+def test_a_plan_with_processes_ends_with_one_line(tmp_path, number):
+    """Issue 56: each process that planned a part showed the traceback of its parent's handler."""
+    program = tmp_path / 'long.nc'
+    lines = (f'X{i % 7} Y{i % 11} Z{i / 1000}' for i in range(60_000))
+    program.write_text('G21 G90 F3000\nG1 X0 Y0 Z0\n' + '\n'.join(lines))
+    command = ['-m', 'cnc_interp', 'plan', str(program), '--machine', 'xyz', '--workers', '2']
+    with subprocess.Popen(
+        [sys.executable, *command, '--out', str(tmp_path / 'plan')],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    ) as plan:
+        for line in plan.stderr:
+            if line.startswith('planning'):
+                break
+        os.killpg(plan.pid, number)
+        rest = [line for line in plan.stderr.read().splitlines() if not line.startswith('plann')]
+    assert rest == ['cnc-interp: interrupted'] and plan.returncode == 130

@@ -37,6 +37,7 @@ from cnc_interp.program.job import SetupChange
 from cnc_interp.settings.options import Settings
 
 _FIRST_BATCH, _BATCH_ROWS = 64, 4096
+HOUR, LONGEST = 3600.0, 100.0 * 3600.0  #: A program that takes longer is refused [s].
 MOST_CHANGES = 1000  #: More changes of the setup than this are not kept one by one.
 #: How the program waits, by EXACT_STOP of a target.
 _WAITS = np.array([GO_ON, GO_ON, OPTIONAL_STOP, STOP])
@@ -75,6 +76,9 @@ class TargetColumns:
         self._before: FloatArray | None = None  # the last target that became a block
         self.waits_first = False  # for the operator, before the first motion
         self._parts: list[Blocks] = []
+        self._tip: FloatArray | None = None  # where the last block ends
+        # What the program lasts so far, and its slowest block with its line [s].
+        self._lasts, self._slowest = 0.0, (0.0, 0)
         self.start = StartLine(settings.from_line, settings.line_pass, source)
         self._curve: Blocks | None = None  # the last spline, until the stop at its end is known
         self._preceding = NOTHING_BEFORE  # the next motion
@@ -205,9 +209,32 @@ class TargetColumns:
             changed, first = np.unique(rows[row, col.CHANGES], return_index=True)
             for count, block in zip(changed, first, strict=True):
                 self._place_changes(int(count), self._emitted + int(block))
+        self._demand_an_end(blocks)
         self.modes.see(rows[row][:, col.MODES], self._emitted)
         self._emitted += len(blocks)
         self._parts.append(blocks)
+
+    def _demand_an_end(self, blocks: Blocks) -> None:
+        """Refuse a program of days, by its slowest line: its feed has another unit, or a typo."""
+        step = np.diff(
+            blocks.tip, axis=0, prepend=blocks.tip[:1] if self._tip is None else self._tip
+        )
+        self._tip = blocks.tip[-1:]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            time = np.linalg.norm(step, axis=1) / blocks.feedrate
+        time = np.where(np.isfinite(blocks.duration), blocks.duration, np.nan_to_num(time))
+        self._lasts += float(time.sum())
+        slowest = int(np.argmax(time))
+        if time[slowest] > self._slowest[0]:
+            self._slowest = float(time[slowest]), int(blocks.line_number[slowest])
+        if self._lasts > LONGEST:
+            alone, line = self._slowest
+            why = f'the program takes more than {LONGEST / HOUR:.0f} h'
+            raise ProgramError(
+                f'{why}, and a motion of this line {alone / HOUR:.3g} h; correct F or its unit',
+                self._source,
+                line,
+            )
 
     def _place_changes(self, count: int, block: int) -> None:
         while self._coming and self._coming[0][0] <= count:

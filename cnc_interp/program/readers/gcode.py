@@ -15,7 +15,7 @@ from cnc_interp.program.text.expressions import ExpressionError
 from cnc_interp.program.text.source import is_name, leader_lines
 from cnc_interp.program.text.words import split_words, without_comments
 
-_NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+\s*)?(/\d?\s*)?(?:N\s*\d+\s*)?')
+_NUMBER_AND_SKIP = re.compile(r'(?:[N:]\s*\d+(?:\.\d*)?\s*)?(/\d?\s*)?(?:N\s*\d+(?:\.\d*)?\s*)?')
 #: A length or an angle without a decimal point; codes of units and of canned cycles.
 #: Names are matched, too, so that their letters stay as they are.
 _NO_POINT = re.compile(r'<[^<>]*>|[A-Z_]{2,}\w*|([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(?![\d.]|\s*=)')
@@ -23,6 +23,9 @@ _NO_POINT = re.compile(r'<[^<>]*>|[A-Z_]{2,}\w*|([ABCIJKQRUVWXYZ])\s*([-+]?\d+)(
 _MESSAGE = re.compile(r'\(\s*(?:DEBUG|PRINT|MSG)\s*,([^)]*)\)', re.IGNORECASE)
 _PARAMETER = re.compile(r'#(\d+|<[^<>]+>)')
 _UNIT, _CYCLE = re.compile(r'G2[01](?!\d)'), re.compile(r'G(?:7[346]|8[1-9])(?!\d)')
+
+
+_TEXT = re.compile(rb'(?m)^[ \t]*[^\s%\0\x1a]')
 
 
 class GcodeReader(ProgramReader):
@@ -69,6 +72,12 @@ class GcodeReader(ProgramReader):
         if line[0] == '%' and line[-1] != '*':
             if self._percent_seen or not self.targets.empty:
                 self.flow.ended = True
+                source, here = self.flow.source, self.flow.window.place(self.flow.row)
+                if after := source.find(_TEXT, source.after(here)):
+                    self.notice(
+                        '%',
+                        f'ends the program; what follows from line {after.line} on is not read',
+                    )
             self._percent_seen = True
             return
         head = _NUMBER_AND_SKIP.match(line)

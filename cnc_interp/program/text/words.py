@@ -41,7 +41,7 @@ WAYS = ('AC', 'IC', 'DC', 'ACP', 'ACN')
 _EXPONENT = re.compile(r'(?:(?<![A-Z_<"])[A-Z](?:\s*=)?\s*|(?<![\w.<"]))[-+]?([\d.]+E[-+]?\d+)')
 # A name of several letters before a parenthesis, but not a word with a number as in M6(TOOL 3).
 _GROUP_BEFORE = re.compile(
-    r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])(?:[A-Z_][A-Z_]\w*|(?:IF|WHILE|UNTIL|CASE|AND|OR|NOT|'
+    r'(?:[-+*/=,<>]\s*|(?<![A-Z0-9_])(?:(?!(?:GOTO[FBC]?|DO|END|THEN|ELSE|ENDIF|END\s*SUB|SUB)\d*$)[A-Z_][A-Z_]\w*|(?:IF|WHILE|UNTIL|CASE|AND|OR|NOT|'
     r'(?:CYCLE|HOLES|SLOT|POCKET|LONGHOLE)\d*)\s+))$'
 )
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from plotly.subplots import make_subplots
 
-from cnc_interp.core import UM, InterpError
+from cnc_interp.core import UM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
-from cnc_interp.proof.verdict import Proof
+from cnc_interp.proof.verdict import Finding, Proof
 from cnc_interp.proof.verify import verify
 from cnc_interp.report import html
 from cnc_interp.report.corners import read_segments, views_of
@@ -23,17 +23,32 @@ from cnc_interp.report.series import (
     Series,
     extremes,
     series_of,
+    time_lost,
     time_section,
     tool_error_use,
     tool_errors,
 )
+
+#: What the deviations of a path are, for people, with the findings of a proof that measure them:
+#: from the path to the program, and back from the program's vertices to the path.
+DEVIATIONS = {
+    'contour': (
+        'deviation between path and program at the tool tip',
+        ('contour error', 'contour error of path', 'vertex missed by tip'),
+    ),
+    'orientation': (
+        'deviation between path and program at the flank height',
+        ('orientation error', 'orientation error of path', 'vertex missed by top'),
+    ),
+}
+NAMED = 3  #: Limits that the answer names.
 
 #: Rows of the table: label, unit, number format, and the figure of a plan.
 ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (
     ('cycle time', ' s', '.3f', lambda run: run.proof.cycle_time),
     ('planning time', ' s', '.3g', lambda run: _planning_time(run)),
     ('path length', ' mm', ',.2f', lambda run: float(np.ptp(run.series.way))),
-    ('blocks', '', ',', lambda run: run.proof.blocks),
+    ('pieces of path', '', ',', lambda run: run.proof.blocks),
     ('highest feed', ' mm/min', ',.0f', lambda run: float(run.series.feed.max())),
     (
         'mean feed',
@@ -42,16 +57,16 @@ ROWS: tuple[tuple[str, str, str, Callable[[ExaminedPlan], float]], ...] = (
         lambda run: float(np.ptp(run.series.way)) / run.proof.cycle_time * 60.0,
     ),
     (
-        'largest contour error',
+        'largest deviation of the tool tip',
         ' &#181;m',
         '.4g',
-        lambda run: run.proof.largest('contour error').value / UM,
+        lambda run: _deviation(run.proof, 'contour').value / UM,
     ),
     (
-        'largest orientation error',
+        'largest deviation at flank height',
         ' &#181;m',
         '.4g',
-        lambda run: run.proof.largest('orientation error').value / UM,
+        lambda run: _deviation(run.proof, 'orientation').value / UM,
     ),
 )
 
@@ -164,18 +179,20 @@ def write_report(
     plan, proof, series = run.plan, run.proof, run.series
     segments = read_segments(directory)
     name = Path(str(plan.summary.get('program', 'plan'))).name
+    errors = tool_errors(plan, machine) if machine.drives else None
+    use = tool_error_use(plan, errors) if errors else None
     body = [
         f'<h1>{escape(name)}<span class="badge{"" if proof.ok else " no"}">'
         f'{"" if proof.ok else "not "}proven</span></h1>',
         f'<p>machine {escape(machine.name)}, {"".join(machine.axis_names)}, '
         f'{proof.samples:,} setpoints every {proof.period * 1e3:g} ms</p>',
+        _answer(proof, series, use),
         tiles(_figures(plan, proof, series)),
         _faults(proof),
     ]
     if compare is not None:
         body.append(comparison_section(run, ExaminedPlan.of(compare, given, names[1])))
-    errors = tool_errors(plan, machine) if machine.drives else None
-    body.append(time_section(series, tool_error_use(plan, errors) if errors else None))
+    body.append(time_section(series, use))
     for plot in PLOTS:
         text = plot.text.format(**vars(series))
         body.append(section(plot.heading, text, drawing(plot.draw(series))))
@@ -195,15 +212,16 @@ def _names(first: Path, second: Path) -> tuple[str, str]:
 
 
 def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, str]]:
+    lines = len(np.unique(series.line[series.line > 0]))
     rows = [
         (f'{proof.cycle_time:.3f} s', 'cycle time'),
-        (f'{proof.blocks:,}', 'blocks'),
+        (f'{lines:,}', f'lines of the program with motion, in {proof.blocks:,} pieces'),
         (f'{series.way[-1] - series.way[0]:,.1f} mm', 'path length'),
         (f'{series.feed.max():,.0f} mm/min', 'highest feed'),
     ]
     least: Any = plan.summary.get('time_bound')
     if isinstance(least, int | float):
-        label = 'least time within these velocities and accelerations, without jerk limits'
+        label = 'no motion within these velocities and accelerations takes less'
         rows.insert(1, (f'{least:.3f} s', label))
     planning: Any = plan.summary.get('planning_time')
     if isinstance(planning, int | float) and planning > 0.0:
@@ -212,11 +230,34 @@ def _figures(plan: PlanFiles, proof: Proof, series: Series) -> list[tuple[str, s
     for kind in proof.kinds:
         most = max((f for f in proof.findings if f.what == kind), key=lambda f: f.ratio)
         rows.append((f'{most.ratio:.1%}', f'largest {kind} use, axis {most.axis}'))
-    for name in ('contour error', 'orientation error'):
-        found = proof.largest(name)
-        value, limit = found.value / UM, found.limit / UM
-        rows.append((f'{value:.4g} &#181;m', f'largest {name}, allowed {limit:.4g} &#181;m'))
+    for name, (told, _) in DEVIATIONS.items():
+        found = _deviation(proof, name)
+        label = f'largest {told}; up to {found.limit / UM:.4g} &#181;m are allowed there'
+        rows.append((f'{found.value / UM:.4g} &#181;m', label))
     return rows
+
+
+def _answer(proof: Proof, series: Series, tool_error: FloatArray | None) -> str:
+    """Return the answer in a sentence: how long it takes, what limits it, whether it is proven."""
+    held = time_lost(series, tool_error).by_limit
+    limits = sorted(((time, name) for name, (time, _) in held.items() if time > 0.0), reverse=True)
+    whole = max(float(series.time[-1] - series.time[0]), 1e-9)
+    told = ', '.join(f'{escape(name)} for {time / whole:.0%}' for time, name in limits[:NAMED])
+    proven = (
+        'Every setpoint keeps the limits of the machine, every curve the tolerances: proven.'
+        if proof.ok
+        else 'It is not proven; the reasons are below.'
+    )
+    return (
+        f'<p class="answer"><b>{proof.cycle_time:.3f} s.</b> Of this time the motion is limited '
+        f'by {told}. {proven}</p>'
+    )
+
+
+def _deviation(proof: Proof, name: str) -> Finding:
+    """Return the deviation that uses most of its tolerance, as `plan` tells it."""
+    found = [each for each in proof.findings if each.what in DEVIATIONS[name][1]]
+    return max(found, key=lambda one: one.ratio if np.isfinite(one.ratio) else -1.0)
 
 
 def _faults(proof: Proof) -> str:

@@ -14,6 +14,7 @@ from cnc_interp.core import MM, BlockError, FloatArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
 
+BETTER = 1e-9  #: A direction that adds less to a depth is no better [m].
 PLACES = 33  #: Places along a hit at which its depth is measured.
 DIRECTIONS = 200  #: Directions in which the depth of overlapping pieces is tried at first.
 
@@ -83,7 +84,7 @@ def apart(space: Space, a: int, b: int, pose: FloatArray, rel: FloatArray) -> fl
             z = n2 + way * (k // 2 == 2)
             length = np.sqrt(x * x + y * y + z * z)
             found = _along(space, a, b, rel, (x / length, y / length, z / length))
-            if found > best:
+            if found > best + BETTER:  # less may be rounding, for ever
                 best, n0, n1, n2, moved = found, x / length, y / length, z / length, True
         if not moved:
             step *= 0.5

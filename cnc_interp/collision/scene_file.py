@@ -41,7 +41,7 @@ def scenes_directory() -> Path:
 def find_scene_file(path_or_name: str | Path) -> Path:
     """Return the file of a scene, or of a bundled one by its name."""
     path = Path(path_or_name)
-    bundled = scenes_directory() / f'{path_or_name}.yaml'
+    bundled = scenes_directory() / f'{path.name}.yaml'
     return bundled if not path.is_file() and bundled.is_file() else path
 
 

@@ -94,8 +94,8 @@ def reach(piece, n):
     return (piece.discs[:, :3] @ n + piece.discs[:, 3] * across).max() + piece.round
 
 
-def distance(machine, pieces, links, q):
-    """Distance of two pieces at one position, proven from both sides."""
+def distance(machine, pieces, links, q, with_normal=False):
+    """Distance of two pieces at one position, proven from both sides, and the normal in B."""
     (ra, oa), (rb, ob) = (link_pose(machine, link, q) for link in links)
     rotation, place = rb.T @ ra, rb.T @ (oa - ob)
     packed = shapes.gathered(list(pieces), np.full((2, 2), -1), np.arange(2), np.arange(2))
@@ -105,7 +105,7 @@ def distance(machine, pieces, links, q):
         n = out[:3]
         apart = -reach(pieces[1], -n) - reach(pieces[0], rotation.T @ n) - place @ n
         assert abs(apart - found) < 1e-8 + 2e-7 * found
-    return found
+    return (found, out[:3]) if with_normal else found
 
 
 def least_distance(machine, pieces, links, path, samples=400):

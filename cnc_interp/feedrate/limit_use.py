@@ -103,7 +103,7 @@ def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _hulls(c: FloatArray, h: float, out: FloatArray) -> None:
+def derivative_hulls(c: FloatArray, h: float, out: FloatArray) -> None:
     """Write the largest magnitudes of Bernstein coefficients of q_s, q_ss, ..., q_sssss."""
     scale = 1.0
     for order in range(5):
@@ -117,7 +117,7 @@ def _hulls(c: FloatArray, h: float, out: FloatArray) -> None:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _place_bounds(table: FloatArray) -> FloatArray:
+def place_bounds(table: FloatArray) -> FloatArray:
     """Return the lowest limits of the axes and their steepest slopes by position, (2, 3, n)."""
     n_axes, last = table.shape[1], table.shape[2] - 1
     out = np.zeros((2, 3, n_axes))
@@ -132,7 +132,7 @@ def _place_bounds(table: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _bends(
+def bends_of_use(
     table: FloatArray,
     places: FloatArray,
     k: int,
@@ -285,7 +285,7 @@ def limit_use(
     v, a, jerk, duration = law
     n, n_axes = len(feed), left.shape[2]
     c, hull, bends = np.empty(8), np.empty(5), np.empty(4)
-    places, work = _place_bounds(table), np.empty((8, DEGREE + 1))
+    places, work = place_bounds(table), np.empty((8, DEGREE + 1))
     rows = TORQUE + 1 if np.isfinite(table[DRIVE]).any() else TORQUE
     for i in range(n):
         if not fresh[i]:
@@ -304,8 +304,8 @@ def limit_use(
         most = fast, max(abs(a[i]), abs(a[i + 1])), abs(jerk[i])
         for k in range(n_axes):
             septic_coefficients(left[:, i, k], right[:, i, k], h, c)
-            _hulls(c, h, hull)
-            _bends(table, places, k, hull, *most, bends)
+            derivative_hulls(c, h, hull)
+            bends_of_use(table, places, k, hull, *most, bends)
             sign = 1.0 if left[1, i, k] + right[1, i, k] > 0.0 else -1.0
             for row in range(rows):
                 at, ends = by_place.ACCELERATION if row == TORQUE else row, 0.0

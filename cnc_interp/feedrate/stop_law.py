@@ -12,6 +12,9 @@ until the deceleration can be brought back to zero together with the speed:
 From there j = a^2 / (2 v) stays constant down to rest. The acceleration q_ss v^2 + q_s a [Eq. 7]
 and the torque are kept, too. If an axis cannot follow, the release is tried earlier and slower,
 then less braking. If none keeps the limits, the motion goes on as planned until there is a stop.
+
+The limits hold at every instant of a step: at its ends and its middle by their values, between
+them by the chord bound of ``limit_use.py``. A step whose bound is too large is halved.
 """
 
 import numpy as np
@@ -20,11 +23,18 @@ from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
 from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.limit_use import (
+    TORQUE,
+    bends_of_use,
+    derivative_hulls,
+    place_bounds,
+)
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.kinematics import axis_path
 from cnc_interp.kinematics.axis_path import AxisPath
 
-STEP = 5e-4  #: Longest time with one jerk [s]; the limits are kept at both ends.
+STEP = 5e-4  #: Longest time with one jerk [s].
+HALVINGS = 3  #: How often a step is halved until its bound keeps the limits.
 SHARE = 0.05  #: Longest such time relative to that in which braking would take away all speed [-].
 LEEWAY = 2e-4  #: Smallest part of every limit that braking leaves free [-].
 ACCEPTED = 1.0 - 1e-4  #: Largest accepted use of a limit [-].
@@ -65,9 +75,45 @@ def _left_by_axes(
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def _enter(left: FloatArray, right: FloatArray, cell: int, h: float, septics: FloatArray) -> None:
+def _enter(
+    left: FloatArray,
+    right: FloatArray,
+    cell: int,
+    h: float,
+    septics: FloatArray,
+    hulls: FloatArray,
+) -> None:
     for i in range(left.shape[2]):
         axis_path.septic_coefficients(left[:, cell, i], right[:, cell, i], h, septics[i])
+        derivative_hulls(septics[i], h, hulls[i])
+
+
+@njit(cache=True, nogil=True, error_model='numpy')
+def _is_bounded(
+    table: FloatArray,
+    places: FloatArray,
+    hulls: FloatArray,
+    law: tuple[float, float, float],
+    duration: float,
+    room: tuple[float, float],
+) -> bool:
+    """Tell whether no use of a limit rises by more than a room between ends and middle of a step.
+
+    ``law``: v, a and j at its begin; ``room``: of the jerk, and of all other limits [-].
+    """
+    v, a, j = law
+    a_end = a + j * duration
+    fast = max(v, v + duration * (a + duration * j / 2))
+    if a * a_end < 0.0:
+        fast = max(fast, v - a * a / (2 * j))
+    bends, share = np.empty(4), (0.5 * duration) ** 2 / 8
+    for i in range(len(hulls)):
+        bends_of_use(table, places, i, hulls[i], fast, max(abs(a), abs(a_end)), abs(j), bends)
+        if share * bends[JERK] > room[0]:
+            return False
+        if share * max(bends[0], bends[1], bends[TORQUE]) > room[1]:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -115,12 +161,13 @@ def _brake(
     """
     jet, septics = np.empty((left.shape[2], 4)), np.empty((left.shape[2], 8))
     now, halfway, then = np.empty(4), np.empty(4), np.empty(4)
+    hulls, places = np.empty((left.shape[2], 5)), place_bounds(table)
     s, v, a = steps[begin, 1], steps[begin, 2], steps[begin, 3]
     cell = int(steps[begin, 5])
     h = s_grid[cell + 1] - s_grid[cell]
-    _enter(left, right, cell, h, septics)
+    _enter(left, right, cell, h, septics, hulls)
     _jets_at(septics, (s - s_grid[cell]) / h, h, jet)
-    _left_by_axes(jet, v, a, table, leeway, now)
+    worst_now = _left_by_axes(jet, v, a, table, leeway, now)
     releasing = False
     for k in range(begin, len(steps)):
         steps[k, 1], steps[k, 2], steps[k, 3] = s, v, a
@@ -138,8 +185,8 @@ def _brake(
             if j > now[1]:
                 return k, NO_BRAKING
         duration, at_border, rests, worst = longest, False, False, 0.0
-        least, most = now[0], now[1]
-        for attempt in range(3):
+        least, most, corrections, halvings = now[0], now[1], 0, 0
+        while True:
             ahead = s_grid[cell + 1] - s
             duration = longest
             at_border = duration * (v + duration * (a / 2 + duration * j / 6)) >= ahead
@@ -162,28 +209,31 @@ def _brake(
             worst = max(worst, _left_by_axes(jet, v_end, a_end, table, leeway, then))
             least = max(now[0], halfway[0], then[0])
             most = min(now[1], halfway[1], then[1])
-            if releasing or attempt == 2:
-                break
             wanted = min(max(j, least, (then[2] - a) / duration), most)
-            if abs(wanted - j) <= 1e-9 * now[3]:
+            if not releasing and corrections < 2 and abs(wanted - j) > 1e-9 * now[3]:
+                j, corrections = wanted, corrections + 1
+                continue
+            room = leeway - 0.5 * LEEWAY, 1.0 - max(worst, worst_now)
+            bounded = _is_bounded(table, places, hulls, (v, a, j), duration, room)
+            if bounded or worst > ACCEPTED or halvings == HALVINGS:
                 break
-            j = wanted
+            longest, corrections, halvings = 0.5 * duration, 0, halvings + 1
         rounding = 0.5 * LEEWAY * then[3]
-        if worst > ACCEPTED or not least - rounding <= j <= most + rounding:
+        if not bounded or worst > ACCEPTED or not least - rounding <= j <= most + rounding:
             return k, NO_RELEASE if releasing else NO_BRAKING
         steps[k, 0], steps[k, 4] = duration, j
         if rests:
             return k + 1, FOUND
         s, v, a = s_end, v_end, a_end
-        now[:] = then
+        now[:], worst_now = then, worst
         if at_border:
             cell += 1
             if cell + 1 == len(s_grid) or stop[cell]:
                 return k, NO_BRAKING
             s, h = s_grid[cell], s_grid[cell + 1] - s_grid[cell]
-            _enter(left, right, cell, h, septics)
+            _enter(left, right, cell, h, septics, hulls)
             _jets_at(septics, 0.0, h, jet)
-            _left_by_axes(jet, v, a, table, leeway, now)
+            worst_now = _left_by_axes(jet, v, a, table, leeway, now)
     return len(steps) - 1, NO_RELEASE
 
 

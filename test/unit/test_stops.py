@@ -91,7 +91,7 @@ def longer_than_straight(piece: PlannedPiece, limits: Limits) -> FloatArray:
         stop = stop_law(piece.path, state, table, float(time))
         if stop is not None:
             rest = stop.law.end_time
-            assert use_of_limits(stop, limits) < 1.001
+            assert use_of_limits(stop, limits) <= 1.0
             s, v, a, _ = stop.law.evaluate(np.array([time, rest]))
             assert (s[0], v[0], a[0]) == pytest.approx(state, rel=1e-12, abs=1e-12)
             assert abs(v[1]) < 1e-9 and abs(a[1]) < 1e-6

@@ -88,12 +88,12 @@ def test_cl_data_are_refused_at_once_too():
 
 
 def test_many_different_refusals_end_with_a_table_of_their_words():
-    text = 'G21\nG0 X0 Y0 Z0\n' + 'G7\n' * 3 + 'FOO\nG1 X1 Q5 F9\nBAR\nG51 X1\n'
+    text = 'G21\nG0 X0 Y0 Z0\n' + 'G7\n' * 3 + 'FOO\nG1 X1 Q5 F9\nBAR\nG66 P1\n'
     assert (
         str(refused(text)).splitlines()[-1]
-        == '6 refused lines: G7 in 3, FOO in 1, BAR in 1, G51 in 1'
+        == '6 refused lines: G7 in 3, FOO in 1, BAR in 1, G66 in 1'
     )
-    assert 'refused lines' not in str(refused(text.replace('G51 X1\n', '').replace('FOO', '')))
+    assert 'refused lines' not in str(refused(text.replace('G66 P1\n', '').replace('FOO', '')))
 
 
 def test_words_of_cam_systems():

@@ -34,6 +34,7 @@ def dwell(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def tilt(at: Execution, code: str, words: BlockWords) -> None:
+    at.mover.demand_no_scale(code)
     at.plane.execute(code, words)
 
 

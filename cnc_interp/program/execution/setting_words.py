@@ -52,6 +52,7 @@ def refuse_lathe(at: Execution, code: str, words: BlockWords) -> None:
 
 
 def begin_cycle(at: Execution, code: str, _: BlockWords) -> None:
+    at.mover.demand_no_scale(code, PLANES[at.mover.plane][2])
     if at.cycle is None:
         at.cycle = CannedCycle(code, at.level())
     at.cycle.code = code
@@ -187,6 +188,9 @@ def turn_frame(at: Execution, key: str, words: BlockWords) -> None:
     frames, before = mover.frames, mover.here()
     if not key.startswith('A'):
         frames.reset_frame()
+        frames.reset_scale()
+    elif frames.scales:
+        raise at.fault('comes after MIRROR or SCALE; write it before', key)
     taken = {letter: words.values.pop(letter, 0.0) for letter in 'XYZ'}
     if key.endswith('TRANS'):
         frames.move(np.array([taken[letter] * mover.unit for letter in 'XYZ']))
@@ -227,6 +231,7 @@ def high_speed_settings(at: Execution, key: str, words: BlockWords) -> None:
 
 def swivel(at: Execution, key: str, words: BlockWords) -> None:
     given = dict(words.keys)[key]
+    at.mover.demand_no_scale(key)
     if any(given):
         at.plane.swivel(given, words)
     else:

@@ -80,6 +80,7 @@ def tool_length(at: Execution, code: str, words: BlockWords) -> None:
 def switch_tcp(at: Execution, word: str, _: BlockWords) -> None:
     if not at.mover.rotary_letters:
         raise at.fault('tool-tip programming needs a machine with rotary axes', word)
+    at.mover.demand_no_scale(word)
     at.mover.switch_tcp(word)
 
 
@@ -123,6 +124,7 @@ def write_setup(at: Execution, _: str, words: BlockWords) -> None:
             raise at.fault('a rotation beyond ten turns; correct it', words.texts['R'])
         angle *= DEG
     if kind == 20.0:
+        mover.demand_no_scale('G10 L20')
         here = np.concatenate([mover.point, mover.rotary])
     given = _offset_words(at, words.values)
     mover.change(mover.frames.work_change(int(index), given, here, angle))
@@ -208,6 +210,7 @@ def shift_frame(at: Execution, _: str, words: BlockWords) -> None:
 def preset(at: Execution, _: str, words: BlockWords) -> None:
     """Process G92: suspended values do not come back, as in LinuxCNC."""
     mover, frames = at.mover, at.mover.frames
+    mover.demand_no_scale('G92')
     here, amounts = mover.here(), frames.g92.copy()
     for i, value in _offset_words(at, words.values).items():
         if i < 3:

@@ -7,6 +7,7 @@ from typing import Any
 
 from cnc_interp.program.execution import machine_words as machine
 from cnc_interp.program.execution import motion_words as motion
+from cnc_interp.program.execution import scaling_words as scaling
 from cnc_interp.program.execution import setting_words as setting
 from cnc_interp.program.execution import setup_words as setup
 from cnc_interp.program.execution.context import Execution
@@ -69,6 +70,7 @@ G: dict[str, Word] = {
     **_axes(('G28', 'G30'), setup.go_to_reference, in_polar=False),
     **_axes(('G28.1', 'G30.1'), setup.keep_reference),
     **_axes(('G52',), setup.shift_frame),
+    **_axes(('G51', 'G51.1', 'G50', 'G50.1'), scaling.scale_or_mirror),
     **_axes(('G92',), setup.preset),
     **_axes(('G92.1', 'G92.2', 'G92.3'), setup.suspend_preset),
     **_axes(PLANE_CODES, motion.tilt),
@@ -95,6 +97,7 @@ KEYS: dict[str, Word] = {
     **_each(MODES['great_circle'].codes, setting.choose_interpolation),
     **_TCP,
     **_each(('TRANS', 'ATRANS', 'ROT', 'AROT'), setting.turn_frame, beside_contour=False),
+    **_each(scaling.KEYS, scaling.scale_or_mirror_frame, beside_contour=False),
     **_each(('SUPA', 'G153'), setting.use_machine_coordinates, beside_contour=False),
     'CYCLE832': Word(setting.high_speed_settings),
     'CYCLE800': Word(setting.swivel, beside_contour=False),

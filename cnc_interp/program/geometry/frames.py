@@ -1,6 +1,7 @@
 """Conversion of program coordinates to points: work offsets, shifts, rotated frames, tool length.
 
-    point = work + Rz @ (programmed_turn @ program + shift + G52 + G92) + tool length
+    point = work + Rz @ (programmed_turn @ scaled + shift + G52 + G92) + tool length
+    scaled = factor * program + moved, of mirroring (factor -1) and scaling
 
 With tool-tip programming on, a point is the tip in W; with it off, X Y Z less the workpiece zero.
 """
@@ -30,6 +31,9 @@ class Frames:
         #: Shift and rotation that the program has set, in the frame of the work offset.
         self.shift, self.programmed_turn = np.zeros(3), np.eye(3)
         self.tilt_code = ''  #: The code of the rotation; empty for ROT.
+        #: Where axes are mirrored, by their number [m]; scale and its centre [-, m].
+        self.mirrors: dict[int, float] = {}
+        self.scale, self.scale_centre = np.ones(3), np.zeros(3)
         self.take(setup)
 
     def take(self, setup: JobSetup) -> None:
@@ -49,8 +53,9 @@ class Frames:
 
     def follow(self, before: Frames) -> None:
         names = 'named', 'length', 'names_length', 'shift', 'programmed_turn', 'along', 'tilt_code'
-        for name in names:
+        for name in (*names, 'scale', 'scale_centre'):
             setattr(self, name, getattr(before, name))
+        self.mirrors = dict(before.mirrors)
         self.local = before.local.copy()
         self.update()
 
@@ -92,20 +97,37 @@ class Frames:
         #: Rotation from program coordinates to points.
         self.turn = self._base @ self.programmed_turn
         self.rotated = bool(np.any(self.turn != np.eye(3)))
+        mirror, about = np.ones(3), np.zeros(3)
+        for i, place in self.mirrors.items():
+            mirror[i], about[i] = -1.0, 2.0 * place
+        self.factor = self.scale * mirror
+        self._moved = self.scale * (about - self.scale_centre) + self.scale_centre
+        self.scales = bool(self.mirrors) or bool(np.any(self.scale != 1.0))
         turned = bool(np.any(self.programmed_turn != np.eye(3)))
         found = {
             'G92': self.g92.any(),
             'G52': self.local.any(),
             'TRANS': self.shift.any(),
             self.tilt_code or 'ROT': turned,
+            'G51.1': bool(self.mirrors),
+            'G51': bool(np.any(self.scale != 1.0)),
         }
+        scaled = self.factor.tobytes(), self._moved.tobytes()
         #: Changes whenever other coordinates count.
-        self.counts = (added.tobytes(), self.turn.tobytes(), self.shift.tobytes(), self.length)
+        self.counts = (
+            added.tobytes(),
+            self.turn.tobytes(),
+            self.shift.tobytes(),
+            self.length,
+            scaled,
+        )
         #: Codes of the shifts beside the work offset that are not zero.
         self.shifts = tuple(code for code, counts in found.items() if counts)
 
     def coordinates(self, offset: str, of_tip: bool, rotary: int) -> ProgramCoordinates:
         """Return the coordinates that count, with as many rotary axes."""
+        if self.scales:
+            return ProgramCoordinates()  # they do not count mirrored or scaled axes
         name = ' + '.join((offset, *self.shifts)) + (', tool tip' if of_tip else '')
         origin = self.origin - self.length * self.along, self.rotary_origin[:rotary]
         turn = tuple(self.turn.ravel().tolist())
@@ -115,11 +137,25 @@ class Frames:
 
     def point(self, program: Vector) -> Vector:
         """Convert program coordinates to points, (3,) or (n, 3) [m]."""
-        turned = program @ self.turn.T if self.rotated else program
+        scaled = self.factor * program + self._moved if self.scales else program
+        turned = scaled @ self.turn.T if self.rotated else scaled
         return np.asarray(turned + self.origin)
 
     def program(self, point: Vector) -> Vector:
-        return np.asarray(self.turn.T @ (point - self.origin))
+        scaled = self.turn.T @ (point - self.origin)
+        return np.asarray((scaled - self._moved) / self.factor)
+
+    def plane(self, a: int, b: int) -> FloatArray:
+        """Return where two axes of the program point, and what is left of both, (3, 3)."""
+        first, second = (self.turn[:, i] * np.sign(self.factor[i]) for i in (a, b))
+        return np.stack([first, second, np.cross(first, second)], axis=1)
+
+    def is_round(self, a: int, b: int) -> bool:
+        """Tell whether a circle in the plane of two axes stays one."""
+        return bool(abs(self.factor[a]) == abs(self.factor[b]))
+
+    def reset_scale(self) -> None:
+        self.mirrors, self.scale, self.scale_centre = {}, np.ones(3), np.zeros(3)
 
     def reset_frame(self) -> None:
         self.shift, self.programmed_turn, self.tilt_code = np.zeros(3), np.eye(3), ''

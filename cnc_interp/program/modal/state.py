@@ -52,10 +52,21 @@ def modal_words(state: ModalState) -> list[str]:
         words['stop_always'] = f'G64 P{state.contour / state.unit:.9g}'
     length = f'G43.1 Z{frames.length / state.unit:g}' if frames.length else ''
     found = [*words.values(), state.setup.active, *frame_words(frames, state.unit), length]
+    found += scale_words(frames, state.unit)
     found += [state.tcp, state.radius_code, polar, turning]
     if feed is not None and state.feed_mode != 'G93':
         found.append(f'F{feed * MINUTE / state.unit:g}')
     return [word for word in found if word]
+
+
+def scale_words(frames: Frames, unit: float) -> list[str]:
+    words = [f'{"XYZ"[i]}{place / unit:.9g}' for i, place in sorted(frames.mirrors.items())]
+    found = [f'G51.1 {" ".join(words)}'] if words else []
+    if (frames.scale != 1.0).any():
+        centre = (f'{x}{v / unit:.9g}' for x, v in zip('XYZ', frames.scale_centre, strict=True))
+        scale = (f'{x}{v:.9f}' for x, v in zip('IJK', frames.scale, strict=True))
+        found.append(f'G51 {" ".join((*centre, *scale))}')
+    return found
 
 
 def frame_words(frames: Frames, unit: float) -> list[str]:
@@ -222,6 +233,11 @@ class ModalState(ModalValues):
             self.setup = after
             self.frames.take(after)
             self.targets.change(change, self.flow.main_line)
+
+    def demand_no_scale(self, word: str, axis: int | None = None) -> None:
+        """Refuse a word whose meaning differs while axes, or this one, are mirrored or scaled."""
+        if self.frames.scales and (axis is None or self.frames.factor[axis] != 1.0):
+            raise self.fault('axes are mirrored or scaled; write G50 and G50.1 before', word)
 
     @property
     def by_axes(self) -> bool:

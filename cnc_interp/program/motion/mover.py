@@ -132,7 +132,7 @@ class Mover(ModalState):
     def begin_radius(self, code: str, distance: float) -> None:
         if self.targets.empty:
             raise self.fault('move to a place beside the contour before', code)
-        frame = self.frames.turn[:, list(PLANES[self.plane])]
+        frame = self.frames.plane(*PLANES[self.plane][:2])
         known = self.vector is not None or (self.rotary_letters and self.tcp)
         if known and abs(self.tool_axis @ frame[:, 2]) < 1.0 - SAME_AXIS:
             raise self.fault('the tool does not stand upright on the plane of the contour', code)
@@ -415,7 +415,7 @@ class Mover(ModalState):
         assert self.held is not None
         corner, fault, before, row, changed = self.held
         self.held = None
-        frame = self.frames.turn[:, list(PLANES[self.plane])]
+        frame = self.frames.plane(*PLANES[self.plane][:2])
 
         def at_line(message: str, word: str) -> ProgramError:
             return ProgramError(message, fault.source, fault.line_number, word)
@@ -500,7 +500,9 @@ class Mover(ModalState):
                 'changes evenly',
             )
         centre = self.frames.point(arcs.centre[0])
-        normal = self.frames.turn[:, PLANES[plane][2]]
+        if not self.frames.is_round(*PLANES[plane][:2]):
+            raise self.fault('an arc whose axes have different scales; post it as lines', 'G51')
+        normal = self.frames.plane(*PLANES[plane][:2])[:, 2]
         return (*centre, *normal, float(arcs.sweep[0]))
 
     def _modal_centre(

@@ -37,6 +37,7 @@ def move_along(mover: Mover, code: NDArray[np.int8], values: FloatArray, lines: 
         or mover.polar
         or mover.held is not None
         or mover.corner.modal
+        or mover.frames.scales
     ):
         return False
     motion = _filled(np.where(code >= 0, code, nan), nan if mover.motion is None else mover.motion)

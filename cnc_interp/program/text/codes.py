@@ -41,9 +41,7 @@ NO_LENGTHS = (
 #: What M codes tell on a machine without an output for them.
 NO_OUTPUT = {'M3': NO_SPINDLE, 'M4': NO_SPINDLE, 'M7': NO_COOLANT, 'M8': NO_COOLANT}
 HARMLESS_G: dict[str, str] = {
-    **dict.fromkeys(
-        ('G15', 'G50', 'G50.1', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'
-    ),
+    **dict.fromkeys(('G15', 'G13.1', 'G40.1', 'G54.2', 'G255'), 'nothing to switch off'),
     'G62': 'no effect, F is kept in corners, too',
     'G103': 'no effect, the whole program is looked through',
     'G187': 'no effect, the path is always smoothed within the tolerances',
@@ -57,9 +55,7 @@ HARMLESS_G: dict[str, str] = {
 _AXES = 'XYZABCUVW'
 OTHER_MEANING: dict[str, tuple[str, str]] = {
     'G15': ('H', 'with H it is the work offset of Okuma; write G54 to G59'),
-    'G50': (_AXES, 'with axis words it presets coordinates on lathes; write G50 alone, or G92'),
     'G255': ('H', 'with H it is not known; write G255 alone'),
-    'G50.1': (_AXES, 'no mirroring was on; write G50.1 alone'),
     'G40.1': (_AXES, 'write G40.1 in a block of its own'),
 }
 #: Work offsets with H: a tool length on Okuma, two words without relation elsewhere.
@@ -82,7 +78,6 @@ REFUSED_G: dict[str, str] = {
     **dict.fromkeys(('G5', 'G5.1', 'G5.2', 'G5.3'), f'spline moves are not supported; {_LINEAR}'),
     'G7': 'diameter programming is not supported; post with radii',
     'G254': 'dynamic work offsets are not supported; post with G234, or in the workpiece frame',
-    'G51': 'scaling is not supported; post at full size',
     'G66': 'modal macro calls are not supported; call with G65',
     'G500': 'cancels all zero offsets; post in a work offset, G54 to G59',
     **dict.fromkeys(('G110', 'G111'), f'polar coordinates are not supported; {_LINEAR}'),
@@ -125,8 +120,6 @@ REFUSED_KEYS: dict[str, str] = {
     'CUT2': 'write CUT2D; the compensation turns with the frame',
     'CUT3': 'of compensation in space only CUT3DF with normals A5= B5= C5= is supported',
     **dict.fromkeys(('POCKET', 'SLOT', 'LONGHOLE', 'CYCLE'), _SIEMENS_CYCLE),
-    **dict.fromkeys(('SCALE', 'ASCALE'), 'scaling is not supported; post at full size'),
-    **dict.fromkeys(('MIRROR', 'AMIRROR'), 'mirroring is not supported; post the mirrored path'),
     **dict.fromkeys(('ROTS', 'AROTS'), f'space angles are not supported; {_FRAME}'),
     **dict.fromkeys(
         ('ASPLINE', 'CSPLINE'),

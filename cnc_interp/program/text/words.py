@@ -32,6 +32,9 @@ _LIMIT_OF_AXIS = re.compile(
     r'(?<!\w)((?:ACC|ACCLIM|VELOLIM|JERKLIM)A?|FGREF)\s*\[\s*\w+\s*\]\s*=\s*\S+'
 )
 _NAMED_AXIS = re.compile(r'(?<!\w)AX\s*\[\s*([A-Z])\s*\]\s*=')
+#: Corners and angles of Fanuc, as ,R5 ,C2 ,A30.
+_CORNER = re.compile(r',\s*([RCA])(?=\s*[-+.\d#\[])')
+_CORNER_NAMES = {'R': ' RND=', 'C': ' CHR=', 'A': ' ANG='}
 _EXPRESSION_SIGNS = re.compile(r'[#\[\]=<>*]|\w\s*\(')
 _TRAFO = re.compile(r'#\s*TRAFO\b')
 _TOOL_NAME = re.compile(r'\bT\s*=\s*"[^"]*"')
@@ -108,6 +111,8 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
     """Split one line of G-code into words. The line is in upper case and without comments."""
     if '(' in line:
         line = _IDLE_CALL.sub(r'\1 ', line)
+    if ',' in line and '(' not in line:
+        line = _CORNER.sub(_corner_word, line)
     if '[' in line:
         line = _NAMED_AXIS.sub(r' \1=', _LIMIT_OF_AXIS.sub(r' \1 ', line))
     if 'E' in line and (exponent := _EXPONENT.search(line)):
@@ -133,6 +138,12 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
         elif key:
             words.keys.append((re.sub(r'\s+', ' ', key).replace('# ', '#'), ()))
     return words
+
+
+def _corner_word(match: re.Match[str]) -> str:
+    before = match.string[: match.start()]
+    inside = before.count('[') > before.count(']')  # of an array
+    return match[0] if inside else _CORNER_NAMES[match[1]]
 
 
 def _add(words: BlockWords, letter: str, value: float, text: str, fault: Fault) -> None:

@@ -1,0 +1,95 @@
+"""Words that mirror and scale: G51, G51.1, G50, G50.1 of Fanuc; MIRROR and SCALE of Siemens.
+
+Arcs and the side of G41 turn round where one axis of their plane is mirrored; tool lengths and
+radii are not scaled.
+"""
+
+import numpy as np
+
+from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.text.words import BlockWords
+
+KEYS = ('MIRROR', 'AMIRROR', 'SCALE', 'ASCALE')
+_LEAST, _MOST = 1e-3, 1e3  #: Of a scale [-].
+#: From here on a scale without a point counts thousandths; below, controls differ.
+_THOUSANDTHS = 100.0
+
+
+def scale_or_mirror(at: Execution, code: str, words: BlockWords) -> None:
+    mover, frames = at.mover, at.mover.frames
+    given = {i: words.values.pop(x) * mover.unit for i, x in enumerate('XYZ') if x in words.values}
+    if code == 'G50' and given:
+        why = 'with axis words it presets coordinates on lathes; write G50 alone, or G92'
+        raise at.fault(why, f'G50 {words.texts["XYZ"[min(given)]]}')
+    if code in ('G50', 'G50.1') and not frames.scales:
+        at.notice(code, 'nothing to switch off')
+        return
+    _demand_rest(at, code)
+    if code == 'G51.1':
+        if not given:
+            raise at.fault('give the axis and the place at which it is mirrored, as X0', code)
+        frames.mirrors |= given
+    elif code == 'G50.1':
+        for i in given or list(frames.mirrors):
+            frames.mirrors.pop(i, None)
+    elif code == 'G50':
+        frames.scale, frames.scale_centre = np.ones(3), np.zeros(3)
+    else:
+        here = mover.here()[:3]
+        factors = {
+            letter: _factor(at, letter, words) for letter in 'PIJK' if letter in words.values
+        }
+        if not factors:
+            raise at.fault('give the scale as P, or as I J K by axis', code)
+        every = factors.get('P', 1.0)
+        frames.scale = np.array([factors.get(letter, every) for letter in 'IJK'])
+        frames.scale_centre = np.array([given.get(i, here[i]) for i in range(3)])
+    frames.update()
+
+
+def _factor(at: Execution, letter: str, words: BlockWords) -> float:
+    value, text = words.values.pop(letter), words.texts[letter]
+    if '.' not in text:
+        if abs(value) < _THOUSANDTHS:
+            why = f'is {value:g} on some controls, {value / 1000:g} on others; write {text}.'
+            raise at.fault(why, text)
+        value /= 1000.0
+    return _demand_scale(at, value, text)
+
+
+def _demand_scale(at: Execution, value: float, word: str) -> float:
+    if not _LEAST <= abs(value) <= _MOST:
+        raise at.fault(f'a scale must be from {_LEAST:g} to {_MOST:g}', word)
+    return value
+
+
+def _demand_rest(at: Execution, code: str) -> None:
+    """Refuse what controls mirror and scale in different ways."""
+    mover = at.mover
+    if mover.tcp or mover.oriented or at.plane.parts:
+        raise at.fault('with tool-tip programming or a tilted plane; post the path itself', code)
+    if at.cycle is not None:
+        raise at.fault('a canned cycle is on; write G80 before', code)
+    at.splines.end()
+    mover.end_corner()
+
+
+def scale_or_mirror_frame(at: Execution, key: str, words: BlockWords) -> None:
+    """Process MIRROR X0, SCALE X2: about zero, in the frame; A in front keeps the frame so far."""
+    mover, frames = at.mover, at.mover.frames
+    given = {x: words.values.pop(x) for x in 'XYZ' if x in words.values}
+    _demand_rest(at, key)
+    if not key.startswith('A'):
+        frames.reset_frame()
+        frames.reset_scale()
+    for letter, value in given.items():
+        i = 'XYZ'.index(letter)
+        if key.endswith('SCALE'):
+            frames.scale = frames.scale.copy()
+            frames.scale[i] *= _demand_scale(at, value, f'{letter}{value:g}')
+        elif i in frames.mirrors:
+            del frames.mirrors[i]
+        else:
+            frames.mirrors[i] = 0.0
+    frames.update()
+    mover.notice(key, 'about the zero of the frame; lengths and radii of tools stay')

@@ -196,6 +196,8 @@ class _Printed:
             elif name == 'DWELL':
                 given = {DWELL: tuple(numbers)}
             return ReadCall(0, _CALLS[name], given)
+        if name == 'NURBS_FEED':
+            raise LinuxCNCError("LinuxCNC's rs274 prints no points of splines")
         if name in ('STRAIGHT_TRAVERSE', 'STRAIGHT_FEED', 'STRAIGHT_PROBE'):
             return self.move(name == 'STRAIGHT_TRAVERSE', self.absolute(numbers[:6]))
         if name == 'ARC_FEED':

@@ -264,6 +264,8 @@ class _State:
         if 'G4' in codes:
             self.dwell(line)
             return
+        if {'G5', 'G5.1'} & set(codes) and {'X', 'Y', 'Z', 'I', 'J'} & set(words):
+            raise self.refuse('a spline')
         if 'G5.1' in codes:
             words.pop('R', None)  # a grade of smoothing
         if 'G64' in codes:

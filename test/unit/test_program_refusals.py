@@ -52,7 +52,7 @@ SYNTAX = [
     ('\x00\x01', "'\\x00\\x01'", 'no text'),
 ]
 UNSUPPORTED = [
-    'G5 X1',
+    'G5.2 X1',
     'G7',
     'CUT3DC',
     'CUT3DFS',

@@ -7,8 +7,9 @@ import numpy as np
 from cnc_interp.core import MINUTE, DependsOn
 from cnc_interp.program.blocks.functions import acting
 from cnc_interp.program.execution.context import Execution
+from cnc_interp.program.execution.setting_words import look_ahead
 from cnc_interp.program.geometry.arcs import PLANES
-from cnc_interp.program.motion import cycles, probing
+from cnc_interp.program.motion import bezier, cycles, probing
 from cnc_interp.program.motion.cycles import SiemensCycle
 from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.motion.thread_cycle import cut_thread
@@ -83,6 +84,20 @@ def probe(at: Execution, code: str, words: BlockWords) -> None:
         at.probe = Probe(code, at.flow.main_line)
     else:
         at.notice(code, probing.ASSUMED)
+
+
+def spline(at: Execution, code: str, words: BlockWords) -> None:
+    """Process G5 and G5.1: splines of LinuxCNC, or switches of a look-ahead."""
+    mover = at.mover
+    if not codes.SPLINE_LETTERS & words.values.keys() or mover.dialect in (FANUC, SIEMENS):
+        look_ahead(at, code, words)
+        return
+    if mover.radius_code or mover.polar or at.cycle is not None:
+        raise at.fault('a spline needs G40, G15 and G80 before', code)
+    at.splines.end()
+    mover.end_corner()
+    mover.motion = None  # it holds on LinuxCNC; here each line says it again
+    bezier.go_along(mover, code, words)
 
 
 def move(at: Execution, words: BlockWords, feed_given: bool) -> None:

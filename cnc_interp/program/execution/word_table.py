@@ -13,7 +13,7 @@ from cnc_interp.program.execution import setup_words as setup
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.modal.groups import MODES, SETTINGS
-from cnc_interp.program.motion import probing
+from cnc_interp.program.motion import bezier, probing
 from cnc_interp.program.motion.tilted_plane import CODES as PLANE_CODES
 from cnc_interp.program.text import codes
 from cnc_interp.program.text.words import BlockWords
@@ -81,7 +81,8 @@ G: dict[str, Word] = {
     **_axes(probing.CODES, motion.probe),
     **_axes(('G31',), motion.probe, in_polar=False),
     **_each(codes.REFUSED_G, setting.refuse),
-    **_each(codes.LOOK_AHEAD, setting.look_ahead),
+    'G8': Word(setting.look_ahead),
+    **_axes(bezier.CODES, motion.spline, beside_contour=True),
 }
 
 M: dict[str, Word] = {

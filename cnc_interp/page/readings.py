@@ -313,7 +313,7 @@ def chart(title: str, names: tuple[tuple[str, str], ...], top: float | None) -> 
         ],
     }
     if top is not None:
-        options['yAxis']['max'] = top  # type: ignore[index]
+        options['yAxis'] |= {'max': top, 'axisLabel': {**small, 'showMaxLabel': False}}  # type: ignore[operator]
     return ui.echart(options).classes('chart')
 
 

@@ -33,6 +33,7 @@ from cnc_interp.wire.run_messages import in_program
 
 #: Read-outs and machine are shown at this pace, charts at every so many of it, at rest [s].
 PACE, CHART_EVERY, AT_REST = 0.1, 4, 20
+STALE = 5  #: What is no new state of the machine is shown at every so many times the pace.
 
 
 outlined = partial(key, colour='primary', look='dense outline')
@@ -58,7 +59,8 @@ class Page:
         self._shown: dict[str, Any] = {}
         self._zeros: list[Any] = []
         self._unit = ShownUnit()
-        self._count = 0
+        self._count = self._waited = 0
+        self._seen: Any = None  # the state of the machine that is shown
         self._waits = False
         access.enter(tab, trusted)
         self._contact = Contact(self._stop_with)
@@ -324,6 +326,10 @@ class Page:
             return
         desk = self._desk
         state, job = desk.nodes.state, desk.job
+        self._waited += 1
+        if state is self._seen and self._waited < STALE:
+            return
+        self._seen, self._waited = state, 0
         words = readings(desk, self._unit.now)
         words['program'] = job.name if job else 'no program'
         if self._changed('failed', job is not None and job.failed):

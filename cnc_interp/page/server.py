@@ -7,6 +7,7 @@ import json
 import os
 import socket
 import sys
+import time
 import traceback
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -58,7 +59,8 @@ def scripts() -> str:
 
 
 STYLE = Path(__file__).with_name('style.css')
-WATCH = 0.2  #: How often the page looks after nodes, programs and the machine's name [s].
+WATCH = 0.2  #: How often the page looks after programs and the machine's name [s].
+LOOK = 1.0  #: How often it looks for nodes that have ended [s].
 #: A page whose connection was interrupted finds its place again within this time [s].
 RECONNECT = 20.0
 PORTS = range(65536)
@@ -99,17 +101,20 @@ def serve(served: Served, namespace: str, domain: int, revive: Revive) -> None:
 def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
     text = served.text
     lost: InterpError | None = None
+    looked = -LOOK
 
     async def watch() -> None:
-        nonlocal text, lost
+        nonlocal text, lost, looked
         if int(os.environ.get(PARENT, '0')) not in (0, os.getppid()):
             app.shutdown()  # the run that started the page is gone
-        try:
-            for name, why in (await asyncio.to_thread(revive)).items():
-                print(f'{name} {why}; it is started again', file=sys.stderr)
-        except InterpError as problem:  # a node that ended by itself cannot work here
-            lost = problem
-            app.shutdown()
+        if (now := time.monotonic()) - looked >= LOOK:
+            looked = now
+            try:
+                for name, why in (await asyncio.to_thread(revive)).items():
+                    print(f'{name} {why}; it is started again', file=sys.stderr)
+            except InterpError as problem:  # a node that ended by itself cannot work here
+                lost = problem
+                app.shutdown()
         await desk.watch()
         if text is not None and desk.machine is not None:
             await desk.load(served.name, text)

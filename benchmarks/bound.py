@@ -80,7 +80,7 @@ def largest_use(path: AxisPath, machine: Machine, period: float) -> float:
     end = np.repeat(path.cell_right[0, -1:], BEFORE, axis=0)
     for position in chain((part.position for part in interpolator.parts(piece)), (end,)):
         held = np.concatenate([held[-BEFORE:], position])
-        most = max(most, float(largest_shares(held, machine.limit_table, period).max()))
+        most = max(most, float(largest_shares(held, machine.limits, period).max()))
     return most
 
 

@@ -55,13 +55,13 @@ def wrong(machine: Machine, in_turn: bool, share: float = 0.2) -> Machine:
         """Return the factor of a value."""
         return 1.0 - share if in_turn and number % 2 else 1.0 + share
 
-    for j, load in machine.loads.items():
+    for j, load in machine.limits.loads.items():
         loads[j] = replace(load, coulomb=load.coulomb * by(j), viscous=load.viscous * by(j + 1))
     for j, drive in machine.drives.items():
         names = [field.name for field in fields(AxisDrive) if field.name not in RIGHT]
         values = {name: getattr(drive, name) * by(j + k) for k, name in enumerate(names)}
         drives[j] = replace(drive, **values)
-    return replace(machine, loads=loads, drives=drives)
+    return replace(machine, drives=drives).having(load=loads)
 
 
 def quietly(*words: str) -> str:
@@ -112,7 +112,7 @@ def executed_use(machine: Machine, period: float, rows: dict, model: Machine | N
     uses = [
         np.abs(np.diff(found[::every], order, axis=0)).max(axis=0)
         / (every * period) ** order
-        / machine.limits[order - 1]
+        / machine.limits.by_order[order - 1]
         for order in (1, 2)
     ]
     return ' / '.join(f'{use.max() * 100:.0f} %' for use in uses)

@@ -60,7 +60,7 @@ def cycle_cost(machine: Machine) -> float:
     """Return CPU microseconds of a period at rest, in which the outputs are written."""
     period = Settings().interpolation_period
     stands = np.zeros(len(machine.axis_names))
-    machine = replace(machine, travel=np.tile([-np.inf, np.inf], (len(stands), 1)))
+    machine = machine.having(travel=np.tile([-np.inf, np.inf], (len(stands), 1)))
     drives = SimulatedDrives(machine, period, stands)
     playback = Playback(machine, period, drives, 1)
     playback.switch_on()

@@ -45,14 +45,14 @@ def main() -> None:
     steps = np.array([machine.drives[j].resolution for j in range(len(machine.axis_names))])
     noise = np.random.default_rng(1).normal(size=run.feedback.shape) * steps * options.noise
     # Inertia and viscous friction are given, the rest of the file is not.
-    known = {j: replace(load, coulomb=0.0) for j, load in machine.loads.items()}
-    blind = replace(machine, drives={}, loads=known)
+    known = {j: replace(load, coulomb=0.0) for j, load in machine.limits.loads.items()}
+    blind = replace(machine, drives={}).having(load=known)
     print('| axis | value | truth | identified | off | 95 % interval |\n|---|---|---|---|---|---|')
     inside = count = 0
     for j, letter in enumerate(machine.axis_names):
         found = identify_axis(blind, j, run.period, run.setpoint, run.rate, run.feedback + noise)
         assert found is not None
-        truth = replace(found, drive=machine.drives[j], load=machine.loads[j])
+        truth = replace(found, drive=machine.drives[j], load=machine.limits.axes[j].load)
         for (key, value, width), (_, true, _) in zip(
             values_of(machine, found), values_of(machine, truth), strict=True
         ):

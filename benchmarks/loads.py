@@ -12,29 +12,24 @@ from __future__ import annotations
 
 import sys
 from statistics import median
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from paths import cases
 
-from cnc_interp.core.limits_by_position import place_table
+from cnc_interp.core.axis_limits import DriveLoad, Limits
 from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.machine_model.machine import Machine, limits_of
 
 COULOMB, VISCOUS = 0.1, 0.3
 
 
-def limits_of(limits: Any, loaded: bool, part: float) -> SimpleNamespace:
+def loaded_limits(limits: Machine | Limits, loaded: bool, part: float) -> Limits:
     """Return the limits with a part of the acceleration, and with drives if they are loaded."""
-    v, a, j = limits.max_velocity, part * limits.max_acceleration, limits.max_jerk
-    drives = np.stack([a, COULOMB * a, VISCOUS * a / v], axis=1)
-    loads = dict(enumerate(drives)) if loaded else {}
-    return SimpleNamespace(
-        max_velocity=v,
-        max_acceleration=a,
-        max_jerk=j,
-        limit_table=place_table(np.stack([v, a, j]), {}, loads),
-    )
+    given = limits_of(limits)
+    v, a, j = given.max_velocity, part * given.max_acceleration, given.max_jerk
+    drives = np.stack([a, COULOMB * a, VISCOUS * a / v], axis=1).tolist()
+    loads = {k: DriveLoad(1.0, *drive) for k, drive in enumerate(drives)} if loaded else {}
+    return Limits.constant(v, a, j).having(load=loads)
 
 
 def main() -> int:
@@ -43,7 +38,8 @@ def main() -> int:
     ratios = []
     for case in cases():
         ways = (False, 1.0), (True, 1.0), (False, 1.0 - COULOMB - VISCOUS)
-        free, own, always = (plan_path(case.path, limits_of(case.limits, *way)) for way in ways)
+        limits = (loaded_limits(case.limits, *way) for way in ways)
+        free, own, always = (plan_path(case.path, of) for of in limits)
         times = [piece.law.end_time / free.law.end_time for piece in (own, always)]
         ratios.append(times)
         print(

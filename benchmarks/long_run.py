@@ -30,7 +30,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nodes_under_test import NodesUnderTest
 from operated import LIMITS, waves
 
-from cnc_interp.core.limits_by_position import constant_table
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.nodes import qos
 from cnc_interp.run.setpoints import BEFORE, largest_shares
 
@@ -93,7 +93,7 @@ class LongRun(NodesUnderTest):
         nodes = dict.fromkeys(('lookahead_node', 'feedrate_node'), own)
         nodes['program_node'] = own | {'program_folders': "['/']"}
         super().__init__(nodes | {'machine_node': own | clock})
-        self._table, self._period = constant_table(np.array(LIMITS)), period
+        self._limits, self._period = Limits.constant(*LIMITS), period
         self.run = ''
         self._looks: list[tuple[float, dict[str, float]]] = []
         self.clock: dict[str, str] = {}
@@ -128,7 +128,7 @@ class LongRun(NodesUnderTest):
         q = np.reshape(chunk.positions, (-1, 5))
         before = q[:1].repeat(BEFORE, 0) if self._last is None else self._last
         held = np.concatenate([before, q])
-        self.use = np.maximum(self.use, largest_shares(held, self._table, self._period))
+        self.use = np.maximum(self.use, largest_shares(held, self._limits, self._period))
         self._last = held[-BEFORE:]
 
     def _see_clock(self, array: DiagnosticArray) -> None:

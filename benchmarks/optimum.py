@@ -31,15 +31,15 @@ import casadi
 import numpy as np
 
 from cnc_interp.core import FloatArray
-from cnc_interp.core.limits_by_position import PLACE
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     evaluate_cells,
     refine,
     septic_coefficients,
 )
+from cnc_interp.machine_model.machine import Machine, limits_of
 
 #: Instants of a cell, as shares of its duration, at which the limits are rows of the program.
 POINTS = (0.0, 1 / 2, 1.0)
@@ -139,7 +139,7 @@ def cell_function(n_axes: int) -> casadi.Function:
 
 def solve(
     path: AxisPath,
-    limits: AxisLimits,
+    limits: Machine | Limits,
     law: PlannedPiece | None = None,
     count: int = 500,
     slowed: float = 1.0,
@@ -152,7 +152,7 @@ def solve(
     ----------
     path : AxisPath
         The path.
-    limits : AxisLimits
+    limits : Machine or Limits
         Limits of its axes.
     law : PlannedPiece, optional
         A law for the grid and the first guess; the planner's by default.
@@ -189,7 +189,7 @@ def solve(
     jerk = np.diff(a) / duration
     scale = np.array([v.max(), np.abs(a).max(), np.abs(jerk).max() / 3])
 
-    table = limits.limit_table[:PLACE, :, 0]
+    table = limits_of(limits).by_order
     feed = np.minimum(grid.cell_feed, 100.0)
     nodes, inside = casadi.MX.sym('nodes', 2, n + 1), casadi.MX.sym('inside', 3, n)
     cells = cell_function(n_axes).map(n)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from scipy.interpolate import BSpline
 
-from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
-from cnc_interp.core.limits_by_position import constant_table
+from cnc_interp.core import MM, MM_PER_MIN, InterpError
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -44,19 +44,6 @@ PUBLIC = (
 DENSE = (('linuxcnc-impeller-xyzac', 'impeller-7bl-xyzac.ngc', 0, 1500),)
 
 Piece = tuple[str, str, int, int]
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of the axes, as the feed planner wants them."""
-
-    max_velocity: FloatArray
-    max_acceleration: FloatArray
-    max_jerk: FloatArray
-
-    @property
-    def limit_table(self) -> FloatArray:
-        return constant_table(np.stack([self.max_velocity, self.max_acceleration, self.max_jerk]))
 
 
 def flank_path(file: Path) -> tuple[AxisPath, Limits]:

@@ -44,7 +44,6 @@ from scipy.spatial.transform import Rotation
 from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core import InterpError
-from cnc_interp.core.limits_by_position import limits_along
 from cnc_interp.feedrate.motion_law import axis_motion
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.signals import Signals
@@ -746,7 +745,7 @@ def law_use(plan: Plan) -> Rows:
         law, instants = piece.law, np.arange(piece.law.time[0], piece.law.end_time, LAW_STEP)
         for at in np.array_split(instants, len(instants) // 100_000 + 1):
             q, *derivatives = axis_motion(piece.path, law, at)[:4]
-            limits = limits_along(plan.machine.limit_table, q)
+            limits = plan.machine.limits.along(q)
             for k, values in enumerate(derivatives):
                 most[k] = max(most[k], float((np.abs(values) / limits[k]).max(initial=0.0)))
             feed = piece.path.cell_feed[law.cell[law.piece_at(at)]]

@@ -14,11 +14,11 @@ from toppra.constraint import DiscretizationType, JointAccelerationConstraint, L
 from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core import FloatArray
-from cnc_interp.core.limits_by_position import PLACE, constant_table
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
+from cnc_interp.machine_model.machine import Machine, limits_of
 from cnc_interp.problems import stretches
 
 PERIOD = 1e-3
@@ -85,9 +85,8 @@ def toppra_law(path: AxisPath, table: FloatArray) -> FloatArray | None:
     Returns s_dot^2 at the grid points, shape (N,) [m2/s2]; None if toppra finds no solution.
     """
     h = np.diff(path.s)
-    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, constant_table(table))[
-        :, 0
-    ]
+    packed = Limits.constant(*table).table
+    fast = speed_bounds(h, path.cell_left, path.cell_right, path.cell_feed, packed)[:, 0]
     cap = np.minimum(np.append(fast, FASTEST), np.append(FASTEST, fast))
     rows = JointAccelerationConstraint(
         np.column_stack([-table[1], table[1]]), DiscretizationType.Collocation
@@ -105,7 +104,7 @@ def toppra_law(path: AxisPath, table: FloatArray) -> FloatArray | None:
     return squared
 
 
-def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float:
+def toppra_slowed(path: AxisPath, limits: Machine | Limits, count: int = 300) -> float:
     """
     Cycle time of toppra alone, its accelerations scaled down until jerk holds [s].
 
@@ -120,7 +119,7 @@ def toppra_slowed(path: AxisPath, limits: AxisLimits, count: int = 300) -> float
         good, bad, best = 1e-6, 1.0, math.nan
         while bad / good > 1.02:
             middle = math.sqrt(good * bad)
-            table = limits.limit_table[:PLACE, :, 0].copy()
+            table = limits_of(limits).by_order.copy()
             table[1] *= middle
             squared = toppra_law(grid, table)
             kept = False
@@ -143,7 +142,9 @@ class SecondOpinion:
     excess: float
 
 
-def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4) -> SecondOpinion:
+def topp3(
+    path: AxisPath, limits: Machine | Limits, count: int = 600, rounds: int = 4
+) -> SecondOpinion:
     """
     Plan with copp-py: TOPP2, then TOPP3-SOCP linearised ``rounds`` times about the round before.
 
@@ -155,7 +156,7 @@ def topp3(path: AxisPath, limits: AxisLimits, count: int = 600, rounds: int = 4)
     import copp_py as copp
 
     total, computing, worst = 0.0, 0.0, -math.inf
-    table = limits.limit_table[:PLACE, :, 0]
+    table = limits_of(limits).by_order
     options = copp.clarabel.ClarabelOptions(allow_insufficient_progress=True)
     for stretch in stretches(path):
         motion = plan_path(stretch, limits).law

@@ -21,12 +21,12 @@ import ruckig
 from paths import cases
 from whole_plans import path_of
 
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import plan_path
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Machine, limits_of
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.problems import Problem
 from cnc_interp.program import read_program
@@ -36,7 +36,7 @@ from cnc_interp.settings.options import Settings
 EVERY, MOST = 0.02, 32.0
 
 
-def straight_stop(path: AxisPath, s: float, v: float, a: float, limits: AxisLimits) -> float:
+def straight_stop(path: AxisPath, s: float, v: float, a: float, limits: Machine | Limits) -> float:
     """Time of ruckig's stop on a straight line along the tangent [s]."""
     q_s = np.abs(evaluate(path, np.array([s]))[1][0])
     with np.errstate(divide='ignore'):
@@ -56,7 +56,7 @@ def row_of(case: Problem) -> str:
         plan_path(case.path, case.limits, PlanOptions(reserve=reserve))
         for reserve in (PlanOptions().reserve, 0.0)
     )
-    law, table = piece.law, case.limits.limit_table
+    law, table = piece.law, limits_of(case.limits).table
     times = np.arange(law.time[0], min(law.end_time, law.time[0] + MOST), EVERY)
     states = np.array(law.evaluate(times)[:3]).T.tolist()
     stops, seconds = [], 0.0

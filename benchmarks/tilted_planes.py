@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -80,7 +79,7 @@ def main() -> None:
         machine = Machine.load(name)
         travel = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
         begun = time.process_time()
-        axis, point = errors(Transform.of(replace(machine, travel=travel)))
+        axis, point = errors(Transform.of(machine.having(travel=travel)))
         took = time.process_time() - begun
         within = reached(Transform.of(machine))
         print(f'| {name} | {len(PLANES):,} | {axis:.1e} | {point:.1e} | {took:.1f} | {within:,} |')

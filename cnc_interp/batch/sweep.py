@@ -108,7 +108,7 @@ def shares_at_limits(folder: Path) -> dict[str, float]:
     """Return the share of the time in which each axis, or the feed, is at its limit [-]."""
     plan = read_plan(folder).in_memory()
     machine = Machine.load(str(plan.summary['machine']))
-    holds = at_limits(axis_use(plan, machine.limit_table), machine.axis_names)
+    holds = at_limits(axis_use(plan, machine.limits), machine.axis_names)
     found = {name: float(held.mean()) for name, held in holds.items()}
     way = np.asarray(plan.setpoints['s'])
     cell = np.searchsorted(plan.path['s'], way, 'right') - 1

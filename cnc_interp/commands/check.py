@@ -242,7 +242,7 @@ def _show(options: Namespace) -> int:
             names = 's', 'cell_left', 'cell_right', 'cell_feed', 'stop'
             columns = {name: getattr(case.path, name) for name in names}
             file = options.write / f'{case.name}.npz'
-            np.savez_compressed(file, limits=case.limits.limits, **columns)
+            np.savez_compressed(file, limits=case.limits.limits.by_order, **columns)
     return FINE
 
 

@@ -71,7 +71,7 @@ def identify_command(options: Namespace) -> int:
         find_machine_file(name).read_text(encoding='utf-8'),
         machine,
         {**machine.drives, **{axis: each.drive for axis, each in found.items()}},
-        {**machine.loads, **{axis: each.load for axis, each in found.items() if each.load}},
+        {**machine.limits.loads, **{axis: each.load for axis, each in found.items() if each.load}},
         {axis: each.half_width for axis, each in found.items()},
         options.bag.name,
     )

@@ -1,4 +1,4 @@
-"""Limits of the axes over their positions: one table, from the machine file to every room.
+"""The table in which kernels read the limits of the axes; ``Limits.table`` makes it.
 
 Each limit of an axis is piecewise linear between a few positions, and constant beyond the first
 and the last. An axis with constant limits has one position. The table has the shape
@@ -23,33 +23,6 @@ from cnc_interp.core.kernels import njit
 VELOCITY, ACCELERATION, JERK, PLACE, DRIVE, COULOMB, VISCOUS = range(7)
 
 FAR = 1e300  #: Beyond every position; infinite positions would give no difference [m or rad].
-
-
-def constant_table(limits: FloatArray) -> FloatArray:
-    """Return the table of limits (3, n_axes) that hold everywhere; no largest torque."""
-    table = np.zeros((7, limits.shape[1], 1))
-    table[:PLACE, :, 0], table[PLACE], table[DRIVE] = limits, -FAR, np.inf
-    return table
-
-
-def place_table(
-    limits: FloatArray, places: dict[int, FloatArray], loads: dict[int, FloatArray] | None = None
-) -> FloatArray:
-    """Return the table (7, n_axes, m) of limits of which some depend on the position.
-
-    ``limits`` (3, n_axes); ``places``: (4, k), limits and the increasing positions at which they
-    hold, of some axes; ``loads`` (3,): T/J, C/J and B/J.
-    """
-    m = max((of.shape[1] for of in places.values()), default=1)
-    table = np.repeat(constant_table(limits), m, axis=2)
-    table[PLACE, :, 1:] = np.inf
-    for axis, of in places.items():
-        k = of.shape[1]
-        table[:PLACE, axis] = of[:PLACE, -1:]
-        table[: PLACE + 1, axis, :k] = of
-    for axis, load in (loads or {}).items():
-        table[DRIVE:, axis] = load[:, None]
-    return table
 
 
 def has_loads(table: FloatArray) -> bool:

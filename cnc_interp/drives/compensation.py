@@ -25,9 +25,10 @@ import numpy as np
 from numba import carray, types
 
 from cnc_interp.core import FloatArray, IntArray, MachineError
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import call_drives, pointer
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 
 BESIDE, FEWEST = 8e-3, 5  #: Setpoints to each side: time [s], least number.

@@ -27,9 +27,10 @@ import numpy as np
 from numba import carray, types
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.core.kernels import cfunc, njit
 from cnc_interp.core.native import pointer
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 
 STEP = 1e-4  #: Longest step where one exact step does not do [s].

@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cnc_interp.core import DEG, MINUTE, MM, BoolArray, FloatArray, InterpError, MachineError
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.drives.drive_model import axis_words, follow_all, place, room_of_delay
 from cnc_interp.machine_model import axis_drives
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Axis, Machine
 
 STILL = 1e-8  #: A setpoint step below this is rest [m, rad].
@@ -96,7 +97,7 @@ def identify_axis(
             f'{machine.axis_names[axis]} turned less than {FORGOTTEN + 1} times; record the '
             'program of cnc-interp excite'
         )
-    fit = _Fit(period, r, f, y, counts, machine.loads.get(axis))
+    fit = _Fit(period, r, f, y, counts, machine.limits.axes[axis].load)
     drive, load, half_width = fit.solve()
     drive = replace(drive, resolution=resolution_of(y))
     return IdentifiedAxis(

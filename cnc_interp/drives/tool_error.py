@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.core.kernels import njit
 from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_model import follow_all, lag_of, memory_of, words_of
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 

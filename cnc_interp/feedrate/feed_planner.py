@@ -26,15 +26,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.kernels import njit
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.feedrate.grid import with_kinks
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw, Stretch
 from cnc_interp.feedrate.plan_options import KeptCells, PlanOptions
 from cnc_interp.feedrate.speed_guess import reach, speed_bounds
 from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.kinematics.axis_path import AxisPath, PathCells, cut, refine
+from cnc_interp.machine_model.machine import Machine, limits_of
 
 if TYPE_CHECKING:
     from cnc_interp.feedrate.tool_limit import ToolLimit
@@ -183,14 +184,14 @@ class FeedPlanner:
 
     def __init__(
         self,
-        limits: AxisLimits,
+        limits: Machine | Limits,
         options: PlanOptions | None = None,
         start: tuple[float, float] = AT_REST,
         time: float = 0.0,
         tool: ToolLimit | None = None,
     ):
         self.options = options or PlanOptions()
-        self._table = limits.limit_table
+        self._table = limits_of(limits).table
         self._parts: list[AxisPath] = []
         self._start = start
         self._fastest_sq = start[0] ** 2  # no motion from the start of the path is faster here
@@ -411,7 +412,7 @@ class FeedPlanner:
 
 def plan_path(
     path: AxisPath,
-    limits: AxisLimits,
+    limits: Machine | Limits,
     options: PlanOptions | None = None,
     start: tuple[float, float] = AT_REST,
     tool: ToolLimit | None = None,
@@ -420,8 +421,8 @@ def plan_path(
 
     Parameters
     ----------
-    limits : AxisLimits
-        A ``Machine``, or what has ``max_velocity`` (n_axes,) and ``limit_table``.
+    limits : Machine or Limits
+        What the axes can do.
     start : tuple of float
         s_dot [m/s] and s_ddot [m/s2] of a motion that goes on.
 

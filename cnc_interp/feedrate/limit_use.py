@@ -19,6 +19,7 @@ import numpy as np
 
 from cnc_interp.core import MS, BoolArray, FloatArray
 from cnc_interp.core import limits_by_position as by_place
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS
 from cnc_interp.core.native import DistinctArrays
@@ -61,40 +62,33 @@ BEZIER = _by_values(INSTANTS)
 ROOMY = 1.0 * MS  #: Shortest period at which the slack covers steps between path cells [s].
 
 
-class PlanningLimits(NamedTuple):
-    """Axis limits for planning, which may be lower than those of the machine."""
-
-    max_velocity: FloatArray  #: (n_axes,): Largest velocities [m/s or rad/s].
-    limit_table: FloatArray  #: (7, n_axes, m): All limits; see ``core/limits_by_position.py``.
-
-
-AxisLimits = Machine | PlanningLimits
-
-
-def limits_at(machine: Machine, period: float) -> AxisLimits:
+def limits_at(machine: Machine, period: float) -> Limits:
     """Return limits for planning, so that differences of setpoints keep the limits of the machine.
 
     Neighbouring cells of an AxisPath may differ by ``UNSEEN``, a third difference of 2 UNSEEN /
     T^3. From the period ``ROOMY`` on, the slack of the jerk stage covers it; below, the jerk
     falls.
     """
+    limits = machine.limits
     if period >= ROOMY:
-        return machine
+        return limits
     step = 2.0 * UNSEEN * (1.0 / period**3 - 1.0 / ROOMY**3)
-    table = machine.limit_table.copy()
-    table[by_place.JERK] -= np.minimum(step, 0.5 * table[by_place.JERK])
-    return PlanningLimits(machine.max_velocity, table)
+
+    def lowered(jerk: FloatArray) -> FloatArray:
+        return jerk - np.minimum(step, 0.5 * jerk)
+
+    placed = {k: of._replace(max_jerk=lowered(of.max_jerk)) for k, of in limits.placed}
+    return limits.having(max_jerk=lowered(limits.max_jerk), by_place=placed)
 
 
-def feed_limit(path: AxisPath, limits: AxisLimits) -> FloatArray:
+def feed_limit(path: AxisPath, limits: Limits) -> FloatArray:
     """Return the upper limit of s_dot at the grid points, (N,) [m/s] [B2013, Eq. 10].
 
     It is ``min(F, V/|q_s|, sqrt(A/|q_ss|), cbrt(J/|q_sss|))`` over all axes and both cells beside.
     """
-    table = limits.limit_table
     out = np.full(len(path.s), np.inf)
     for jets, at in ((path.cell_left, slice(None, -1)), (path.cell_right, slice(1, None))):
-        here = by_place.limits_along(table, jets[0])
+        here = limits.along(jets[0])
         with np.errstate(divide='ignore'):
             sides = [(here[k] / np.abs(jets[k + 1])) ** (1 / (k + 1)) for k in range(3)]
         bound = np.minimum.reduce([side.min(axis=1) for side in sides])

@@ -7,7 +7,6 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.core.kernels import njit
-from cnc_interp.core.limits_by_position import has_loads
 from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
@@ -44,10 +43,9 @@ def refuse_setpoints(
         raise StreamError(f'{beyond}; move the workpiece or the program')
     parts = [before, positions, np.tile(positions[-1:], (3, 1))]
     course = np.concatenate(parts)
-    table = machine.limit_table
-    uses = [*largest_shares(course, table, period)]
-    if has_loads(table):
-        uses.append(torque_shares(course, table, period).max(axis=0))
+    uses = [*largest_shares(course, machine.limits, period)]
+    if machine.limits.loads:
+        uses.append(torque_shares(course, machine.limits, period).max(axis=0))
     for use, what in zip(uses, ('velocity', 'acceleration', 'jerk', 'torque'), strict=False):
         if not use.max() <= ROUNDING:
             k = int(np.argmax(use))
@@ -105,10 +103,9 @@ class AxisMotion:
             raise StreamError('the interpolation period must be positive')
         self.machine, self.period = machine, period
         self._transform = Transform.of(machine)
-        self._lag, self._has_loads = lag, has_loads(machine.limit_table)
-        self._longest_step: FloatArray = machine.limits[0] * period
-        self._recent_use = np.zeros_like(machine.limits)
-        self.largest_use = np.zeros_like(machine.limits)
+        self._lag, self._limits = lag, machine.limits
+        self._longest_step: FloatArray = machine.max_velocity * period
+        self._recent_use = self.largest_use = np.zeros_like(machine.limits.by_order)
         self.place(position)
 
     @property
@@ -136,9 +133,9 @@ class AxisMotion:
         """Compare what was asked for with what the drives did, in the periods that follow."""
         answered = setpoints if answered is None else answered
         held = np.concatenate([self.setpoints, setpoints])
-        use = largest_shares(held, self.machine.limit_table, self.period)
-        if self._has_loads:
-            torques = torque_shares(held, self.machine.limit_table, self.period)
+        use = largest_shares(held, self._limits, self.period)
+        if self._limits.loads:
+            torques = torque_shares(held, self._limits, self.period)
             use[1] = np.maximum(use[1], torques.max(axis=0))
         self.setpoints = held[-BEFORE:]
         self.largest_use = np.maximum(self.largest_use, use)

@@ -194,7 +194,7 @@ class Jog:
         self._steered = wish, override
         if isinstance(wish, Beat):
             shares = np.clip(override * wish.shares, -1.0, 1.0)
-            motion.run(shares * wish.slides.limits[0])
+            motion.run(shares * wish.slides.limits.max_velocity)
         elif wish is not None and override * wish.speed >= LEAST_SHARE:
             motion.go(wish.target, min(1.0, override * wish.speed))
         else:

@@ -17,6 +17,7 @@ import numpy as np
 import ruckig
 
 from cnc_interp.core import FloatArray, StreamError
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform, tool_line
@@ -36,8 +37,7 @@ class Slides:
 
     origin: FloatArray  #: (n,): Axis positions at x = 0 [m, rad].
     direction: FloatArray  #: (m, n): Motion of the axes per unit of each coordinate x.
-    limits: FloatArray  #: (3, m): Limits of the coordinates that hold everywhere.
-    travel: FloatArray  #: (m, 2): Smallest and largest coordinate [m, rad].
+    limits: Limits  #: Of the m coordinates, constant ones.
 
     def positions(self, x: FloatArray) -> FloatArray:
         return self.origin + x @ self.direction
@@ -50,7 +50,7 @@ class Slides:
     def of_axes(machine: Machine) -> Slides:
         """Return the axes of the machine, each its own slide; x is q."""
         n = len(machine.axis_names)
-        return Slides(np.zeros(n), np.eye(n), machine.lowest_limits, machine.travel)
+        return Slides(np.zeros(n), np.eye(n), machine.limits.lowest)
 
     @staticmethod
     def along_tool(machine: Machine, stands: FloatArray) -> Slides:
@@ -58,11 +58,11 @@ class Slides:
         line = tool_line(Transform.of(machine), stands)
         moves = line.direction != 0.0
         part = np.abs(line.direction[moves])
+        rows = (machine.limits.lowest.by_order[:, moves] / part).min(axis=1, keepdims=True)
         return Slides(
             origin=np.array(stands, dtype=float),
             direction=line.direction[None, :],
-            limits=(machine.lowest_limits[:, moves] / part).min(axis=1, keepdims=True),
-            travel=line.travel[None, :],
+            limits=Limits.constant(*rows).having(travel=line.travel[None]),
         )
 
 
@@ -102,9 +102,10 @@ class JogMotion:
     def run(self, velocity: FloatArray) -> None:
         """Move with a velocity until further notice; come to rest at an end of the travel."""
         self._velocity = velocity
-        largest, acceleration, jerk = self.slides.limits
+        largest, acceleration, jerk = self.slides.limits.by_order
         x, v, a = self._state
-        end = np.where(velocity > 0.0, self.slides.travel[:, 1], self.slides.travel[:, 0])
+        low, high = self.slides.limits.travel.T
+        end = np.where(velocity > 0.0, high, low)
         share = np.abs(velocity) / largest
         there = (np.abs(end - x) <= THERE) & (v == 0.0) & (a == 0.0)
         wanted = np.where((share < LEAST_SHARE) | there, 0.0, velocity)
@@ -120,7 +121,7 @@ class JogMotion:
         if (np.abs(target - x) <= THERE).all() and not (v.any() or a.any()):
             self.stop()
             return
-        most = share * self.slides.limits[0]
+        most = share * self.slides.limits.max_velocity
         self._follow(self._solve(self._state, most, target, TOGETHER), rests=True)
 
     def piece(self, count: int) -> Chunk:
@@ -147,7 +148,7 @@ class JogMotion:
         self, state: FloatArray, velocity: FloatArray, target: FloatArray, together: object
     ) -> ruckig.Trajectory:
         """Let ruckig find the motion to targets, or to velocities where the target is NaN."""
-        acceleration, jerk = self.slides.limits[1:]
+        largest, acceleration, jerk = self.slides.limits.by_order
         aims = np.isfinite(target)
         wanted = ruckig.InputParameter(len(target))
         wanted.current_position = state[0].tolist()
@@ -155,7 +156,7 @@ class JogMotion:
         wanted.current_acceleration = np.clip(state[2], -acceleration, acceleration).tolist()
         wanted.target_position = np.where(aims, target, state[0]).tolist()
         wanted.target_velocity = np.where(aims, 0.0, velocity).tolist()
-        wanted.max_velocity = np.where(aims, np.abs(velocity), self.slides.limits[0]).tolist()
+        wanted.max_velocity = np.where(aims, np.abs(velocity), largest).tolist()
         wanted.max_acceleration, wanted.max_jerk = acceleration.tolist(), jerk.tolist()
         wanted.per_dof_control_interface = [POSITION if aim else VELOCITY for aim in aims]
         wanted.synchronization = together
@@ -194,7 +195,7 @@ class JogMotion:
         return rows
 
     def _inside(self, rows: FloatArray) -> bool:
-        low, high = self.slides.travel.T
+        low, high = self.slides.limits.travel.T
         x = rows[:, 0]
         return bool(((x >= low - THERE) & (x <= high + THERE)).all())
 

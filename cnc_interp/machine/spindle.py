@@ -103,7 +103,7 @@ class Spindle(NamedTuple):
         spindle.state[0].override, spindle.state[0].quick = 1.0, BANDWIDTH / memory_of(ahead)
         return spindle._replace(
             places=places,
-            limits=machine.lowest_limits[:, :3].copy(),
+            limits=machine.limits.lowest.by_order[:, :3].copy(),
             known=np.zeros((round(max(ahead, 0.0) / period) + 1, 2)),
             highest=signals.outputs[places.speed].high,
             ahead=ahead,

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from cnc_interp.core import ARCSEC, DEG, MM, UM, FloatArray, MachineError
+from cnc_interp.core import ARCSEC, DEG, MM, UM, MachineError
+from cnc_interp.core.axis_limits import AxisLimits, DriveLoad
 from cnc_interp.machine_model.machine_entries import (
     entries_by_axis,
     number,
@@ -19,26 +18,8 @@ ROTARY_KEYS = ('inertia_kg_m2', 'torque_Nm', 'coulomb_Nm', 'viscous_Nm_s_per_rad
 PLAUSIBLE = (1e-6, 1e7)  #: Plausible inertias and torques.
 
 
-@dataclass(frozen=True)
-class DriveLoad:
-    """Largest torque of a drive, and what needs it: |J q_ddot + B q_dot + C sign(q_dot)| <= T."""
-
-    inertia: float  #: Mass or moment of inertia J [kg or kg m2].
-    torque: float  #: Largest force or torque T [N or Nm].
-    coulomb: float  #: Coulomb friction C [N or Nm].
-    viscous: float  #: Viscous friction B [N s/m or Nm s/rad].
-
-    @property
-    def row(self) -> FloatArray:
-        """T/J, C/J and B/J, as a table of limits has them [m or rad per s2, the same, 1/s]."""
-        return np.array([self.torque, self.coulomb, self.viscous]) / self.inertia
-
-    def least_acceleration(self, velocity: float) -> float:
-        return (self.torque - self.coulomb - self.viscous * velocity) / self.inertia
-
-
 def drive_loads(
-    content: dict[str, Any], names: list[str], linear: list[bool], velocities: FloatArray
+    content: dict[str, Any], names: list[str], linear: list[bool], limits: list[AxisLimits]
 ) -> dict[int, DriveLoad]:
     found = {}
     given = entries_by_axis(content, 'loads', names, 'inertia, torque and friction')
@@ -49,8 +30,9 @@ def drive_loads(
         inertia, torque = (number(values[key], f'{where}.{key}', *PLAUSIBLE) for key in keys[:2])
         coulomb, viscous = (_friction(values.get(key, 0.0), f'{where}.{key}') for key in keys[2:])
         load = DriveLoad(inertia, torque, coulomb, viscous)
-        if not load.least_acceleration(float(velocities[j])) > 0.0:
-            taken = coulomb + viscous * float(velocities[j])
+        fastest = limits[j].max_velocity
+        if not load.least_acceleration(fastest) > 0.0:
+            taken = coulomb + viscous * fastest
             raise MachineError(
                 f'{torque:g} is too little: at the largest velocity friction takes {taken:g}',
                 f'{where}.{keys[1]}',

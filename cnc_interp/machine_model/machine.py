@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, radians, sin
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import yaml
 
 from cnc_interp.core import DEG, MINUTE, MM, UM, BoolArray, FloatArray, MachineError
-from cnc_interp.core.limits_by_position import ACCELERATION, PLACE, place_table
+from cnc_interp.core.axis_limits import AxisLimits, DriveLoad, Limits
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml, write_whole
 from cnc_interp.machine_model import machine_entries as entries
 from cnc_interp.machine_model.axis_drives import (
     IDEAL,
     AxisDrive,
-    DriveLoad,
     axis_drives,
     drive_loads,
 )
@@ -32,24 +31,12 @@ from cnc_interp.machine_model.signals import Signals, signals
 LIKELY = {True: (200.0, 240e3), False: (100.0, 1e6)}
 QUICKEST, LONGEST = 1e-4, 20.0
 LOCKED = 1e-6  #: Travel of a locked axis [rad].
-Kind = TypeVar('Kind', FloatArray, BoolArray)
 
 
-def read_only(table: Kind) -> Kind:
-    table.flags.writeable = False
-    return table
-
-
-@dataclass(frozen=True)
-class Axis:
+@dataclass(frozen=True, kw_only=True)
+class Axis(AxisLimits):
     name: str  #: Its letter.
     linear: bool  #: True for a linear axis, False for a rotary one.
-    #: Limits [m/s or rad/s, per s, per s2].
-    max_velocity: float
-    max_acceleration: float
-    max_jerk: float
-    #: Lowest and highest position, infinite for an endless axis [m or rad].
-    travel: tuple[float, float]
 
     @property
     def endless(self) -> bool:
@@ -105,13 +92,7 @@ class Machine:
     name: str  #: Name of the machine.
     #: ('X', 'Y', 'Z', 'A', 'C'), or ('X', 'Y', 'Z') without rotary axes; extra axes follow.
     axis_names: tuple[str, ...]
-    #: (n_axes,): Limits, the largest ones where they depend on the position [m/s or rad/s, per s,
-    #: per s2].
-    max_velocity: FloatArray
-    max_acceleration: FloatArray
-    max_jerk: FloatArray
-    #: (n_axes, 2): Lowest and highest position, infinite for endless axes [m or rad].
-    travel: FloatArray
+    limits: Limits  #: What each axis can do.
     rotary_direction: FloatArray  #: (2, 3): What primary and secondary turn about, in M [-].
     #: True where the rotary axis carries the tool, False where it carries the workpiece.
     rotary_on_head: tuple[bool, bool]
@@ -120,12 +101,6 @@ class Machine:
     singular_cone: float  #: Smallest allowed angle between a turning tool axis and the pole [rad].
     #: (k, 3): Unit vectors in M along which the extra axes move the tool [-].
     extra_direction: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    #: (4, k): For axes whose limits depend on the position: velocity, acceleration and jerk
-    #: limits, and the k positions at which they hold [m or rad, per s, s2, s3]; see
-    #: ``core/limits_by_position.py``.
-    places: dict[int, FloatArray] = field(default_factory=dict)
-    #: For axes whose drives have a largest torque: torque, inertia and friction.
-    loads: dict[int, DriveLoad] = field(default_factory=dict)
     #: For axes whose drives are not ideal: how they follow their setpoints.
     drives: dict[int, AxisDrive] = field(default_factory=dict)
     #: Reference switches, and the order in which axes are homed.
@@ -145,34 +120,34 @@ class Machine:
     def is_linear(self) -> BoolArray:
         linear = np.ones(len(self.axis_names), dtype=np.bool_)
         linear[3 : len(linear) - len(self.extra_direction)] = False
-        return read_only(linear)
+        linear.flags.writeable = False
+        return linear
 
-    @cached_property
-    def limits(self) -> FloatArray:
-        return read_only(np.stack([self.max_velocity, self.max_acceleration, self.max_jerk]))
+    @property
+    def max_velocity(self) -> FloatArray:
+        """(n_axes,): The largest limits, as the next two; see ``limits`` for the others."""
+        return self.limits.max_velocity
 
-    @cached_property
-    def limit_table(self) -> FloatArray:
-        """The limits over position, shape (7, n_axes, m); see ``core/limits_by_position.py``."""
-        loads = {axis: load.row for axis, load in self.loads.items()}
-        return read_only(place_table(self.limits, self.places, loads))
+    @property
+    def max_acceleration(self) -> FloatArray:
+        return self.limits.max_acceleration
 
-    @cached_property
-    def lowest_limits(self) -> FloatArray:
-        """Limits at every position and velocity, (3, n_axes) [m or rad, per s, s2, s3]."""
-        lowest = self.limit_table[:PLACE].min(axis=2)
-        for axis, load in self.loads.items():
-            left = load.least_acceleration(float(self.max_velocity[axis]))
-            lowest[ACCELERATION, axis] = min(lowest[ACCELERATION, axis], left)
-        return read_only(lowest)
+    @property
+    def max_jerk(self) -> FloatArray:
+        return self.limits.max_jerk
+
+    @property
+    def travel(self) -> FloatArray:
+        return self.limits.travel
+
+    def having(self, **columns: Sequence[Any] | FloatArray | Mapping[int, Any]) -> Machine:
+        """Return the machine with other limits, see ``Limits.having``."""
+        return replace(self, limits=self.limits.having(**columns))
 
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
-        columns = zip(self.axis_names, self.is_linear, *self.limits, self.travel, strict=True)
-        return tuple(
-            Axis(name, bool(linear), float(v), float(a), float(j), (float(low), float(high)))
-            for name, linear, v, a, j, (low, high) in columns
-        )
+        columns = zip(self.axis_names, self.is_linear.tolist(), self.limits.axes, strict=True)
+        return tuple(Axis(**vars(of), name=name, linear=linear) for name, linear, of in columns)
 
     def doubts(self) -> Iterator[str]:
         """Say which limits are likely in a wrong unit, one line for each axis."""
@@ -195,8 +170,8 @@ class Machine:
     @property
     def driven(self) -> list[tuple[AxisDrive, DriveLoad | None]]:
         return [
-            (self.drives.get(j, IDEAL), self.loads.get(j) if j in self.drives else None)
-            for j in range(len(self.axis_names))
+            (self.drives.get(j, IDEAL), axis.load if j in self.drives else None)
+            for j, axis in enumerate(self.limits.axes)
         ]
 
     def axis(self, name: str) -> Axis:
@@ -227,6 +202,10 @@ class Machine:
             raise MachineError(f'{path}: {problem}', '') from None
         bundled = path.parent == machines_directory()
         return machine if bundled else replace(machine, file=str(path.resolve()))
+
+
+def limits_of(limits: Machine | Limits) -> Limits:
+    return limits.limits if isinstance(limits, Machine) else limits
 
 
 def machines_directory() -> Path:
@@ -262,32 +241,27 @@ def from_mapping(content: dict[str, Any]) -> Machine:
     for name in limits:
         if name not in names:
             raise MachineError(f'the machine has no such axis (axes: {" ".join(names)})', name)
-    rows = [
+    found = [
         entries.LOCKED_LIMITS
         if not linear[i] and entries.is_locked(rotary, names[i])
         else entries.axis_limits(limits, name, linear[i])
         for i, name in enumerate(names)
     ]
-    table = np.array([row[0] for row in rows])
     travel = {
-        name: (np.array(row[1]), MM if straight else DEG)
-        for name, row, straight in zip(names, rows, linear, strict=True)
+        name: (np.array(of.travel), MM if straight else DEG)
+        for name, of, straight in zip(names, found, linear, strict=True)
     }
-    loads = drive_loads(content, names, linear, table[:, 0])
+    loads = drive_loads(content, names, linear, found)
+    by_place = entries.limits_by_position(content, names, linear, found)
     switches = homing(content, travel)
     return Machine(
         name=str(content.get('name', 'unnamed')),
         axis_names=tuple(names),
-        max_velocity=table[:, 0],
-        max_acceleration=table[:, 1],
-        max_jerk=table[:, 2],
-        travel=np.array([row[1] for row in rows]),
-        places=entries.limits_by_position(content, names, linear, rows),
-        loads=loads,
+        limits=Limits(tuple(found)).having(by_place=by_place, load=loads),
         drives=axis_drives(content, names, linear, loads),
         extra_direction=np.array(list(extra.values())).reshape(-1, 3),
         homing=switches,
-        pace=entries.block_pace(content, float(table[:3, 2].min())),
+        pace=entries.block_pace(content, min(axis.max_jerk for axis in found[:3])),
         standstill=standstill(content),
         control=control(content),
         macros=macros(content),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import DEG, M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray, MachineError
+from cnc_interp.core.axis_limits import AxisLimits, LimitsByPlace
 from cnc_interp.settings.option_kinds import choices
 from cnc_interp.settings.options import Settings
 
@@ -45,8 +46,7 @@ STANDSTILL = {
     'spindle_stop_s_per_1000_rev_per_min': 1e-3,
 }
 EXTRA_LETTERS = ('U', 'V', 'W')  #: Letters that an extra axis may have.
-#: Limits of a locked axis, which no motion reaches, and its travel [rad, s].
-LOCKED_LIMITS = ([1.0, 1.0, 1.0], [-1e-9, 1e-9])
+LOCKED_LIMITS = AxisLimits(1.0, 1.0, 1.0, (-1e-9, 1e-9))  #: No motion reaches them [rad, s].
 SAME_PLACE = 1e-9  #: A table of limits covers the travel up to this [m, rad].
 #: Plausible size of velocity, acceleration and jerk limits in SI, of linear and of rotary axes.
 #: Beyond them a unit is wrong: 60 mm/min to 600 m/min, 0.1 to 9549 rev/min.
@@ -260,9 +260,7 @@ def _on_travel(
     return found
 
 
-def axis_limits(
-    limits: dict[str, Any], name: str, linear: bool
-) -> tuple[list[float], list[float]]:
+def axis_limits(limits: dict[str, Any], name: str, linear: bool) -> AxisLimits:
     values = limits.get(name)
     if not isinstance(values, dict):
         raise MachineError('missing; give velocity, acceleration, jerk', f'limits.{name}')
@@ -275,23 +273,23 @@ def axis_limits(
             raise MachineError('missing', f'limits.{name}.{key}')
         unit = units[key]
         found.append(number(values[key], f'limits.{name}.{key}', low / unit, high / unit) * unit)
-    travel = [-np.inf, np.inf]
+    low, high = -np.inf, np.inf
     if travel_key in values:
         low_high = numbers(values[travel_key], 2, f'limits.{name}.{travel_key}')
         if not low_high[0] < low_high[1]:
             raise MachineError('must be [lowest, highest]', f'limits.{name}.{travel_key}')
-        travel = [x * units[travel_key] for x in low_high]
-    return found, travel
+        low, high = (x * units[travel_key] for x in low_high)
+    return AxisLimits(found[0], found[1], found[2], (low, high))
 
 
 def limits_by_position(
     content: dict[str, Any],
     names: list[str],
     linear: list[bool],
-    rows: list[tuple[list[float], list[float]]],
-) -> dict[int, FloatArray]:
+    limits: list[AxisLimits],
+) -> dict[int, LimitsByPlace]:
     given = entries_by_axis(content, 'limits_by_position', names, 'positions and limits')
-    return {i: _places(values, where, linear[i], *rows[i]) for i, where, values in given}
+    return {i: _places(values, where, linear[i], limits[i]) for i, where, values in given}
 
 
 def entries_by_axis(
@@ -307,9 +305,9 @@ def entries_by_axis(
         yield names.index(name), where, values
 
 
-def _places(
-    values: Any, where: str, linear: bool, largest: list[float], travel: list[float]
-) -> FloatArray:
+def _places(values: Any, where: str, linear: bool, limits: AxisLimits) -> LimitsByPlace:
+    largest = limits.max_velocity, limits.max_acceleration, limits.max_jerk
+    travel = limits.travel
     units = LINEAR_KEYS if linear else ROTARY_KEYS
     *limit_keys, travel_key = units
     place_key = travel_key.replace('travel', 'at')
@@ -338,7 +336,7 @@ def _places(
                 most = largest[row] / unit
                 raise MachineError(f'{value:g} is above {most:g}, the one under limits', at)
             table[row, column] = number(value, at, least / unit, np.inf) * unit
-    return table
+    return LimitsByPlace(*table)
 
 
 def require_known(values: dict[str, Any], known: Collection[str], where: str) -> None:

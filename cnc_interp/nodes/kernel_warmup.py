@@ -85,7 +85,7 @@ def pole_program(transform: Transform) -> Blocks:
 
 def _endless(transform: Transform) -> Transform:
     endless = np.tile([-np.inf, np.inf], (len(transform.machine.axis_names), 1))
-    return Transform.of(replace(transform.machine, travel=endless))
+    return Transform.of(transform.machine.having(travel=endless))
 
 
 @cache
@@ -131,7 +131,7 @@ def warm_feed(machine: Machine, path: AxisPath, period: float) -> None:
     stream.revision(handed_out - 1, OperatorSettings(0.5))
     state = stream.current.state_at(handed_out - 1)
     assert state is not None
-    stop_law(path, state[1], machine.limit_table, 0.0)
+    stop_law(path, state[1], machine.limits.table, 0.0)
 
 
 def warm_clearance(machine: Machine, settings: Settings, period: float) -> None:
@@ -176,7 +176,7 @@ def warm_machine(machine: str, period: float) -> None:
     stands = np.zeros(len(loaded.axis_names))
     endless = np.tile([-np.inf, np.inf], (len(stands), 1))
     drives = SimulatedDrives(loaded, period, stands)
-    playback = Playback(replace(loaded, travel=endless), period, drives, 1)
+    playback = Playback(loaded.having(travel=endless), period, drives, 1)
     chunk = resting_chunk(stands, period)
     playback.switch_on()
     playback.begin_plan(RunId('warm'))

@@ -158,7 +158,7 @@ class JogPad:
     def _share(self, name: str) -> float:
         """Return the share of an axis' largest velocity, or of that along the tool [-]."""
         if name == TOOL:
-            most = float(self._along_tool().limits[0, 0])
+            most = self._along_tool().limits.axes[0].max_velocity
         else:
             most = self._axes[self._names.index(name)].max_velocity
         speed = self._size(name, self._speed.value) / MINUTE
@@ -175,7 +175,7 @@ class JogPad:
         if state is None or name not in (*self._names, TOOL):
             return ''
         if name == TOOL:
-            left, at = float(self._along_tool().travel[int(sign > 0)]), ''
+            left, at = self._along_tool().limits.axes[0].travel[int(sign > 0)], ''
         else:
             i = self._names.index(name)
             end = self._axes[i].travel[int(sign > 0)]

@@ -276,7 +276,7 @@ def score(
             f'{problem.name}: a motion has 2 or more finite rows of {axes} axes, not {q.shape}'
         )
     held = np.concatenate([q[:1].repeat(BEFORE, 0), q, q[-1:].repeat(BEFORE, 0)])
-    use = float(largest_shares(held, problem.limits.limit_table, period).max())
+    use = float(largest_shares(held, problem.limits.limits, period).max())
     per_cell = max(8, CHORDS // len(path.cell_feed))
     part = np.arange(per_cell) / per_cell
     fine = np.append((path.s[:-1, None] + np.diff(path.s)[:, None] * part).ravel(), path.s[-1])

@@ -10,19 +10,19 @@ AT_REST = 1e-12  #: An axis that moves less than this in a period stands still [
 
 
 def limits_at(machine: Machine, order: int, q: FloatArray) -> FloatArray:
-    limits = np.tile(machine.limits[order - 1], (len(q), 1))
-    for j, of in machine.places.items():
-        limits[:, j] = np.interp(q[:, j], of[-1], of[order - 1])
+    limits = np.tile(machine.limits.by_order[order - 1], (len(q), 1))
+    for j, of in machine.limits.placed:
+        limits[:, j] = np.interp(q[:, j], of.position, of[order - 1])
     return limits
 
 
 def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatArray:
     """Return the largest limit between the samples of each difference, a mean over its samples."""
-    limits = np.tile(machine.limits[order - 1], (len(q) - order, 1))
-    for j, of in machine.places.items():
+    limits = np.tile(machine.limits.by_order[order - 1], (len(q) - order, 1))
+    for j, of in machine.limits.placed:
         around = sliding_window_view(q[:, j], order + 1)
         low, high = around.min(axis=1), around.max(axis=1)
-        place, limit = of[-1], of[order - 1]
+        place, limit = of.position, of[order - 1]
         largest = np.maximum(np.interp(low, place, limit), np.interp(high, place, limit))
         for there, value in zip(place, limit, strict=True):
             inside = (low < there) & (there < high)
@@ -33,7 +33,7 @@ def limits_of_differences(machine: Machine, order: int, q: FloatArray) -> FloatA
 
 def torques_of(machine: Machine, axis: int, q: FloatArray, period: float) -> FloatArray:
     """|J a + B v + C sign(v)| around each sample but the ends; the smaller where it turns."""
-    load = machine.loads[axis]
+    load = machine.limits.loads[axis]
     before, after = q[1:-1] - q[:-2], q[2:] - q[1:-1]
     inertia = load.inertia * (after - before) / period**2
     moved = inertia + load.viscous * (q[2:] - q[:-2]) / (2.0 * period)

@@ -85,7 +85,7 @@ def _prove_limits(ledger: Ledger, plan: PlanFiles, machine: Machine) -> None:
             limit = limits_of_differences(machine, order, position)[first:last]
             for j, name in enumerate(names):
                 ledger.judge(kind, middle[:, j], limit[:, j], name, ROUNDING, first=a)
-        for j, load in machine.loads.items():
+        for j, load in machine.limits.loads.items():
             torque = torques_of(machine, j, position[:, j], plan.period)
             torque = torque[2 : None if b == count else 2 + b - a]
             ledger.judge(TORQUE, torque, load.torque, names[j], ROUNDING, first=a)
@@ -328,7 +328,7 @@ def with_beside(
             difference = np.abs(np.diff(held, order, axis=0)) / period**order
             use = (difference / limits_of_differences(machine, order, held)).max(axis=0)
             uses.update({(kind, j): float(share) for j, share in enumerate(use)})
-        for j, load in machine.loads.items():
+        for j, load in machine.limits.loads.items():
             torque = torques_of(machine, j, held[:, j], period)
             uses[TORQUE, j] = float(torque.max()) / load.torque
         largest = max(largest, *uses.values())

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cnc_interp.core import MM, MM_PER_MIN, UM, BoolArray, FloatArray, IntArray
-from cnc_interp.core.limits_by_position import limits_along
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.drives.tool_error import ToolError, tool_error
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.plan_files import PlanFiles
@@ -60,7 +60,7 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
     contour, orientation = program.tolerances(deviation)
     s: FloatArray = plan.setpoints['s']
     grid: FloatArray = plan.path['s']
-    limits = limits_along(machine.limit_table, plan.position)
+    limits = machine.limits.along(plan.position)
     shown = np.array([one.shown_size for one in machine.axes])
     cell: IntArray = np.clip(np.searchsorted(grid, s, 'right') - 1, 0, len(grid) - 2)
     return Series(
@@ -71,10 +71,10 @@ def series_of(plan: PlanFiles, machine: Machine) -> Series:
         feed=np.abs(np.gradient(s, plan.period)) / MM_PER_MIN,
         programmed_feed=np.asarray(plan.path['programmed_feed'][cell], float) / MM_PER_MIN,
         feed_limit=_between(plan.path['feed_limit'], grid, cell, s) / MM_PER_MIN,
-        axis_use=axis_use(plan, machine.limit_table),
+        axis_use=axis_use(plan, machine.limits),
         axis_limits=np.broadcast_to(limits / shown, (3, len(s), len(shown))),
         torque_use=torque_use(plan, machine),
-        largest_torque={j: load.torque for j, load in machine.loads.items()},
+        largest_torque={j: load.torque for j, load in machine.limits.loads.items()},
         axis_names=machine.axis_names,
         axis_units=tuple(one.shown_unit for one in machine.axes),
         contour_error=deviation.contour / UM,
@@ -99,17 +99,17 @@ def switched(plan: PlanFiles, machine: Machine) -> dict[int, str]:
     return texts
 
 
-def axis_use(plan: PlanFiles, table: FloatArray) -> FloatArray:
+def axis_use(plan: PlanFiles, limits: Limits) -> FloatArray:
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
-    shares = limit_shares(held, table, plan.period)
+    shares = limit_shares(held, limits, plan.period)
     # Velocity belongs to its later sample, acceleration and jerk to the sample before that.
     return np.stack([shares[0, :-1], shares[1, 1:], shares[2, 1:]])
 
 
 def torque_use(plan: PlanFiles, machine: Machine) -> dict[int, FloatArray]:
     held = np.pad(plan.position, ((BEFORE, 1), (0, 0)), mode='edge')
-    shares = torque_shares(held, machine.limit_table, plan.period)[1:]
-    return {axis: shares[:, axis] for axis in machine.loads}
+    shares = torque_shares(held, machine.limits, plan.period)[1:]
+    return {axis: shares[:, axis] for axis in machine.limits.loads}
 
 
 def tool_errors(plan: PlanFiles, machine: Machine) -> tuple[ToolError, ToolError]:

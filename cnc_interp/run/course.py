@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import FloatArray
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import cut_between
@@ -184,7 +184,7 @@ def without_long_rows(law: MotionLaw) -> MotionLaw:
 class Leg:
     def __init__(
         self,
-        limits: AxisLimits,
+        limits: Limits,
         period: float,
         begun: int = 0,
         start: tuple[float, float] = (0.0, 0.0),

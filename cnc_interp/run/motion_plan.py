@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import PlannedPiece
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.kinematics.axis_path import AxisPath, cut
+from cnc_interp.machine_model.machine import Machine, limits_of
 from cnc_interp.run.course import Course, Leg, finely, slowed
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
@@ -47,7 +48,7 @@ class MotionPlan:
         self._history: deque[tuple[Leg, PlannedPiece]] = deque(stays)
         self._cutter = ChunkCutter(stream.chunk_size, number, stream.functions)
         joins_at = None if leg is None else number
-        table = stream.limits.limit_table
+        table = stream.limits.table
         self._search = StopSearch(stream.course, table, stream.period, joins_at)
         self._last = rests  # the last setpoint
         self._block_before = -1
@@ -191,7 +192,7 @@ class MotionPlan:
         begin = (number - leg.number_of_zero) * self._stream.period
         sampled = [piece for of_leg, piece in self._history if of_leg is leg]
         ahead = self._stream.course.ahead(state[0])
-        return way_down([*sampled, *leg.slices], begin, ahead, self._stream.limits.limit_table)
+        return way_down([*sampled, *leg.slices], begin, ahead, self._stream.limits.table)
 
 
 class MotionStream:
@@ -199,7 +200,7 @@ class MotionStream:
 
     def __init__(
         self,
-        limits: AxisLimits,
+        limits: Machine | Limits,
         period: float,
         chunk_size: int = 10,
         line_of: Callable[[int], int] = int,
@@ -207,7 +208,8 @@ class MotionStream:
         tool: ToolLimit | None = None,
         signals: Signals = NO_SIGNALS,
     ):
-        self.limits, self.period, self.chunk_size, self.tool = limits, period, chunk_size, tool
+        self.limits = limits_of(limits)
+        self.period, self.chunk_size, self.tool = period, chunk_size, tool
         self.line_of = line_of  #: Source line of a block; single block stops where it changes.
         self.course, self.functions = Course(), FunctionQueue(signals)
         #: Blocks after which cycle_start is waited for, and why (M0, M1); grows with the path.

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cnc_interp.core import InterpError
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
@@ -88,7 +88,7 @@ class LostProcessError(InterpError):
 
 @dataclass(frozen=True)
 class Planning:
-    limits: AxisLimits  #: Limits of the axes.
+    limits: Limits  #: Limits of the axes.
     options: PlanOptions  #: Settings of the planner.
     tool: ToolLimit | None = None  #: Limit on the error that the drives leave at the tool.
 

@@ -77,7 +77,7 @@ class PlanFigures:
         period = settings.interpolation_period
         self._machine, self._settings = machine, settings
         self._period, self._height = period, settings.flank_height
-        self._use = np.zeros_like(machine.limits)
+        self._use = np.zeros_like(machine.limits.by_order)
         self._torque_use = np.zeros(len(machine.axis_names))
         self._last: FloatArray | None = None  # the last three positions
         self._deviation = np.zeros(2)
@@ -151,10 +151,11 @@ class PlanFigures:
     def _measure(self, position: FloatArray) -> None:
         before = np.repeat(position[:1], BEFORE, axis=0) if self._last is None else self._last
         held = np.concatenate([before, position])
-        shares = largest_shares(held, self._machine.limit_table, self._period)
+        limits = self._machine.limits
+        shares = largest_shares(held, limits, self._period)
         self._use = np.maximum(self._use, shares)
-        if self._machine.loads:
-            torques = torque_shares(held, self._machine.limit_table, self._period)
+        if limits.loads:
+            torques = torque_shares(held, limits, self._period)
             self._torque_use = np.maximum(self._torque_use, torques.max(axis=0))
         self._last = held[-BEFORE:]
 
@@ -180,9 +181,9 @@ class PlanFigures:
             name: dict(zip(machine.axis_names, use.tolist(), strict=True))
             for name, use in zip(('velocity', 'acceleration', 'jerk'), self._use, strict=True)
         }
-        if machine.loads:
+        if loads := machine.limits.loads:
             names, use = machine.axis_names, self._torque_use
-            uses['torque'] = {names[axis]: float(use[axis]) for axis in sorted(machine.loads)}
+            uses['torque'] = {names[axis]: float(use[axis]) for axis in loads}
         used = self._tolerances.largest
         return {
             'program': source,

@@ -148,7 +148,7 @@ class PlanWriter:
             'axis': axis,
             'q': path.q,
             'programmed_feed': np.minimum(np.r_[cells[:1], cells], np.r_[cells, cells[-1:]]),
-            'feed_limit': feed_limit(path, self._machine),
+            'feed_limit': feed_limit(path, self._machine.limits),
             'feed': feed,
             'block': np.r_[path.cell_block, path.cell_block[-1:]],
             'stop': path.stop,

@@ -9,6 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.core.columns import Table, column
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import COULOMB, DRIVE, VISCOUS, largest_between
@@ -118,22 +119,22 @@ BEFORE = 3  #: Setpoints that must be known before the first one whose differenc
 STILL = 1e-12  #: Steps of an axis below this are rest [m, rad].
 
 
-def limit_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+def limit_shares(positions: FloatArray, limits: Limits, period: float) -> FloatArray:
     """Divide the first, second and third differences of setpoints by the largest allowed.
 
     They are means of derivatives, so the largest limit between the setpoints counts. ``positions``
-    (3 + K, n_axes) with the three before; ``table`` (7, n_axes, m): see ``limits_by_position.py``.
+    (3 + K, n_axes) with the three before.
     Returns (3, K, n_axes): signed shares [-]; row k belongs to those that end at setpoint k.
     """
     shares = np.empty((3, len(positions) - BEFORE, positions.shape[1]))
-    _compare(positions, table, np.array([period, period**2, period**3]), shares)
+    _compare(positions, limits.table, np.array([period, period**2, period**3]), shares)
     return shares
 
 
-def largest_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+def largest_shares(positions: FloatArray, limits: Limits, period: float) -> FloatArray:
     """Return the largest of ``limit_shares`` without its sign, (3, n_axes) [-]."""
     unwanted = np.empty((3, 0, positions.shape[1]))
-    return _compare(positions, table, np.array([period, period**2, period**3]), unwanted)
+    return _compare(positions, limits.table, np.array([period, period**2, period**3]), unwanted)
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
@@ -171,11 +172,12 @@ def _compare(
     return largest
 
 
-def torque_shares(positions: FloatArray, table: FloatArray, period: float) -> FloatArray:
+def torque_shares(positions: FloatArray, limits: Limits, period: float) -> FloatArray:
     """Divide the torques that three setpoints in a row need by the largest ones, (K, n_axes).
 
     Where an axis turns, Coulomb friction has both signs, so the smaller torque counts.
     """
+    table = limits.table
     steps = np.diff(positions[BEFORE - 2 :], axis=0)
     sign = np.where(np.abs(steps) < STILL, 0.0, np.sign(steps))
     asked = np.diff(steps, axis=0) / period**2

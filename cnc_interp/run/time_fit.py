@@ -295,7 +295,7 @@ def with_parameters(machine: Machine, x: FloatArray) -> Machine:
         float(jerk[:3].min()),
         pace.stops_at_rapids,
     )
-    return replace(machine, max_jerk=jerk, max_acceleration=acceleration, pace=pace)
+    return replace(machine, pace=pace).having(max_jerk=jerk, max_acceleration=acceleration)
 
 
 class TimeFit:
@@ -305,7 +305,7 @@ class TimeFit:
         velocity = machine.max_velocity.copy()
         seen = np.max([measured_velocities(run.program, run.trace) for run in runs], axis=0)
         velocity[:3] = np.where(seen > 0.0, seen, velocity[:3])
-        self._machine = replace(machine, max_velocity=velocity)
+        self._machine = machine.having(max_velocity=velocity)
         self._runs, self._tell = runs, tell
         self._kept = [run.program.covers(run.trace.line[run.windows]) for run in runs]
         pairs = zip(runs, self._kept, strict=True)

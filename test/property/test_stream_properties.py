@@ -112,7 +112,7 @@ def test_every_chunk_can_be_stopped_after_it(name):
 def test_a_stop_from_all_but_rest_is_one_or_none(name, speed):
     path = path_of(name)
     state = (0.5 * (path.s[0] + path.s[1]), speed, 0.0)
-    stop = stop_law(path, state, MACHINE.limit_table, 0.0)
+    stop = stop_law(path, state, MACHINE.limits.table, 0.0)
     assert stop is not None or speed <= 1e-12
     if stop is not None:
         s, v, a, _ = stop.law.evaluate(np.array([0.0, stop.law.end_time]))

@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from cnc_interp.core import M_PER_MIN, MM, REV, REV_PER_MIN, FloatArray
-from cnc_interp.core.limits_by_position import constant_table
+from cnc_interp.core.axis_limits import Limits
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
-from cnc_interp.machine_model.machine import read_only
 
 GAUSS_X, GAUSS_W = np.polynomial.legendre.leggauss(12)
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits of the axes, as a machine has them."""
-
-    max_velocity: FloatArray
-    max_acceleration: FloatArray
-    max_jerk: FloatArray
-
-    @property
-    def limit_table(self) -> FloatArray:
-        """Return a table as machines have it: others would need kernels of their own."""
-        limits = np.stack([self.max_velocity, self.max_acceleration, self.max_jerk])
-        return read_only(constant_table(limits))
-
-
-XYZAC = Limits(
+XYZAC = Limits.constant(
     np.array([30 * M_PER_MIN, 30 * M_PER_MIN, 30 * M_PER_MIN, 15 * REV_PER_MIN, 20 * REV_PER_MIN]),
     np.array([2.5, 3.0, 2.1, 0.83 * REV, 0.83 * REV]),
     np.array([5.0, 5.0, 50.0, 5 * REV, 50 * REV]),
@@ -38,7 +20,7 @@ XYZAC = Limits(
 
 def scaled(limits: Limits, velocity: float, acceleration: float, jerk: float) -> Limits:
     """Relax or tighten all axes alike."""
-    return Limits(
+    return Limits.constant(
         limits.max_velocity * velocity,
         limits.max_acceleration * acceleration,
         limits.max_jerk * jerk,
@@ -47,7 +29,7 @@ def scaled(limits: Limits, velocity: float, acceleration: float, jerk: float) ->
 
 def first_axes(limits: Limits, n: int) -> Limits:
     """Take the limits of the first n axes."""
-    return Limits(limits.max_velocity[:n], limits.max_acceleration[:n], limits.max_jerk[:n])
+    return Limits(limits.axes[:n])
 
 
 def rotary_jet(s: FloatArray, amplitude: float, wavelength: float) -> FloatArray:

@@ -11,10 +11,11 @@ from plan_directories import stroke
 from scipy.integrate import solve_ivp
 
 from cnc_interp.core import ARCSEC, MM, UM, MachineError
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.core.small_files import read_yaml
 from cnc_interp.machine.cycle import Cycle
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
@@ -28,7 +29,7 @@ PERIODS = [2.5e-4, 1e-3, 4e-3]
 
 def one_axis(drive, load=None):
     """A machine whose X has this drive."""
-    return replace(TIRED, drives={0: drive}, loads={} if load is None else {0: load})
+    return replace(TIRED, drives={0: drive}).having(load={0: load})
 
 
 def run(machine, period, way):
@@ -214,8 +215,8 @@ def test_cycle_and_simulation_of_real_drives_agree_to_the_last_bit(period):
 
 def test_an_axis_without_an_entry_is_ideal_and_its_load_does_not_slow_it():
     way = 5 * MM * (1 - np.cos(5.0 * np.arange(400) * 1e-3))
-    loaded = replace(TIRED, drives={}, loads={0: LOAD})
-    ideal = replace(TIRED, drives={}, loads={})
+    loaded = replace(TIRED, drives={}).having(load={0: LOAD})
+    ideal = replace(TIRED, drives={}).having(load={})
     assert np.array_equal(run(loaded, 1e-3, way)[0], run(ideal, 1e-3, way)[0])
 
 

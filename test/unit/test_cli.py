@@ -89,7 +89,7 @@ def test_a_plan_over_a_limit_is_not_proven_and_fails(tmp_path, capsys, monkeypat
     assert last.startswith('proven  ') and str(tmp_path) in last
     # The figures are taken with lower limits than the motion was planned with.
     machine = Machine.load('xyzac')
-    lower = replace(machine, max_jerk=machine.max_jerk * [0.8, 1, 1, 1, 1])
+    lower = machine.having(max_jerk=machine.max_jerk * [0.8, 1, 1, 1, 1])
     monkeypatch.setattr(
         chain, 'PlanWriter', lambda folder, _, settings: PlanWriter(folder, lower, settings)
     )

@@ -59,7 +59,7 @@ def test_the_positions_that_are_sent_are_the_setpoints_bit_for_bit(period):
 @pytest.mark.parametrize('period', PERIODS)
 def test_linear_drives_follow_almost_exactly(period):
     drive = AxisDrive(45.0, 0.9, 5e-3, delay=1.3e-3, mode_frequency=35.0, mode_damping=0.06)
-    machine = replace(TIRED, drives=dict.fromkeys(range(5), drive), loads={})
+    machine = replace(TIRED, drives=dict.fromkeys(range(5), drive)).having(load={})
     q, rate = there_and_back(period)
     plain = np.abs(q - simulate(machine, period, q, rate).position).max(axis=0)
     off = np.abs(left(machine, machine, period, q, rate)).max(axis=0)
@@ -86,8 +86,8 @@ def test_a_model_that_is_wrong_by_a_fifth_still_helps():
             j: replace(drive, **{name: factor * getattr(drive, name) for name in names})
             for j, drive in TIRED.drives.items()
         }
-        loads = {j: replace(x, coulomb=factor * x.coulomb) for j, x in TIRED.loads.items()}
-        wrong = replace(TIRED, drives=drives, loads=loads)
+        loads = {j: replace(x, coulomb=factor * x.coulomb) for j, x in TIRED.limits.loads.items()}
+        wrong = replace(TIRED, drives=drives).having(load=loads)
         found = tool_error(TIRED, 1e-3, q, rate, wrong)
         assert found.tip.max() < 0.5 * plain.tip.max()
         assert found.axis.mean() < 0.5 * plain.axis.mean()
@@ -100,7 +100,7 @@ def test_the_error_at_the_tool_is_a_small_part():
     assert plain.tip.max() > 50 * UM and found.tip.max() < 0.1 * plain.tip.max()
     assert found.axis.max() < 0.2 * plain.axis.max()
     # Ideal drives with equal lags stay near the path, and their lag is no error.
-    ideal = replace(TIRED, drives={}, loads={})
+    ideal = replace(TIRED, drives={}).having(load={})
     assert tool_error(ideal, 1e-3, q, rate).tip.max() < 8 * UM
 
 

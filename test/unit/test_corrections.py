@@ -31,7 +31,7 @@ def test_spans_hold_the_margins_and_are_joined():
 def test_solving_few_cells_again_gives_the_law_of_solving_all(seed, monkeypatch):
     blocks = zigzag(seed, count=40, step=1 * MM)
     path = path_of(blocks, Transform.of(XYZAC), Settings(compress=False))
-    table, solved = XYZAC.limit_table, []
+    table, solved = XYZAC.limits.table, []
     solve_cells = jerk_stage.StretchProblem._solve_cells
 
     def noted(self, first, end, *rest):

@@ -13,13 +13,13 @@ from feedrate_paths import line_path, polyline_path, random_polyline
 from programs import zigzag
 
 from cnc_interp.core import FloatArray, MachineError, StreamError
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
-from cnc_interp.machine_model.axis_drives import DriveLoad
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
@@ -42,7 +42,7 @@ LOADS = {
     1: DriveLoad(300.0, 600.0, 150.0, 0.0),
     4: DriveLoad(2.0, 8.0, 1.2, 2.0),
 }
-LOADED = replace(XYZAC, loads=LOADS)
+LOADED = XYZAC.having(load=LOADS)
 T = 1e-3
 
 
@@ -91,8 +91,8 @@ def test_a_line_uses_the_whole_torque_and_no_more(law):
         assert np.mean(np.array([part.max() for part in np.split(most, edges)]) > 0.997) > 0.94
     free = plan_path(line_path(0.6), XYZAC, PlanOptions(law=law))
     # the largest acceleration that the drive reaches at every velocity, both ways
-    least = np.minimum(XYZAC.max_acceleration, LOADED.lowest_limits[1])
-    slow = plan_path(line_path(0.6), replace(XYZAC, max_acceleration=least), PlanOptions(law=law))
+    least = np.minimum(XYZAC.max_acceleration, LOADED.limits.lowest.max_acceleration)
+    slow = plan_path(line_path(0.6), XYZAC.having(max_acceleration=least), PlanOptions(law=law))
     assert free.law.end_time < piece.law.end_time < slow.law.end_time
 
 
@@ -114,7 +114,7 @@ def test_corners_and_turns_keep_the_torques(seed):
 
 def test_a_torque_out_of_reach_hardly_changes_the_law():
     path = polyline_path(random_polyline(np.random.default_rng(5), 12))
-    strong = replace(XYZAC, loads={axis: DriveLoad(1.0, 1e4, 0.1, 0.1) for axis in range(5)})
+    strong = XYZAC.having(load={axis: DriveLoad(1.0, 1e4, 0.1, 0.1) for axis in range(5)})
     found, same = plan_path(path, XYZAC), plan_path(path, strong)
     assert same.law.end_time == pytest.approx(found.law.end_time, rel=1e-4)
 
@@ -125,7 +125,7 @@ def test_a_stop_from_any_moment_keeps_the_torques():
     found = 0
     moments = np.arange(0.02, law.end_time, 0.02)
     for s, v, a, _ in np.array(law.evaluate(moments)).T.tolist():
-        stop = stop_law(piece.path, (s, v, a), LOADED.limit_table, 0.0)
+        stop = stop_law(piece.path, (s, v, a), LOADED.limits.table, 0.0)
         if stop is not None:
             found += 1
             assert torques(stop)[0].max() <= 1.0
@@ -198,7 +198,7 @@ def test_setpoints_use_the_whole_force_and_the_proof_agrees(planned):
     assert proof.ok, proof.failures
     q = positions(folder)
     load = DriveLoad(2000.0, 5000.0, 600.0, 3000.0)
-    assert RAM.loads == {1: load}
+    assert RAM.limits.loads == {1: load}
     share = of_setpoints(q[:, 1], load)
     assert 0.998 < share.max() < 1.001
     assert proof.use_of('torque', 'Y') == pytest.approx(share.max(), abs=1e-3)
@@ -207,7 +207,7 @@ def test_setpoints_use_the_whole_force_and_the_proof_agrees(planned):
 
 
 def test_a_plan_without_the_force_is_not_proven(planned, tmp_path):
-    endless = replace(RAM, loads={})
+    endless = RAM.having(load={})
     (tmp_path / 'ram.ngc').write_text(PROGRAM)
     program = open_program(tmp_path / 'ram.ngc', Transform.of(endless), Settings())
     plan_to_files(program, endless, tmp_path / 'out')
@@ -229,7 +229,7 @@ def test_jog_keeps_the_force():
         rows.append(motion.piece(50).samples.position)
     q = np.concatenate(rows)
     refuse_setpoints(RAM, T, np.zeros((3, 3)), q)
-    assert of_setpoints(q[:, 1], RAM.loads[1]).max() <= 1.001
+    assert of_setpoints(q[:, 1], RAM.limits.loads[1]).max() <= 1.001
 
 
 @pytest.mark.parametrize(

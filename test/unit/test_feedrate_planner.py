@@ -187,7 +187,7 @@ def test_some_limit_is_always_at_work():
 def test_doubling_the_grid_gains_little():
     for seed in (1, 2, 7):
         path = polyline_path(random_polyline(np.random.default_rng(seed), 4), 0.08)
-        table = XYZAC.limit_table
+        table = XYZAC.table
         coarse, fine = plan(path, table), plan(path, table, options=PlanOptions().finer())
         assert coarse is not None and fine is not None
         assert coarse.duration.sum() <= 1.005 * fine.duration.sum()
@@ -195,7 +195,7 @@ def test_doubling_the_grid_gains_little():
 
 def test_windows_lose_next_to_nothing():
     path = spiral(300)
-    whole = plan(path, XYZAC.limit_table)
+    whole = plan(path, XYZAC.table)
     assert whole is not None
     piece = plan_path(path, XYZAC)
     assert_within_limits(piece, XYZAC)

@@ -12,6 +12,7 @@ from plan_directories import stroke
 
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM, InterpError
+from cnc_interp.core.axis_limits import DriveLoad
 from cnc_interp.drives.identification import (
     SIGMAS,
     excitation,
@@ -21,12 +22,12 @@ from cnc_interp.drives.identification import (
     with_drives,
 )
 from cnc_interp.machine.simulated_drives import simulate
-from cnc_interp.machine_model.axis_drives import AxisDrive, DriveLoad
+from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.report.identified import identified_lines, transfer, write_identified
 
 TIRED = Machine.load('xyzac_tired')
-TRUTH, LOAD = TIRED.drives[0], TIRED.loads[0]
+TRUTH, LOAD = TIRED.drives[0], TIRED.limits.loads[0]
 NOISE = 0.2 * UM
 
 
@@ -50,12 +51,14 @@ def fitted(machine, q, rate, noise=NOISE):
     feedback = simulate(machine, 1e-3, q, rate).position
     feedback = feedback + np.random.default_rng(5).normal(scale=noise, size=q.shape)
     # Only inertia and viscous friction of the file may be used.
-    loads = {0: replace(LOAD, coulomb=0.0)} if machine.loads else {}
-    return identify_axis(replace(machine, drives={}, loads=loads), 0, 1e-3, q, rate, feedback)
+    loads = {0: replace(LOAD, coulomb=0.0)} if machine.limits.loads else {}
+    return identify_axis(
+        replace(machine, drives={}).having(load=loads), 0, 1e-3, q, rate, feedback
+    )
 
 
 def test_the_model_is_found_from_noisy_feedback(tmp_path):
-    machine = replace(TIRED, drives={0: TRUTH}, loads={0: LOAD})
+    machine = replace(TIRED, drives={0: TRUTH}).having(load={0: LOAD})
     found = fitted(machine, *excited())
     assert np.std(found.measured - found.modelled) < 1.05 * NOISE
     assert pytest.approx(NormalDist().inv_cdf(0.975), rel=1e-4) == SIGMAS
@@ -80,7 +83,7 @@ def test_the_model_is_found_from_noisy_feedback(tmp_path):
 @pytest.mark.thorough
 def test_an_axis_without_a_load_is_fitted_without_friction():
     drive = replace(TRUTH, static=0.0, stribeck_velocity=0.0)
-    found = fitted(replace(TIRED, drives={0: drive}, loads={}), *excited())
+    found = fitted(replace(TIRED, drives={0: drive}).having(load={}), *excited())
     assert found.load is None and 'coulomb' not in found.half_width
     assert found.drive.position_gain == pytest.approx(drive.position_gain, rel=0.02)
     assert found.drive.backlash == pytest.approx(drive.backlash, rel=0.05)
@@ -149,20 +152,20 @@ def test_the_excitation_is_a_program_as_any_other(tmp_path):
 def test_the_machine_file_is_written_with_its_intervals(tmp_path):
     text = find_machine_file('xyzac').read_text(encoding='utf-8')
     drives = {0: TRUTH, 3: TIRED.drives[3]}
-    loads = {0: LOAD, 3: TIRED.loads[3]}
+    loads = {0: LOAD, 3: TIRED.limits.loads[3]}
     widths = {0: {'position_gain': 0.12, 'coulomb': 3.0, 'backlash': 0.2 * UM}}
     again = tmp_path / 'again.yaml'
     for source in (text, find_machine_file('xyzac_tired').read_text(encoding='utf-8')):
         again.write_text(with_drives(source, TIRED, drives, loads, widths, 'a bag'))
         machine = Machine.load(again)
-        for name, kind in (('drives', AxisDrive), ('loads', DriveLoad)):
-            found, wanted = getattr(machine, name), {'drives': drives, 'loads': loads}[name]
+        pairs = (machine.drives, drives, AxisDrive), (machine.limits.loads, loads, DriveLoad)
+        for found, wanted, kind in pairs:
             assert found.keys() == wanted.keys()
             for j, each in found.items():
                 for field in fields(kind):
                     expected = getattr(wanted[j], field.name)
                     assert getattr(each, field.name) == pytest.approx(expected, rel=1e-5)
-        assert np.array_equal(machine.limits, TIRED.limits)
+        assert np.array_equal(machine.limits.by_order, TIRED.limits.by_order)
         written = again.read_text()
         assert '+- 95 %: position_gain_per_s: 0.12, backlash_um: 0.2' in written
         assert written.count('drives:') == 1 and written.count('loads:') == 1

@@ -18,7 +18,7 @@ from cnc_interp.feedrate.speed_guess import guess_speed
 def iterations(lines: int) -> int:
     """Solve a random polyline from rest to rest; return how many iterations it took."""
     path = polyline_path(random_polyline(np.random.default_rng(0), lines))
-    table, rest, options = XYZAC.limit_table, (0.0, 0.0), PlanOptions()
+    table, rest, options = XYZAC.table, (0.0, 0.0), PlanOptions()
     kept = KeptCells(np.empty(0), np.empty((0, 4, 5)), np.empty(0))
     grid = planning_grid(
         path, table, rest, options.cell_time, options.share, options.bend, kept.ends

@@ -28,7 +28,7 @@ def use_of(machine, q):
     q = np.concatenate([q, q[-1:].repeat(3, 0)])
     return [
         (np.abs(np.diff(q, order, axis=0)).max(axis=0) / T**order / limit).max()
-        for order, limit in enumerate(machine.limits, start=1)
+        for order, limit in enumerate(machine.limits.by_order, start=1)
     ]
 
 
@@ -107,7 +107,7 @@ def test_along_the_tool_the_tip_moves_on_the_tool_axis(name):
     assert tip[1] - tip[0] == pytest.approx(0.03 * axis[0], abs=1e-12)
     assert np.array_equal(q[0, 3:], q[1, 3:])
     motion = JogMotion(slides, T, np.zeros(1))
-    motion.run(slides.limits[0])
+    motion.run(slides.limits.max_velocity)
     rows = [stands[None].repeat(3, 0)]
     while not motion.over and len(rows) < 1000:
         chunk = motion.piece(20)

@@ -58,8 +58,8 @@ def wrong(up_and_down):
         told = {name: f * getattr(drive, name) for name, f in zip(names, factors, strict=True)}
         drives[j] = replace(drive, **told)
         factor = 0.8 if up_and_down and j % 2 else 1.2
-        loads[j] = replace(TIRED.loads[j], coulomb=factor * TIRED.loads[j].coulomb)
-    return replace(TIRED, drives=drives, loads=loads)
+        loads[j] = replace(TIRED.limits.loads[j], coulomb=factor * TIRED.limits.loads[j].coulomb)
+    return replace(TIRED, drives=drives).having(load=loads)
 
 
 def motion_of(setpoint, rate, **other):
@@ -118,9 +118,9 @@ def test_two_runs_take_four_fifths_of_the_error_out(up_and_down):
 
 def test_what_is_learnt_moves_a_drive_with_friction_by_its_error():
     plain = {'static': 0.0, 'backlash': 0.0, 'mode_frequency': 0.0, 'resolution': 0.0}
-    drive, load = replace(TIRED.drives[0], **plain), replace(TIRED.loads[0], coulomb=0.0)
+    drive, load = replace(TIRED.drives[0], **plain), replace(TIRED.limits.loads[0], coulomb=0.0)
     viscous = 0.5 * load.inertia / drive.time_constant
-    model = replace(TIRED, drives={0: drive}, loads={0: replace(load, viscous=viscous)})
+    model = replace(TIRED, drives={0: drive}).having(load={0: replace(load, viscous=viscous)})
     setpoint, error = np.zeros((1200, 5)), np.zeros((1200, 5))
     error[300:700, 0] = 1e-4 * np.sin(np.linspace(0.0, np.pi, 400)) ** 4
     rates = learnt_rates(model, T, Compensation(model, T, setpoint[0]).lead, setpoint, -error)

@@ -85,4 +85,4 @@ def test_the_machine_says_kind_unit_limits_and_travel_of_every_axis():
     assert (z.max_velocity, z.max_acceleration, z.max_jerk) == (0.5, 2.1, 50.0)
     assert z.travel == (-0.5, 0.5) and c.endless and not z.endless
     assert z.position_text(0.0123456) == '12.346' and c.position_text(np.pi / 3) == '60.0000'
-    assert np.array_equal(machine.limits[2], machine.max_jerk)
+    assert np.array_equal(machine.limits.by_order[2], machine.max_jerk)

@@ -211,7 +211,7 @@ def faster_program(content):
     path['programmed_feed'] = 1.2 * path['programmed_feed']
     bound = path['programmed_feed'].copy()
     for cells, side in ((path['cell_left'], np.s_[:-1]), (path['cell_right'], np.s_[1:])):
-        for k, limits in enumerate(MACHINE.limits, start=1):
+        for k, limits in enumerate(MACHINE.limits.by_order, start=1):
             with np.errstate(divide='ignore'):
                 reach = (limits / np.abs(cells[k])) ** (1.0 / k)
             bound[side] = np.minimum(bound[side], reach.min(axis=1))
@@ -513,7 +513,7 @@ def strokes(axis, program, visits, labels):
     velocity = FEED if j < 3 else MACHINE.max_velocity[j]
     parts, rows, here = [], [], 0.0
     for target, label in zip(visits, labels, strict=True):
-        part = stroke((target - here) * unit, velocity, *MACHINE.limits[1:, j])
+        part = stroke((target - here) * unit, velocity, *MACHINE.limits.by_order[1:, j])
         parts.append(part + np.array([[here * unit], [0], [0]]))
         rows.append(np.full(part.shape[1], label))
         here = target

@@ -264,7 +264,7 @@ HIDDEN = {
 @pytest.mark.parametrize('name', HIDDEN)
 def test_travel_counts_between_the_ends_of_cells(name):
     """An axis that turns back inside a cell left its travel unseen, by up to a millimetre."""
-    free = replace(AC.machine, travel=np.array([[-np.inf, np.inf]] * 5))
+    free = AC.machine.having(travel=np.array([[-np.inf, np.inf]] * 5))
     text = 'G21 G90 G94\n' + HIDDEN[name] + '\nM30\n'
 
     def course(machine):
@@ -290,7 +290,7 @@ def test_travel_counts_between_the_ends_of_cells(name):
         for limit, refused in ((0.5 * (inside.max() + ends), True), (inside.max() + 1e-6, False)):
             travel = free.travel.copy()
             travel[k, 1 if side > 0 else 0] = side * limit
-            narrow = replace(free, travel=travel)
+            narrow = free.having(travel=travel)
             if not refused:
                 course(narrow)
                 continue
@@ -314,7 +314,7 @@ def test_start_out_of_rotary_travel_is_refused():
     machine = copy.copy(AC.machine)
     travel = machine.travel.copy()
     travel[3] = [-5 * DEG, 5 * DEG]
-    narrow = Transform.of(replace(machine, travel=travel))
+    narrow = Transform.of(machine.having(travel=travel))
     with pytest.raises(BlockError, match='no rotary position of machine xyzac within its travel'):
         path_of(pyramid(), narrow)
 

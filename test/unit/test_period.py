@@ -30,7 +30,7 @@ def largest_use(position, period):
     held = np.pad(position, ((3, 3), (0, 0)), mode='edge')
     return [
         np.max(np.abs(np.diff(held, order, axis=0)) / (limit * period**order))
-        for order, limit in enumerate(MACHINE.limits, start=1)
+        for order, limit in enumerate(MACHINE.limits.by_order, start=1)
     ]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,15 +12,15 @@ from feedrate_paths import XYZAC, Limits, line_path, polyline_path, random_polyl
 from tiers import examples
 
 from cnc_interp.core import MM, FloatArray, MachineError, StreamError
-from cnc_interp.core.limits_by_position import largest_between, limits_along, place_table
+from cnc_interp.core.axis_limits import LimitsByPlace
+from cnc_interp.core.limits_by_position import largest_between, limits_along
 from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
-from cnc_interp.feedrate.limit_use import AxisLimits
 from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
-from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping, read_only
+from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program import open_program
 from cnc_interp.proof.axis_limits import limits_of_differences
@@ -42,12 +41,10 @@ PARTS = {
 }
 
 
-def placed(limits: Limits, parts: list[list[float]]) -> AxisLimits:
+def placed(limits: Limits, parts: list[list[float]], places: FloatArray = PLACES) -> Limits:
     """Let the limits of X depend on its position."""
-    constant = np.array([limits.max_velocity, limits.max_acceleration, limits.max_jerk])
-    of_x = np.vstack([constant[:, :1] * parts, PLACES])
-    table = read_only(place_table(constant, {0: of_x}))
-    return SimpleNamespace(**vars(limits), limit_table=table)
+    of_x = LimitsByPlace(*(limits.by_order[:, :1] * parts), places)
+    return limits.having(by_place={0: of_x})
 
 
 def uses(
@@ -95,20 +92,17 @@ def test_corners_keep_the_limits_of_every_place(seed):
 
 def test_a_table_that_says_the_same_everywhere_changes_no_bit():
     points = random_polyline(np.random.default_rng(5), 12)
-    far = placed(XYZAC, [[1.0] * 4] * 3)
-    table = far.limit_table.copy()
-    table[3, 0] += 100.0  # no grid point more
-    far.limit_table = read_only(table)
+    far = placed(XYZAC, [[1.0] * 4] * 3, PLACES + 100.0)  # no grid point more
     found, same = plan_path(polyline_path(points), XYZAC), plan_path(polyline_path(points), far)
     assert np.array_equal(found.law.s_dot, same.law.s_dot)
     assert np.array_equal(found.law.time, same.law.time)
 
 
 def test_limits_without_places_are_constants():
-    table = Machine.load('xyzac').limit_table
+    table = Machine.load('xyzac').limits.table
     assert table.shape == (7, 5, 1)
     assert np.array_equal(
-        limits_along(table, np.zeros((1, 5)))[:, 0], Machine.load('xyzac').limits
+        limits_along(table, np.zeros((1, 5)))[:, 0], Machine.load('xyzac').limits.by_order
     )
 
 
@@ -122,7 +116,7 @@ def test_a_stop_from_any_moment_keeps_the_limits_of_every_place(kind):
     for s, v, a, _ in np.array(law.evaluate(moments)).T.tolist():
         if s > 0.4:
             break
-        stop = stop_law(piece.path, (s, v, a), limits.limit_table, 0.0)
+        stop = stop_law(piece.path, (s, v, a), limits.table, 0.0)
         # where none is found the motion goes on as planned to the next moment
         missing = missing + 1 if stop is None else 0
         assert missing <= 1
@@ -138,25 +132,25 @@ def test_the_bound_is_one_for_a_slower_law_within_the_same_limits():
 
 
 def test_the_largest_limit_between_two_positions_may_lie_at_a_place_between_them():
-    table = place_table(np.ones((3, 2)), {1: np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])})
+    of_second = LimitsByPlace(*np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]]))
+    limits = Limits.constant(*np.ones((3, 2))).having(by_place={1: of_second})
+    table = limits.table
     found = [largest_between(table, 2, 1, *ends) for ends in ((0.5, 1.5), (1.5, 9.0))]
     assert found == [5.0, 3.5] and largest_between(table, 2, 0, 0.0, 1.5) == 1.0
-    machine = SimpleNamespace(
-        limits=np.ones((3, 2)), places={1: np.array([[1.0, 5.0, 2.0]] * 3 + [[0.0, 1.0, 2.0]])}
-    )
+    machine = SimpleNamespace(limits=limits)
     q = np.array([[0.0, 0.5], [0.0, 1.5]])
     assert limits_of_differences(machine, 1, q).tolist() == [[1.0, 5.0]]
 
 
 def test_a_machine_file_with_places_in_si():
-    assert RAM.limit_table.shape == (7, 3, 4)
+    assert RAM.limits.table.shape == (7, 3, 4)
     q = np.array([[-0.05, 0.0, -0.55], [0.0, 0.0, -0.4], [0.4, 0.0, 0.0]])
-    velocity, acceleration, jerk = limits_along(RAM.limit_table, q)
+    velocity, acceleration, jerk = RAM.limits.along(q)
     assert velocity[:, 0] == pytest.approx([1 / 6, 1 / 3, 0.5])
     assert acceleration[:, 2] == pytest.approx([1.2, 2.1, 3.0])
     assert jerk[:, 2] == pytest.approx([6.0, 18.0, 30.0])
     assert (jerk[:, :2] == 30.0).all() and (velocity[:, 1:] == 0.5).all()
-    assert RAM.lowest_limits[2].tolist() == [30.0, 30.0, 6.0]
+    assert RAM.limits.lowest.max_jerk.tolist() == [30.0, 30.0, 6.0]
 
 
 @pytest.mark.parametrize(
@@ -231,7 +225,7 @@ def test_a_plan_is_at_the_limits_of_its_places_and_proven(planned):
 
 
 def test_a_plan_for_the_largest_limits_is_not_proven(planned, tmp_path):
-    rigid = replace(RAM, places={})
+    rigid = RAM.having(by_place={})
     (tmp_path / 'ram.ngc').write_text(PROGRAM)
     program = open_program(tmp_path / 'ram.ngc', Transform.of(rigid), Settings())
     plan_to_files(program, rigid, tmp_path / 'out')

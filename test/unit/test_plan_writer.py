@@ -142,7 +142,7 @@ def test_written_path_and_figures_are_those_of_the_joined_pieces(program, tmp_pa
         speeds = np.concatenate([piece.law.s_dot for piece in plan.pieces])
         np.testing.assert_array_equal(path['feed'], np.r_[speeds, 0.0])
         # At every grid point the slower of both neighbours counts, across pieces too.
-        np.testing.assert_array_equal(path['feed_limit'], feed_limit(joined, MACHINE))
+        np.testing.assert_array_equal(path['feed_limit'], feed_limit(joined, MACHINE.limits))
         right = np.r_[joined.cell_feed, joined.cell_feed[-1:]]
         np.testing.assert_array_equal(path['programmed_feed'], np.minimum(left, right))
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())

@@ -29,7 +29,7 @@ def slanted_head():
     direction = np.array([[0.0, 0.0, 1.0], [0.0, np.sqrt(0.5), np.sqrt(0.5)]])
     travel = heads.travel.copy()
     travel[3:5] = [-np.inf, np.inf]
-    return replace(heads, rotary_direction=direction, travel=travel)
+    return replace(heads, rotary_direction=direction).having(travel=travel)
 
 
 MACHINES = [
@@ -205,7 +205,7 @@ def test_travel_that_forbids_the_sign_of_the_tilt_turns_c_instead_without_a_stop
     machine = MACHINES[0]
     travel = machine.travel.copy()
     travel[3] = [-5 * DEG, 120 * DEG]
-    narrow = replace(machine, travel=travel)
+    narrow = machine.having(travel=travel)
     for distance in (0.0, 0.01 * DEG):
         path, segments, builder = path_of(line_past(narrow, distance), narrow)
         assert path.q[:, 3].min() > -1 * DEG and np.ptp(path.q[:, 4]) > 150 * DEG
@@ -226,7 +226,7 @@ def test_tilt_passes_the_pole_to_the_side_that_its_travel_allows():
     machine = MACHINES[0]
     travel = machine.travel.copy()
     travel[3] = [-10 * DEG, 110 * DEG]
-    uneven = replace(machine, travel=travel)
+    uneven = machine.having(travel=travel)
     tips = [[-28 * MM, 0, 0], [28 * MM, 0, 0]]
     tools = tools_past(machine, 0.01 * DEG, [-8 * DEG, 20 * DEG])
     path, _, builder = path_of(named_start(machine, blocks_of(tips, tools), -1), uneven)

@@ -133,9 +133,9 @@ def test_the_axes_stop_within_their_limits_and_the_place_is_that_of_the_contact(
     assert 0.0 <= contact.position[0] - 0.02 <= 2 * speed * T and not contact.at_once
     x = bench.path
     jerk = np.abs(np.diff(x, 3)).max() / T**3
-    assert jerk <= MACHINE.limits[2, 0] * 1.001
+    assert jerk <= MACHINE.limits.by_order[2, 0] * 1.001
     # From the contact: to the next setpoint with a stop, then the stop itself.
-    a, j = MACHINE.limits[1:, 0]
+    a, j = MACHINE.limits.by_order[1:, 0]
     stop = speed / 2 * (speed / a + a / j)
     assert x[-1] - contact.position[0] < stop + speed * 0.015
     assert bench.drives.outputs[ARMED] == 0.0

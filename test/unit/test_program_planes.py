@@ -1,6 +1,5 @@
 """Tilted working planes: forms, orientations on all machines, what stays, refusals."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ def endless(name):
     """A machine without ends of travel."""
     machine = Machine.load(name)
     travel = np.tile([-np.inf, np.inf], (len(machine.axis_names), 1))
-    return Transform.of(replace(machine, travel=travel))
+    return Transform.of(machine.having(travel=travel))
 
 
 AC = endless('xyzac')
@@ -170,7 +169,7 @@ def test_the_travel_decides_where_only_one_solution_is_within_it():
     machine = Machine.load('xyzac')
     travel = machine.travel.copy()
     travel[3] = np.array([-5.0, 90.0]) * DEG
-    short = Transform.of(replace(machine, travel=travel))
+    short = Transform.of(machine.having(travel=travel))
     for choice in ('', 'P2'):
         program = read(f'G68.2 I30 J20\nG53.1 {choice}\nG0 X1', short)
         assert program.blocks.rotary[-1, 0] == pytest.approx(20.0 * DEG)

@@ -45,7 +45,7 @@ def lines(bench):
         each = list(parts)
         z = np.concatenate([part.position[:, 2] for part in each])
         held = np.pad(z, 3, mode='edge')
-        for order, limit in enumerate(MACHINE.limits[:, 2], start=1):
+        for order, limit in enumerate(MACHINE.limits.by_order[:, 2], start=1):
             assert np.abs(np.diff(held, order)).max() <= limit * T**order * (1 + 1e-6)
         yield (z[0] - z) / (LEAD * MM), np.concatenate([part.angle for part in each])
 

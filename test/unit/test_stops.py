@@ -82,7 +82,7 @@ def longer_than_straight(piece: PlannedPiece, limits: Limits) -> FloatArray:
 
     From a moment without a stop the motion goes on as planned to the next one.
     """
-    law, table = piece.law, limits.limit_table
+    law, table = piece.law, limits.table
     times = np.arange(0.0, law.end_time, EVERY)
     states = np.array(law.evaluate(times)[:3]).T
     rest, longer = law.end_time, []
@@ -107,7 +107,7 @@ def longer_than_straight(piece: PlannedPiece, limits: Limits) -> FloatArray:
 def test_on_a_line_a_stop_takes_the_time_of_ruckig(speed, acceleration):
     path = line_path(1.0)
     state = (0.0, speed, acceleration)
-    stop = stop_law(path, state, XYZAC.limit_table, 0.0)
+    stop = stop_law(path, state, XYZAC.table, 0.0)
     assert use_of_limits(stop, XYZAC) < 1.0
     best = straight_stop(path, state, XYZAC)
     assert best < stop.law.end_time < 1.05 * best
@@ -161,7 +161,7 @@ def test_the_reserve_costs_nothing_where_braking_is_possible(seed):
 
 def test_a_stop_that_ends_within_rounding_of_a_border_has_no_cell_after_it():
     """In the smallest motions a border may lie anywhere in the last picometres of a stop."""
-    table, plain, late = XYZAC.limit_table, line_path(0.2, 0.05), 0
+    table, plain, late = XYZAC.table, line_path(0.2, 0.05), 0
     for v in np.geomspace(1e-8, 1e-6, 12):
         state = (0.1, float(v), 0.0)
         whole = stop_law(plain, state, table, 0.0)

@@ -72,7 +72,7 @@ def sampled(planner, before=()):
         np.concatenate([getattr(chunk.samples, name) for chunk in chunks])
         for name in ('position', 's', 'block')
     )
-    assert limit_use(q, MACHINE.limits) <= 1.001
+    assert limit_use(q, MACHINE.limits.by_order) <= 1.001
     return q, s, block
 
 

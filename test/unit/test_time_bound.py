@@ -18,7 +18,7 @@ from cnc_interp.feedrate.time_bound import time_bound
 from cnc_interp.feedrate.toppra_stage import BackwardPass
 from cnc_interp.kinematics.axis_path import cut, evaluate_cells, refine
 
-TABLE = XYZAC.limit_table
+TABLE = XYZAC.table
 
 
 def bound_of(path):

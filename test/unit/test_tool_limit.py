@@ -52,8 +52,8 @@ def frictionless(machine: Machine) -> Machine:
     """The same loops, delays and modes, without friction, backlash and steps of encoders."""
     linear = {'static': 0.0, 'stribeck_velocity': 0.0, 'backlash': 0.0, 'resolution': 0.0}
     drives = {j: replace(drive, **linear) for j, drive in machine.drives.items()}
-    loads = {j: replace(load, coulomb=0.0) for j, load in machine.loads.items()}
-    return replace(machine, drives=drives, loads=loads)
+    loads = {j: replace(load, coulomb=0.0) for j, load in machine.limits.loads.items()}
+    return replace(machine, drives=drives).having(load=loads)
 
 
 @pytest.mark.parametrize('compensated', [False, True])

@@ -11,6 +11,7 @@ from scipy.interpolate import make_interp_spline
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import Blocks
@@ -140,7 +141,7 @@ def plan_program(program: Program, machine: Machine, settings: Settings | None =
     return Plan(program, machine, settings, segments, kept.pieces, setpoints, chain.seconds)
 
 
-def smooth_path(blocks: Blocks, geometry: Transform, settings: Settings | None = None) -> AxisPath:
+def smooth_path(blocks: Blocks, geometry: FiveAxis, settings: Settings | None = None) -> AxisPath:
     """Round the corners of blocks within their tolerances, and return the path of the axes.
 
     Parameters

@@ -14,6 +14,7 @@ from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import SPACING, MachinedFace, SplinePass
 from cnc_interp.cam.strategies import STRATEGIES, Strategy
 from cnc_interp.core import DEG, MM, UM, FloatArray, cross, dot, norm
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
 
@@ -106,7 +107,7 @@ class _Turns:
         rate = np.where(sine < limit, 0.0, rate)
         return float(np.arcsin(min(sine.min(), 1.0))), float(rate.max()) / fastest
 
-    def reached(self, transform: Transform) -> bool:
+    def reached(self, transform: FiveAxis) -> bool:
         """Tell whether the travel of the tilt contains the largest angles from the pole."""
         inner = 1 - transform.outer
         low, high = transform.machine.travel[3 + inner]

@@ -7,8 +7,9 @@ import numpy as np
 from cnc_interp.convert.native_joins import Joins, portions
 from cnc_interp.convert.native_splines import Portion, SplineMoves
 from cnc_interp.core import MM, UM, BlockError, FloatArray, IntArray, ProgramError, norm
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform, on_pole, start_positions
+from cnc_interp.machine_model.transform import Transform, start_positions
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.geometry.subdivide import piece_counts, ragged
@@ -71,7 +72,7 @@ def convert(
         raise
 
 
-def with_poses(blocks: Blocks, transform: Transform, height: float) -> Blocks:
+def with_poses(blocks: Blocks, transform: FiveAxis, height: float) -> Blocks:
     """Replace linear rotary axes by poses, within a share of the tolerances at ``height`` [m]."""
     linear = np.flatnonzero(blocks.by_rotary)
     if not len(linear):
@@ -151,7 +152,7 @@ def _chords(rows: Blocks, height: float, most: float) -> Blocks:
     return Blocks(**columns)
 
 
-def _gcode(blocks: Blocks, transform: Transform) -> Converted:
+def _gcode(blocks: Blocks, transform: FiveAxis) -> Converted:
     rotary = _rotary_words(blocks, transform) if transform.machine.has_rotary else None
     notes = []
     other = blocks.orientation_tolerance != blocks.contour_tolerance
@@ -175,7 +176,7 @@ def _gcode(blocks: Blocks, transform: Transform) -> Converted:
     return Converted(gcode(moves, tuple(names[3:5]), notes), notes)
 
 
-def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
+def _rotary_words(blocks: Blocks, transform: FiveAxis) -> FloatArray:
     """Return rotary positions, each closest to the previous one, shape (n, 2) [rad]."""
     found = np.empty((len(blocks), 2))
     first, line = (blocks.axis[0], blocks.rotary[0]), int(blocks.line_number[0])
@@ -186,11 +187,8 @@ def _rotary_words(blocks: Blocks, transform: Transform) -> FloatArray:
         if np.isfinite(words).all():
             here = words
         elif not np.array_equal(axis, blocks.axis[i - 1]):
-            choices = []
-            for pair in transform.rotary_solutions(axis):
-                if on_pole(transform, axis):
-                    pair[transform.outer] = here[transform.outer]
-                choices.append(pair + 2.0 * np.pi * np.round((here - pair) / (2.0 * np.pi)))
+            free = here if transform.on_pole(axis) else None
+            choices = transform.branches(axis, here, free)
             if not choices:
                 raise BlockError(
                     f'machine {transform.machine.name} cannot reach the tool axis',
@@ -233,7 +231,7 @@ def _cl(blocks: Blocks, source: str) -> Converted:
 
 
 def _siemens(
-    program: Program, transform: Transform, settings: Settings, tolerance: float
+    program: Program, transform: FiveAxis, settings: Settings, tolerance: float
 ) -> Converted:
     blocks = program.blocks
     segments = segments_of(blocks, transform, settings)

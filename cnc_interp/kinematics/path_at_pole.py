@@ -15,7 +15,7 @@ from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.kinematics import pole_bounds as polar
 from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import septic_coefficients
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import POSES
 from cnc_interp.smoothing.segments import PathSegments
 
@@ -52,7 +52,7 @@ class Guides:
 
 @dataclass(frozen=True)
 class PathAtPole:
-    transform: Transform  #: The machine's five-axis transformation.
+    transform: FiveAxis  #: The machine's five-axis transformation.
     height: float  #: Flank height [m].
     segments: PathSegments  #: The segments, n of them.
     motion: IntArray  #: (n,): How their rotary axes move.
@@ -70,7 +70,7 @@ class PathAtPole:
 
     @classmethod
     def look_at(
-        cls, transform: Transform, height: float, segments: PathSegments, motion: IntArray
+        cls, transform: FiveAxis, height: float, segments: PathSegments, motion: IntArray
     ) -> PathAtPole:
         n = len(segments)
         shapes, beside = axes.shapes_of(segments), axes.beside_of(segments)

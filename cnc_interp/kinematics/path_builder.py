@@ -13,7 +13,8 @@ from cnc_interp.kinematics import segment_axes as axes
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
-from cnc_interp.machine_model.transform import Transform, branch_at, start_positions
+from cnc_interp.machine_model.five_axis import FiveAxis
+from cnc_interp.machine_model.transform import start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments
@@ -45,7 +46,7 @@ def _turning(one: PathSegments, start: FloatArray, end: FloatArray) -> PathSegme
 class AxisPathBuilder:
     """Turn segments into machine axes, batch by batch; within the period a kink shows as jerk."""
 
-    def __init__(self, transform: Transform, flank_height: float, period: float):
+    def __init__(self, transform: FiveAxis, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
         self._begun, self._rotary, self._branch = False, np.zeros(2), 1.0
@@ -106,7 +107,7 @@ class AxisPathBuilder:
                     parts.extend(self._stand_at(run))
                 parts.append(self._cells(run, motion[first:last], guides[first:last]))
                 if own:
-                    self._branch = branch_at(self.transform, self._rotary)
+                    self._branch = self.transform.branch_at(self._rotary)
                 else:
                     checks.check_words(self.transform, run, parts[-1].right, parts[-1].counts)
                 first = last
@@ -143,7 +144,7 @@ class AxisPathBuilder:
                 parts.append(self._turn_first(one, start))
             self._rotary = start.copy()
         parts.append(self._cells(_turning(one, start, end), np.array([axes.LINEAR])))
-        self._branch = branch_at(self.transform, self._rotary)
+        self._branch = self.transform.branch_at(self._rotary)
         return parts
 
     def _turn_outer(self, one: PathSegments, turn: float) -> list[Cells]:
@@ -210,7 +211,7 @@ class AxisPathBuilder:
         checks.check_travel(self.machine, steps[sound], left[sound], right[sound], lines)
         if status != FINE:
             line = int(segments.line_number[len(counts) - 1])
-            checks.refuse(self.machine, self.transform.outer, status, line)
+            checks.refuse(self.transform, status, line)
         if motion[0] == axes.LINEAR and segments.kind[0] == kinds.ROTATION:
             q = np.concatenate([left[:, 0], right[-1:, 0]])
             tools = self.transform.tool_axis(q[:, 3:5])

@@ -12,7 +12,7 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray, IntArray
 from cnc_interp.kinematics.path_at_pole import SAME_PLACE, Guides, PassageEnd, PathAtPole
 from cnc_interp.kinematics.segment_axes import FOLLOWING, GUIDE_FROM, GUIDE_TO, RESTING
-from cnc_interp.machine_model.transform import ON_POLE, Transform, branch_at
+from cnc_interp.machine_model.five_axis import ON_POLE, FiveAxis
 from cnc_interp.smoothing.segments import CORNER, PathSegments
 
 REACH = 30.0 * MM  #: Longest way before and after the pole on which the outer axis is given [m].
@@ -38,7 +38,7 @@ class _Stretch:
 
 
 class PolePassages:
-    def __init__(self, transform: Transform, height: float):
+    def __init__(self, transform: FiveAxis, height: float):
         self._transform, self._height = transform, height
         self._outer = transform.outer
         self._turn, self._branch, self._free = 0.0, 1.0, False
@@ -109,7 +109,7 @@ class PolePassages:
     def _step_over(self, path: PathAtPole, i: int) -> None:
         one = path.segments
         words = one.rotary[i, 4 if one.kind[i] == CORNER else 1]
-        self._turn, self._branch = float(words[self._outer]), branch_at(self._transform, words)
+        self._turn, self._branch = float(words[self._outer]), self._transform.branch_at(words)
         self._stopped = bool(one.stop[i])
 
     def _pass(self, path: PathAtPole, closed: bool) -> int:

@@ -7,10 +7,9 @@ from functools import partial
 import numpy as np
 
 from cnc_interp.core import DEG, FloatArray
-from cnc_interp.core.kernels import njit
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine_entries import BlockPace
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.machine_model.transform_kernels import linear_jets, rotary_jets
 
 #: Rates of the axes along a line, each over its jerk limit, of rows of tool tip, tool axis, unit
 #: step of the tip, and turn of the tool axis per metre.
@@ -31,7 +30,7 @@ class MachineTraits:
     sharpest_turn: float = 178.0 * DEG
     sharpest_swing: float = 176.0 * DEG
     #: Kinematics for blocks whose rotary axes run linearly. Without it there are none.
-    geometry: Transform | None = None
+    geometry: FiveAxis | None = None
     max_jerk: FloatArray | None = None  #: (5 + k,): Jerk limits of all axes.
     pace: BlockPace | None = None  #: How its control goes through short blocks.
 
@@ -43,7 +42,7 @@ class MachineTraits:
         return bool(away < np.sin(self.pole_cone))
 
 
-def traits_of(transform: Transform) -> MachineTraits:
+def traits_of(transform: FiveAxis) -> MachineTraits:
     machine = transform.machine
     pole = tuple(float(x) for x in transform.pole) if machine.has_rotary else None
     return MachineTraits(
@@ -59,40 +58,5 @@ def traits_of(transform: Transform) -> MachineTraits:
 def jerk_rates(
     transform: Transform, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
 ) -> FloatArray:
-    machine = transform.machine
-    if not machine.has_rotary:
-        return np.asarray(step / machine.max_jerk[:3])
-    rows = [np.ascontiguousarray(column).view() for column in (tip, axis, step, turn)]
-    for row in rows:
-        row.flags.writeable = False  # one form for the kernel: no other is compiled while it moves
-    return np.asarray(rates(transform.packed, transform.outer, *rows) / machine.max_jerk[:5])
-
-
-@njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite
-def rates(
-    packed: FloatArray,
-    outer: int,
-    tip: FloatArray,
-    axis: FloatArray,
-    step: FloatArray,
-    turn: FloatArray,
-) -> FloatArray:
-    """Return q_s of the branch with the positive tilt, shape (n, 5); rows as in ``jerk_rates``."""
-    found = np.full((len(tip), 5), np.nan)
-    for i in range(len(tip)):
-        o, w = axis[i], turn[i]
-        slope = (w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0])
-        tool = ((o[0], slope[0], 0.0, 0.0), (o[1], slope[1], 0.0, 0.0), (o[2], slope[2], 0.0, 0.0))
-        tilt, turned, sine_squared = rotary_jets(packed, tool, 1.0, 0.0, 0.0)
-        if sine_squared <= 0.0:
-            continue
-        first, second = (tilt, turned) if outer == 1 else (turned, tilt)
-        point = (
-            (tip[i, 0], step[i, 0], 0.0, 0.0),
-            (tip[i, 1], step[i, 1], 0.0, 0.0),
-            (tip[i, 2], step[i, 2], 0.0, 0.0),
-        )
-        x, y, z = linear_jets(packed, point, first, second)
-        found[i, 0], found[i, 1], found[i, 2] = x[1], y[1], z[1]
-        found[i, 3], found[i, 4] = first[1], second[1]
-    return found
+    rates = transform.rates(tip, axis, step, turn)
+    return np.asarray(rates / transform.machine.max_jerk[: rates.shape[1]])

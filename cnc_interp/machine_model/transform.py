@@ -1,158 +1,42 @@
-"""The five-axis transformation: tool tip and tool axis in W <-> machine axes.
+"""The port of a machine's kinematics: axis positions <-> poses of the tool in the workpiece.
 
-With T the product of the rotary axes that carry the workpiece and H of those that carry the tool,
-
-    o_W = T^-1 H e_z = Rot(u, a) Rot(w, b) e_z
-    (x, y, z) = Table(p_W) + Head(rotary) - Head(0)
-
-with (x, y, z) where the tool stands in M: X Y Z plus the extra axes along their directions.
-The *outer* axis u turns about the pole and the *inner* axis w, next to the tool, tilts:
-table-table: u secondary, w primary, both negated; head-head: u primary, w secondary;
-one of each: u the table axis, negated, w the head axis.
-
-``o . u = c0 + R cos(b - b0)`` gives the tilt, two branches (sign of the sine); the outer angle
-follows from the projections on the plane normal to u. Near the pole o -> +-u the sine is taken
-from |o x u|, which keeps full relative accuracy.
+Rooms that need no more than ``Transform`` work for any machine. What asks for ``FiveAxis`` needs
+its rotary axes: words for them, its pole, or that X Y Z are its linear axes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from cnc_interp.core import BlockError, FloatArray, jet, norm
+from cnc_interp.core import BlockError, FloatArray
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform_kernels import (
-    HEAD_ZERO,
-    INNER_SIGN,
-    ON_HEAD,
-    OUTER,
-    OUTER_SIGN,
-    PRIMARY,
-    SIZE,
-    TIP_ARM,
-    WORKPIECE,
-    forward,
-    linear_position,
-    rotary_jets,
-)
 
 
-@dataclass(frozen=True)
-class Transform:
-    machine: Machine  #: The machine.
-    #: (29 + 3 k,): Its geometry as one array; the last 3 k values are directions of k extra axes.
-    packed: FloatArray
-
-    @staticmethod
-    def of(machine: Machine) -> Transform:
-        first_on_head, second_on_head = machine.rotary_on_head
-        outer = 0 if second_on_head else 1
-        packed = np.zeros(SIZE)
-        packed[PRIMARY : PRIMARY + 6] = machine.rotary_direction.ravel()
-        packed[WORKPIECE : WORKPIECE + 9] = machine.offsets.ravel()
-        packed[TIP_ARM : TIP_ARM + 6] = machine.tool_offset.ravel()
-        packed[ON_HEAD : ON_HEAD + 2] = machine.rotary_on_head
-        packed[OUTER] = outer
-        packed[OUTER_SIGN] = 1.0 if machine.rotary_on_head[outer] else -1.0
-        packed[INNER_SIGN] = 1.0 if machine.rotary_on_head[1 - outer] else -1.0
-        on_head = first_on_head or second_on_head
-        packed[HEAD_ZERO : HEAD_ZERO + 3] = machine.tool_offset.sum(axis=0) * on_head
-        return Transform(machine, np.concatenate([packed, machine.extra_direction.ravel()]))
+class Transform(Protocol):
+    """The kinematics of a machine; rows of q have one column for each of ``machine.axes``."""
 
     @property
-    def outer(self) -> int:
-        """Index of the rotary axis that is undefined at the pole: 0 primary, 1 secondary."""
-        return int(self.packed[OUTER])
-
-    @property
-    def pole(self) -> FloatArray:
-        """Direction in W at which the outer rotary axis is undefined, shape (3,)."""
-        return np.asarray(self.machine.rotary_direction[self.outer])
-
-    def nearest_to_pole(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return the smallest angle to the pole, (n,) [rad], while the rotary axes run linearly.
-
-        ``o . u = c0 + R cos(b - b0)`` has its extremes at the ends or where b - b0 is a multiple
-        of pi.
-        """
-        inner = 1 - self.outer
-        u, w = self.machine.rotary_direction[[self.outer, inner]]
-        c0 = w[2] * float(w @ u)
-        c1, c2 = u[2] - c0, w[1] * u[0] - w[0] * u[1]
-        radius, b0 = np.hypot(c1, c2), np.arctan2(c2, c1)
-        ends = self.packed[INNER_SIGN] * np.stack([start[:, inner], end[:, inner]]) - b0
-        low, high = ends.min(axis=0), ends.max(axis=0)
-        cosine = c0 + radius * np.cos(ends)
-        top = np.where(np.ceil(low / (2 * pi)) * 2 * pi <= high, c0 + radius, cosine.max(axis=0))
-        turn = np.ceil((low - pi) / (2 * pi)) * 2 * pi + pi
-        bottom = np.where(turn <= high, c0 - radius, cosine.min(axis=0))
-        return np.asarray(np.arccos(np.clip(np.maximum(top, -bottom), -1.0, 1.0)))
-
-    def levers(self, stands: FloatArray, rotary: FloatArray, height: float) -> FloatArray:
-        """Return how far a point so high on the tool axis moves in W per radian, (n, 2) [m]."""
-        machine = self.machine
-        u1, u2 = machine.rotary_direction
-        first_on_head, second_on_head = machine.rotary_on_head
-        tip_arm, head_arm = machine.tool_offset
-        on_head = first_on_head or second_on_head
-        up = np.array([0.0, 0.0, height])
-        # From the point to the pivots, as in ``forward``; a tool that never turns is vertical.
-        arm = np.broadcast_to(tip_arm - up if on_head else -up, stands.shape)
-        levers = np.zeros((len(stands), 2))
-        if second_on_head:
-            levers[:, 1] = norm(np.cross(u2, arm))
-            arm = rotated(u2, rotary[:, 1], arm)
-        arm = arm + (head_arm if on_head else 0.0)
-        if first_on_head:
-            levers[:, 0] = norm(np.cross(u1, arm))
-            arm = rotated(u1, rotary[:, 0], arm)
-        point = stands - arm + self.packed[HEAD_ZERO : HEAD_ZERO + 3] - machine.offsets[2]
-        if not first_on_head:
-            levers[:, 0] = norm(np.cross(u1, point))
-            point = rotated(u1, -rotary[:, 0], point)
-        if not second_on_head:
-            levers[:, 1] = norm(np.cross(u2, point - machine.offsets[1]))
-        return levers
-
-    def tool_axis(self, rotary: FloatArray) -> FloatArray:
-        q = np.concatenate([np.zeros((len(rotary), 3)), np.asarray(rotary, float)], axis=1)
-        return np.asarray(forward(self.packed, q)[1])
+    def machine(self) -> Machine:
+        """Its axes have names, kinds, limits and travel."""
 
     def forward(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        q = np.asarray(q, float)
-        own = 5 if self.machine.has_rotary else 3
-        if q.shape[1] > own:
-            stands = q[:, :3] + q[:, own:] @ self.machine.extra_direction
-            q = np.concatenate([stands, q[:, 3:own]], axis=1)
-        if own == 3:
-            q = np.concatenate([q, np.zeros((len(q), 2))], axis=1)
-        return forward(self.packed, q)
+        """Return tool tips [m] and unit tool axes [-] in W, (n, 3) each, for rows of q."""
 
-    def linear(self, tip: FloatArray, rotary: FloatArray) -> FloatArray:
-        """Return X Y Z (n, 3) [m] of tool tips at rotary positions [rad]; extra axes at 0."""
-        return np.array(
-            [linear_position(self.packed, p, r[0], r[1]) for p, r in zip(tip, rotary, strict=True)]
-        )
+    def rates(
+        self, tip: FloatArray, axis: FloatArray, step: FloatArray, turn: FloatArray
+    ) -> FloatArray:
+        """Return the rates of the axes by path length where a path goes through poses, (n, m).
 
-    def rotary_solutions(self, axis: FloatArray) -> list[FloatArray]:
-        """Return both branches (2,) in (-pi, pi] [rad] for a tool axis (3,); [] out of reach."""
-        o = (jet.constant(axis[0]), jet.constant(axis[1]), jet.constant(axis[2]))
-        found = []
-        for branch in (1.0, -1.0):
-            tilt, turn, sine_squared = rotary_jets(self.packed, o, branch, 0.0, 0.0)
-            if sine_squared >= -1e-12:
-                pair = [tilt[0], turn[0]] if self.outer == 1 else [turn[0], tilt[0]]
-                found.append(np.array(pair))
-        return found
+        Rows of tool tip [m], tool axis, unit step of the tip, and turn of the tool axis [rad/m].
+        The m axes are the first of the machine; NaN where the pose is singular or out of reach.
+        """
 
-
-def rotated(u: FloatArray, angle: FloatArray, v: FloatArray) -> FloatArray:
-    s, c = np.sin(angle)[:, None], np.cos(angle)[:, None]
-    return np.asarray(v * c + np.cross(u, v) * s + u * ((v @ u)[:, None] * (1.0 - c)))
+    @staticmethod
+    def of(machine: Machine) -> FiveAxis:
+        return FiveAxis.of(machine)
 
 
 NO_PART = 1e-12  #: Smaller components of the tool's direction are rounding [-].
@@ -177,23 +61,8 @@ def tool_line(transform: Transform, stands: FloatArray) -> ToolLine:
     return ToolLine(direction, np.array([ends[:, 0].max(), ends[:, 1].min()]))
 
 
-ON_POLE = 1e-9  #: The sine of the angle to the pole of a tool axis that lies on it is smaller [-].
-
-
-def on_pole(transform: Transform, axis: FloatArray) -> bool:
-    return float(np.linalg.norm(np.cross(axis, transform.pole))) < ON_POLE
-
-
-def branch_at(transform: Transform, rotary: FloatArray) -> float:
-    axis = transform.tool_axis(rotary[None])[0]
-    gaps = [
-        np.abs(np.sin(0.5 * (rotary - pair))).max() for pair in transform.rotary_solutions(axis)
-    ]
-    return 1.0 if not gaps or gaps[0] <= gaps[-1] else -1.0
-
-
 def start_positions(
-    transform: Transform, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
+    transform: FiveAxis, axis: FloatArray, rotary: FloatArray, near: FloatArray, line_number: int
 ) -> tuple[FloatArray, float]:
     """Choose rotary positions (2,) [rad] and branch (+1 or -1) of a start pose.
 
@@ -205,15 +74,11 @@ def start_positions(
         return np.zeros(2), 1.0
     if np.isfinite(rotary).all():
         named = np.array(rotary, dtype=float)
-        return named, branch_at(transform, named)
+        return named, transform.branch_at(named)
     low, high = machine.travel[~machine.is_linear].T
-    outer = transform.outer
-    free = on_pole(transform, axis)
+    free = near if transform.on_pole(axis) else None
     found = []
-    for branch, pair in zip((1.0, -1.0), transform.rotary_solutions(axis), strict=False):
-        if free:
-            pair[outer] = near[outer]
-        pair = pair + 2.0 * np.pi * np.round((near - pair) / (2.0 * np.pi))
+    for branch, pair in zip((1.0, -1.0), transform.branches(axis, near, free), strict=False):
         if (pair >= low).all() and (pair <= high).all():
             found.append((float(np.abs(pair - near).sum()), -branch, pair))
     if not found:
@@ -231,7 +96,7 @@ LEAST_LENGTH, SAME_AXIS = 1e-6, 1e-9
 
 
 def positions_of_pose(
-    transform: Transform, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
+    transform: FiveAxis, tip: FloatArray, axis: FloatArray | None, stands: FloatArray
 ) -> FloatArray:
     """Return the axis positions of a tool pose, (n_axes,) [m, rad].
 

@@ -232,3 +232,33 @@ def forward(packed: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         tip[i, 2] = z - packed[WORKPIECE + 2]
         axis[i, 0], axis[i, 1], axis[i, 2] = o
     return tip, axis
+
+
+@njit(cache=True, nogil=True, error_model='numpy')  # at the pole they are not finite
+def rates(
+    packed: FloatArray,
+    outer: int,
+    tip: FloatArray,
+    axis: FloatArray,
+    step: FloatArray,
+    turn: FloatArray,
+) -> FloatArray:
+    """Return q_s of the branch with the positive tilt, (n, 5); rows as in ``Transform.rates``."""
+    found = np.full((len(tip), 5), np.nan)
+    for i in range(len(tip)):
+        o, w = axis[i], turn[i]
+        slope = (w[1] * o[2] - w[2] * o[1], w[2] * o[0] - w[0] * o[2], w[0] * o[1] - w[1] * o[0])
+        tool = ((o[0], slope[0], 0.0, 0.0), (o[1], slope[1], 0.0, 0.0), (o[2], slope[2], 0.0, 0.0))
+        tilt, turned, sine_squared = rotary_jets(packed, tool, 1.0, 0.0, 0.0)
+        if sine_squared <= 0.0:
+            continue
+        first, second = (tilt, turned) if outer == 1 else (turned, tilt)
+        point = (
+            (tip[i, 0], step[i, 0], 0.0, 0.0),
+            (tip[i, 1], step[i, 1], 0.0, 0.0),
+            (tip[i, 2], step[i, 2], 0.0, 0.0),
+        )
+        x, y, z = linear_jets(packed, point, first, second)
+        found[i, 0], found[i, 1], found[i, 2] = x[1], y[1], z[1]
+        found[i, 3], found[i, 4] = first[1], second[1]
+    return found

@@ -9,6 +9,7 @@ import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.proof.plan_files import PlanFiles
@@ -27,7 +28,7 @@ BRACKET = 8.0  #: Half the bracket around the nearest point, in tolerances.
 
 @dataclass(frozen=True)
 class ProgrammedAxes:
-    machine: Transform  #: The forward kinematics.
+    machine: FiveAxis  #: The forward kinematics.
     #: (M,): Rows whose rotary axes run linearly, and rows beside them in which only the tip moves.
     known: BoolArray
     #: (M,): Rows whose rotary axes run linearly; known rows in coordinates of the machine axes.
@@ -198,7 +199,7 @@ class _Search:
         return gaps, np.asarray((gaps * np.tile(weight, 2)).max(axis=1))
 
 
-def axis_positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
+def axis_positions(machine: FiveAxis, coordinates: FloatArray) -> FloatArray:
     """Return X Y Z at which the tip is where it should be, from the forward kinematics alone."""
     at = coordinates.copy()
     at[:, :3] = 0.0
@@ -221,7 +222,7 @@ REACH = 142.0
 class ProgramShapes:
     plan: PlanFiles  #: The plan, with M program rows.
     machine: Machine  #: The machine.
-    transform: Transform  #: Its forward kinematics.
+    transform: FiveAxis  #: Its forward kinematics.
     path: ProgrammedPath  #: The rows as lines and great circles.
     lines: ProgrammedAxes | None  #: Rows whose rotary axes run linearly.
     #: (M,): Tolerances at the vertices [m].

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import AXES_LINEAR, POSES, ROTARY_LINEAR
 from cnc_interp.program.geometry import arcs
 from cnc_interp.program.geometry import target_row as col
@@ -50,7 +50,7 @@ class Moves:
 
     def __init__(
         self,
-        geometry: Transform,
+        geometry: FiveAxis,
         zero: FloatArray,
         before: FloatArray,
         rows: FloatArray,

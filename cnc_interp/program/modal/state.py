@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import inf, nan, pi
+from math import inf, nan
 
 import numpy as np
 
 from cnc_interp.core import DEG, INCH, MINUTE, MM, DependsOn, FloatArray, ProgramError
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.signals import FOLLOWS
-from cnc_interp.machine_model.transform import Transform
 from cnc_interp.program.blocks.block_modes import NONE, ActiveModes
 from cnc_interp.program.blocks.targets import TargetColumns
 from cnc_interp.program.geometry.contact_normal import ContactPath
@@ -93,7 +93,7 @@ def frame_words(frames: Frames, unit: float) -> list[str]:
 class ModalState(ModalValues):
     def __init__(
         self,
-        geometry: Transform,
+        geometry: FiveAxis,
         settings: Settings,
         setup: JobSetup,
         flow: Flow,
@@ -319,17 +319,13 @@ class ModalState(ModalValues):
         """Compute the rotary positions after direction words, nearest to the last rotary words."""
         if self.vector is None:
             return
-        solutions = self.geometry.rotary_solutions(self.vector)
-        if not solutions:
+        upright = np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT
+        free = self.rotary if upright else None
+        near = self.geometry.branches(self.vector, self.rotary, free)
+        if not near:
             raise self.fault(
                 'the machine cannot reach the tool axis; correct the tool direction', 'TRAFOOF'
             )
-        if np.abs(np.cross(self.vector, self.geometry.pole)).max() < UPRIGHT:
-            for pair in solutions:  # any position does
-                pair[self.geometry.outer] = self.rotary[self.geometry.outer]
-        near = [
-            pair + 2.0 * pi * np.round((self.rotary - pair) / (2.0 * pi)) for pair in solutions
-        ]
         self.rotary = min(near, key=lambda pair: float(np.abs(pair - self.rotary).sum()))
         self.targets.stand_at(self.rotary)
         self.vector = None

@@ -215,16 +215,13 @@ class TiltedPlane:
             return mover.rotary
         geometry, low, high = mover.geometry, *mover.geometry.machine.travel[3:5].T
         tilting = 1 - geometry.outer
-        found = []
-        for pair in geometry.rotary_solutions(normal):
-            if (
-                np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0))
-                < geometry.machine.singular_cone
-            ):
-                pair[geometry.outer] = mover.rotary[geometry.outer]
-                if table and not geometry.machine.rotary_on_head[geometry.outer]:
-                    pair[geometry.outer] = -np.arctan2(along[1], along[0]) * geometry.pole[2]
-            near = pair + 2.0 * pi * np.round((mover.rotary - pair) / (2.0 * pi))
+        found, free = [], None
+        upright = np.arccos(np.clip(normal @ geometry.pole, -1.0, 1.0))
+        if upright < geometry.machine.singular_cone:
+            free = mover.rotary.copy()
+            if table and not geometry.machine.rotary_on_head[geometry.outer]:
+                free[geometry.outer] = -np.arctan2(along[1], along[0]) * geometry.pole[2]
+        for near in geometry.branches(normal, mover.rotary, free):
             near = near - 2.0 * pi * np.ceil(np.maximum(near - high, 0.0) / (2.0 * pi) - SMALL)
             near = near + 2.0 * pi * np.ceil(np.maximum(low - near, 0.0) / (2.0 * pi) - SMALL)
             if np.all((near >= low - SMALL) & (near <= high + SMALL)):

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, norm
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.program.blocks import AXES_LINEAR, Blocks
 from cnc_interp.smoothing.corners import corner_curve
 
@@ -48,7 +48,7 @@ class AxisLegs:
     length: FloatArray  #: (n,): Length of linear blocks [m].
 
     @staticmethod
-    def of(blocks: Blocks, machine: Transform, height: float) -> AxisLegs:
+    def of(blocks: Blocks, machine: FiveAxis, height: float) -> AxisLegs:
         """Compute the lines between the rows of blocks; the flank height is in metres."""
         kind, extra = blocks.interpolation[1:], blocks.extra
         linear, in_axes = blocks.by_rotary[1:], kind == AXES_LINEAR
@@ -66,7 +66,7 @@ class AxisLegs:
         return AxisLegs(linear, in_axes, ends[0], step, size_of(step, height))
 
 
-def positions(machine: Transform, coordinates: FloatArray) -> FloatArray:
+def positions(machine: FiveAxis, coordinates: FloatArray) -> FloatArray:
     """Return X Y Z for tips, rotary axes and extra axes, shape (n, 5 + k), as (n, 3) [m]."""
     stands = machine.linear(coordinates[:, POINT], coordinates[:, TURN]).reshape(-1, 3)
     return np.asarray(stands - coordinates[:, EXTRA] @ machine.machine.extra_direction)
@@ -104,7 +104,7 @@ class AxisCorners:
         blocks: Blocks,
         axes: AxisLegs,
         still: BoolArray,
-        machine: Transform,
+        machine: FiveAxis,
         height: float,
     ) -> AxisCorners:
         """Collect corners beside linear blocks; ``still``: blocks where the tip moves alone."""

@@ -143,8 +143,8 @@ class PathAtPole:
     def following(self, i: int, u: float, s: float, branch: float, near: float) -> PassageEnd:
         """Solve the rotary axes for the tool axis at one point, on a branch."""
         outer, segments = self.transform.outer, self.segments
-        rotary = np.array([0.0, 0.0, branch, self.height])
-        rotary[outer] = near
+        stands = axes.Stands(np.zeros(3 + self.beside.shape[2]), np.array([branch]), self.height)
+        stands.q[3 + outer] = near
         inside = u + (1e-9 if u < 0.5 else -1e-9)
         segment = axes.Segment(
             int(segments.kind[i]),
@@ -154,8 +154,8 @@ class PathAtPole:
             segments.parametrization[i],
             float(segments.length[i]),
         )
-        packed = self.transform.packed
-        q = axes.sample(packed, segment, rotary, axes.NO_GUIDE, 0.0, u, inside)[0]
+        place = axes.Place(0.0, u, inside)
+        q = axes.sample(self.transform.packed, segment, stands, axes.NO_GUIDE, place)[0]
         return PassageEnd(i, u, s, q[:, 3 + outer].copy(), branch, q[0, 4 - outer])
 
     def may_change_sign(self, i: int, tilt: float) -> bool:

@@ -49,7 +49,8 @@ class AxisPathBuilder:
     def __init__(self, transform: FiveAxis, flank_height: float, period: float):
         self.transform, self.machine = transform, transform.machine
         self.flank_height, self.period = flank_height, period
-        self._begun, self._rotary, self._branch = False, np.zeros(2), 1.0
+        self._begun, self._branch = False, 1.0
+        self._stands = np.zeros(5 + len(self.machine.extra_names))  # all axes [m, rad]
         self._may_turn_at_once = False  # at a first pose that names no rotary positions
         extra = 5 + np.arange(len(self.machine.extra_names))
         self._axes = np.concatenate([np.arange(5 if self.machine.has_rotary else 3), extra])
@@ -60,14 +61,18 @@ class AxisPathBuilder:
         #: The segments of the path that ``push`` returned last; their deviation is the whole one.
         self.done: PathSegments | None = None
 
+    @property
+    def _rotary(self) -> FloatArray:
+        return self._stands[3:5]
+
     def start(self, axis: FloatArray, rotary: FloatArray, line_number: int = 0) -> FloatArray:
         """Choose branch and whole turns at the first pose; NaN where no positions are named."""
-        self._rotary, self._branch = start_positions(
+        self._rotary[:], self._branch = start_positions(
             self.transform, axis, rotary, np.zeros(2), line_number
         )
         self._begun, self._may_turn_at_once = True, not np.isfinite(rotary).all()
         self.passages.begin(self._rotary, self._branch, self._may_turn_at_once)
-        return self._rotary
+        return self._rotary.copy()
 
     def push(self, segments: PathSegments) -> AxisPath | None:
         """Take segments; return their axes, if any; BlockError with line, axis and value."""
@@ -142,7 +147,7 @@ class AxisPathBuilder:
         if np.abs(start - self._rotary).max() > SAME_ANGLE:
             if not self._may_turn_at_once:
                 parts.append(self._turn_first(one, start))
-            self._rotary = start.copy()
+            self._rotary[:] = start
         parts.append(self._cells(_turning(one, start, end), np.array([axes.LINEAR])))
         self._branch = self.transform.branch_at(self._rotary)
         return parts
@@ -154,7 +159,7 @@ class AxisPathBuilder:
         parts = []
         if np.abs(target - self._rotary).max() > SAME_ANGLE and not self._may_turn_at_once:
             parts.append(self._turn_first(one, target))
-        self._rotary = target
+        self._rotary[:] = target
         return parts
 
     def _turn_first(self, one: PathSegments, target: FloatArray) -> Cells:
@@ -187,23 +192,23 @@ class AxisPathBuilder:
             axis = self.transform.tool_axis(self._rotary[None])
             still = replace(tip, axis=axis, rotation=np.zeros((1, 3)))
             parts.append(self._turn_first(still, start))
-        self._rotary = start.copy()
+        self._rotary[:] = start
         return parts
 
     def _cells(
         self, segments: PathSegments, motion: IntArray, guides: FloatArray | None = None
     ) -> Cells:
         guides = np.tile(axes.NO_GUIDE, (len(segments), 1)) if guides is None else guides
-        rotary = np.array([*self._rotary, self._branch, self.flank_height])
+        stands = axes.Stands(self._stands, np.array([self._branch]), self.flank_height)
         status, counts, early, steps, left, right, tips, tools = sample_segments(
             self.transform.packed,
             float(np.sin(self.machine.singular_cone)),
             self._axes,
             axes.SegmentRows.of(segments, motion),
             guides,
-            rotary,
+            stands,
         )
-        self._rotary, self._branch = rotary[:2].copy(), float(rotary[2])
+        self._branch = float(stands.branch[0])
         segment = np.repeat(np.arange(len(counts)), counts)
         ends = np.cumsum(counts)
         sound = slice(None if status == FINE else ends[-1] - counts[-1])

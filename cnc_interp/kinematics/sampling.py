@@ -10,7 +10,7 @@ from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.kinematics import segment_axes
 from cnc_interp.kinematics.axis_path import septic_coefficients, septic_jet
-from cnc_interp.kinematics.segment_axes import SegmentRows
+from cnc_interp.kinematics.segment_axes import Place, SegmentRows, Stands
 from cnc_interp.smoothing.segments import CORNER, SPLINE, corner_breaks
 
 CELL_ERROR = 1e-10  #: Septic and exact axes agree to this inside a cell [m or rad],
@@ -89,7 +89,7 @@ def sample_segments(
     axes: IntArray,
     segments: SegmentRows,
     guides: FloatArray,
-    rotary: FloatArray,
+    stands: Stands,
 ) -> tuple[
     int,
     IntArray,
@@ -102,7 +102,7 @@ def sample_segments(
 ]:
     """Cut consecutive segments into cells; arguments as in ``sample``, segment by segment.
 
-    ``axes`` are the machine's own among X Y Z, rotary and extra axes; ``rotary`` has the positions
+    ``axes`` are the machine's own among X Y Z, rotary and extra axes; ``stands`` has the positions
     at the end on return. Returns FINE, or why the segment after the last one counted cannot be
     cut; cells of each segment, and those before u = 0.5; path lengths of the cells [m]; axes and
     three derivatives at both ends (N, 4, n_axes); tool tips and axes at all ends (N + 1, 3).
@@ -114,7 +114,7 @@ def sample_segments(
     left, right = np.empty((capacity, 4, n_axes)), np.empty((capacity, 4, n_axes))
     tips, tools = np.empty((capacity + 1, 3)), np.empty((capacity + 1, 3))
     ends = np.empty(MOST_CELLS)  # right ends of the cells still to do, the next one last
-    status, count, row, height = FINE, 0, 0, rotary[segment_axes.HEIGHT]
+    status, count, row, height = FINE, 0, 0, stands.height
     for row in range(n):
         segment, guide, way = segment_axes.segment_at(segments, row), guides[row], 0.0
         kind, how, shape, beside, spans, length = segment
@@ -137,29 +137,29 @@ def sample_segments(
         if kind == SPLINE and segment_axes.tip_rests(shape):
             status = STANDSTILL
             break
-        q_a, tip, tool, sine = segment_axes.sample(packed, segment, rotary, guide, 0.0, 0.0, 0.0)
+        start = Place(0.0, 0.0, 0.0)
+        q_a, tip, tool, sine = segment_axes.sample(packed, segment, stands, guide, start)
         if count == 0:
             tips[0], tools[0] = tip, tool
         while waiting > 0 and sine >= least:
             b = ends[waiting - 1]
             middle = 0.5 * (a + b)
             if fresh:  # on a break the left end is another one than the last right end
-                q_a = segment_axes.sample(packed, segment, rotary, guide, way, a, middle)[0]
+                left_end = Place(way, a, middle)
+                q_a = segment_axes.sample(packed, segment, stands, guide, left_end)[0]
                 fresh = False
             if free:  # whole turns follow the left end of the cell
-                rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_a[0, 3], q_a[0, 4]
+                stands.q[:] = q_a[0]
             h = segment_axes.arc_length(kind, how, shape, beside, height, length, a, b)
             half = segment_axes.arc_length(kind, how, shape, beside, height, length, a, middle)
-            q_m, _, _, sine = segment_axes.sample(
-                packed, segment, rotary, guide, way + half, middle, middle
-            )
+            inside = Place(way + half, middle, middle)
+            q_m, _, _, sine = segment_axes.sample(packed, segment, stands, guide, inside)
             if sine < least:
                 break
             if free:
-                rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_m[0, 3], q_m[0, 4]
-            q_b, tip, tool, sine = segment_axes.sample(
-                packed, segment, rotary, guide, way + h, b, middle
-            )
+                stands.q[:] = q_m[0]
+            right_end = Place(way + h, b, middle)
+            q_b, tip, tool, sine = segment_axes.sample(packed, segment, stands, guide, right_end)
             room = count - begin + waiting < MOST_CELLS - 1 and h > FINEST_CELL
             fits = not room or septic_fits(q_a, q_b, h, half, q_m, axes, rounding)
             if sine >= least and not fits:
@@ -179,9 +179,9 @@ def sample_segments(
         if sine < least:
             status = UNREACHABLE if sine < 0.0 else SINGULAR
             break
-        rotary[segment_axes.FIRST], rotary[segment_axes.SECOND] = q_a[0, 3], q_a[0, 4]
+        stands.q[:] = q_a[0]
         if guided and guide[segment_axes.GUIDE_TO] <= 1.0:
-            rotary[segment_axes.BRANCH] = guide[segment_axes.BRANCH_AFTER]
+            stands.branch[0] = guide[segment_axes.BRANCH_AFTER]
     return (
         status,
         counts[: row + 1],

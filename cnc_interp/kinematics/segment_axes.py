@@ -27,8 +27,6 @@ RESTING, FOLLOWING, LINEAR, ALL_AXES = 0, 1, 2, 3
 GUIDE_FROM, GUIDE_TO, BRANCH_AFTER, GUIDE_BEGUN, GUIDE_LENGTH = range(5)
 GUIDE = slice(5, 13)
 NO_GUIDE = np.array([2.0, 2.0] + [0.0] * 11)
-#: Layout of ``rotary``: positions [rad], branch (+1 or -1) and flank height [m].
-FIRST, SECOND, BRANCH, HEIGHT = range(4)
 #: Rows of a segment's ``shape``.
 BOTTOM, TOP = slice(0, kinds.POINTS), slice(kinds.POINTS, 2 * kinds.POINTS)
 AXIS, ROTATION, CONNECTION = (
@@ -80,6 +78,30 @@ class SegmentRows(NamedTuple):
         return SegmentRows(segments.kind, motion, shape, beside, f, length)
 
 
+class Stands(NamedTuple):
+    """Where the axes were last; kernels go on from there and write where they have come to."""
+
+    q: FloatArray  #: (5 + k,): Positions, of which the nearest solutions are taken [m, rad].
+    branch: FloatArray  #: (1,): +1 or -1: which of two solutions the rotary axes follow.
+    height: float  #: Flank height [m].
+
+
+class Pose(NamedTuple):
+    """Jets in u of a pose: tool tip [m], unit tool axis, and ds/du [m]."""
+
+    p: VectorJet
+    o: VectorJet
+    speed: Jet
+
+
+class Place(NamedTuple):
+    """A point of a segment; ``inside`` selects the piece at a break."""
+
+    way: float  #: Path length from the start of the segment [m].
+    u: float
+    inside: float
+
+
 @njit(cache=True, nogil=True)
 def segment_at(rows: SegmentRows, i: int) -> Segment:
     shape, beside = rows.shape[i], rows.beside[i]
@@ -88,46 +110,62 @@ def segment_at(rows: SegmentRows, i: int) -> Segment:
 
 @njit(cache=True, nogil=True)
 def sample(
-    packed: FloatArray,
-    segment: Segment,
-    rotary: FloatArray,
-    guide: FloatArray,
-    way: float,
-    u: float,
-    inside: float,
+    packed: FloatArray, segment: Segment, stands: Stands, guide: FloatArray, place: Place
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Return the axes at one point of a segment.
 
-    ``way``: path length from the start to u [m]. Axes that follow keep the branch and the whole
-    turns nearest to ``rotary``. Returns the axes with three derivatives by path length (4, 5 + k);
-    tool tip and axis, of no meaning where the rotary axes are coordinates; and the squared sine of
-    the tilt from the pole, negative when unreachable, 1 unless it is solved.
+    Returns the axes with three derivatives by path length (4, 5 + k); tool tip and axis, of no
+    meaning where the rotary axes are coordinates; and the measure of ``axis_jets``.
     """
     kind, motion, shape, beside, f, length = segment
+    u, inside = place.u, place.inside
     if kind == kinds.CORNER and motion >= LINEAR:
         p = bottom_jets(shape[BOTTOM], u, inside)
         o = p
-        speed = speed_beside(p, beside, rotary[HEIGHT], u, inside)
+        speed = speed_beside(p, beside, stands.height, u, inside)
     else:
         p, o = pose_jets(kind, shape, f, u, inside)
         curved = kind == kinds.CORNER or kind == kinds.SPLINE
         speed = speed_of(p) if curved else jet.constant(length)
+    q, measure = axis_jets(packed, segment, Pose(p, o, speed), stands, guide, place)
+    tip = np.array([p[0][0], p[1][0], p[2][0]])
+    tool = np.array([o[0][0], o[1][0], o[2][0]])
+    return q, tip, tool, measure
+
+
+@njit(cache=True, nogil=True)
+def axis_jets(
+    packed: FloatArray,
+    segment: Segment,
+    pose: Pose,
+    stands: Stands,
+    guide: FloatArray,
+    place: Place,
+) -> tuple[FloatArray, float]:
+    """Return the axes with three derivatives by path length for jets of a pose, (4, 5 + k).
+
+    Axes that follow keep the branch and the whole turns nearest to where they stand. The measure
+    is the squared sine of the tilt from the pole: negative when unreachable, 1 unless it is
+    solved. Another kinematics needs another kernel here, and nowhere else on the path.
+    """
+    kind, motion, beside = segment.kind, segment.motion, segment.beside
+    p, o, speed = pose
+    way, u, inside = place
     sine_squared, outer = 1.0, int(packed[kernel.OUTER])
+    tilted, turned = stands.q[4 - outer], stands.q[3 + outer]
     if guide[GUIDE_FROM] <= inside < guide[GUIDE_TO]:
         s = (way, speed[0], 0.5 * speed[1], speed[2] / 3.0)
         turn = jet.compose(guide_jet(guide, way), s)
-        tilt, turn = kernel.guided_jets(packed, o, turn, rotary[1 - outer], rotary[outer])
+        tilt, turn = kernel.guided_jets(packed, o, turn, tilted, turned)
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     elif motion == RESTING:
-        first, second = jet.constant(rotary[FIRST]), jet.constant(rotary[SECOND])
+        first, second = jet.constant(stands.q[3]), jet.constant(stands.q[4])
     elif motion != FOLLOWING:
         first = beside_jet(kind, beside, 0, u, inside)
         second = beside_jet(kind, beside, 1, u, inside)
     else:
-        branch = rotary[BRANCH] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
-        tilt, turn, sine_squared = kernel.rotary_jets(
-            packed, o, branch, rotary[1 - outer], rotary[outer]
-        )
+        branch = stands.branch[0] if inside < guide[GUIDE_TO] else guide[BRANCH_AFTER]
+        tilt, turn, sine_squared = kernel.rotary_jets(packed, o, branch, tilted, turned)
         first, second = (tilt, turn) if outer == 1 else (turn, tilt)
     v = p if motion == ALL_AXES else kernel.linear_jets(packed, p, first, second)
     count = beside.shape[1] - 2
@@ -144,9 +182,7 @@ def sample(
             direction = packed[kernel.SIZE + 3 * k + i]
             for order in range(4):
                 q[order, i] -= direction * q[order, j]
-    tip = np.array([p[0][0], p[1][0], p[2][0]])
-    tool = np.array([o[0][0], o[1][0], o[2][0]])
-    return q, tip, tool, sine_squared
+    return q, sine_squared
 
 
 @njit(cache=True, nogil=True)

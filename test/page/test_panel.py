@@ -38,7 +38,7 @@ from cnc_interp.page import command, server
 from cnc_interp.page.contact import Access
 from cnc_interp.page.desk import KINDS, Desk, Job
 from cnc_interp.page.dialogs import KEYBOARD, MARKS
-from cnc_interp.page.hand_motion import ARROWS, beat_of, step_of
+from cnc_interp.page.hand_motion import ARROWS, TOOL, JogPad, beat_of, step_of
 from cnc_interp.page.keys import RAPIDS
 from cnc_interp.page.preview import DRAWN, Planner, Preview, thinned
 from cnc_interp.page.readings import (
@@ -307,6 +307,17 @@ def test_a_program_that_is_not_started_shows_its_cycle_time(planned):
     assert words['left'] == clock(2.0 * plan.cycle_time)
     assert {words[name] for name in ('line', 'progress', 'to go', 'elapsed')} == {'–'}
     assert words_before_start(None, 1.0)['left'] == words_before_start(plan, 0.0)['left'] == '–'
+
+
+def test_a_key_along_the_tool_tells_where_its_line_ends():
+    machine = Machine.load('router')
+    middle, top = machine.travel.mean(axis=1), machine.travel[:, 1]
+    pad = object.__new__(JogPad)  # without its keys
+    pad._machine, pad._names, pad._nodes = machine, machine.axis_names, SimpleNamespace()
+    pad._nodes.state = SimpleNamespace(positions=middle)
+    assert pad._end(TOOL, 1) == pad._end(TOOL, -1) == ''
+    pad._nodes.state = SimpleNamespace(positions=[*middle[:2], top[2]])
+    assert 'end of its travel' in pad._end(TOOL, 1) and pad._end(TOOL, -1) == ''
 
 
 def test_the_way_to_the_path_leads_from_the_machine_to_the_place():

@@ -41,7 +41,7 @@ G1 X0 Y25
 M30
 """
 #: Feed overrides of the operator, and the places where they are set [m].
-OVERRIDES = ((0.008, 0.5), (0.018, 1.3), (0.05, 1.0))
+OVERRIDES = ((0.01, 0.5), (0.02, 1.3), (0.05, 1.0))
 
 
 class Session:

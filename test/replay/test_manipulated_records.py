@@ -320,12 +320,28 @@ def test_an_override_in_one_state_does_not_switch_the_comparison_off(held):
     assert not all(c.ok for c in compute_again(record))
 
 
+def moments(record):
+    """Return after how many setpoints each override was told, and a plan with it joined."""
+    told, count = [], 0
+    for state in record.read('machine_state'):
+        if state.program_id and (not told or state.feed_override != told[-1][1]):
+            told.append((int(state.samples), state.feed_override))
+    plans = {m.plan: None for m in record.read('executed_setpoints')}
+    for message in record.read('executed_setpoints'):
+        if plans[message.plan] is None:
+            plans[message.plan] = count
+        count += len(message.sequences)
+    return [samples for samples, _ in told], list(plans.values())
+
+
 def told_between(first, last, share):
-    """Have the machine tell another override in states that count from first to last setpoints."""
+    """Have the machine tell another override in a part of the run, by its ``moments``."""
 
     def changed(record):
+        moment = moments(record)
+        begin, end = first(*moment), last(*moment)
         for state in record.read('machine_state'):
-            if first <= state.samples <= last:
+            if begin <= state.samples <= end:
                 state.feed_override = share
 
     return changed
@@ -343,14 +359,18 @@ def planned(before, share, told=True):
     return changed
 
 
-#: The operator set 0.5 after 335 setpoints, 1.3 after 497, and 1.0 after 910. The plans with them
-#: joined after 422, 558 and 967 setpoints of 4 ms.
+#: The operator set 0.5, 1.3 and 1.0: told[1] to told[3], joined[1] to joined[3].
 BY_OVERRIDE = {
-    'set after it was followed': told_between(497, 700, 0.5),
-    'set back long before it was followed no more': told_between(497, 800, 1.0),
-    'lowered long before it was followed': told_between(1, 450, 0.5),
-    'lowered before the run': told_between(0, 450, 0.5),
-    'never set': told_between(497, 909, 1.0),
+    'set after it was followed': told_between(
+        lambda told, joined: told[2], lambda told, joined: joined[2] + 100, 0.5
+    ),
+    'lowered long before it was followed': told_between(
+        lambda told, joined: 1, lambda told, joined: joined[1], 0.5
+    ),
+    'lowered before the run': told_between(
+        lambda told, joined: 0, lambda told, joined: joined[1], 0.5
+    ),
+    'never set': told_between(lambda told, joined: told[2], lambda told, joined: told[3] - 1, 1.0),
     'faster than the override of its plan': planned(0.5, 0.45),
     'faster than the largest override': planned(1.3, 1.25),
     'a plan for another override': planned(0.5, 1.5, told=False),

@@ -6,7 +6,7 @@ import pytest
 from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.program import JobSetup, Tool, read_text
+from cnc_interp.program import JobSetup, Tool, read_program, read_text
 from cnc_interp.program.geometry.frames import rotation
 from cnc_interp.settings.options import Settings
 
@@ -261,3 +261,20 @@ def test_a_point_without_digits_in_an_old_cycle_is_refused(cycle):
     text = f'0 BEGIN PGM A MM\n1 L X+0 FMAX\n2 CYCL DEF {cycle}\n3 L X+5 F500\n4 END PGM A MM\n'
     with pytest.raises(ProgramError, match=r':3: .*not a number'):
         read_text(text, 'dwell.h', Transform.of(Machine.load('xyzac')))
+
+
+def test_a_comment_goes_on_and_a_program_is_called_whatever_its_case(tmp_path):
+    (tmp_path / 'part.h').write_text(
+        '0 BEGIN PGM PART MM\n1 ;THIS COMMENT GOES ON~\n X+99~\n to here\n2 L X+0 Y+0 FMAX\n'
+        '3 CALL PGM Step.H\n4 L X+7 FMAX\n5 END PGM PART MM\n'
+    )
+    (tmp_path / 'Step.H').write_text('0 BEGIN PGM STEP MM\n1 L Y+5 FMAX\n2 END PGM STEP MM\n')
+    blocks = read_program(tmp_path / 'part.h', XYZ, Settings()).blocks
+    np.testing.assert_allclose(blocks.tip[:, :2] / MM, [[0, 0], [0, 5], [7, 5]], atol=1e-9)
+
+
+def test_the_size_of_the_tool_is_in_q108_and_q114():
+    text = 'TOOL CALL 1 Z S500|L X+0 FMAX|L X+Q108 Y+Q114 FMAX|TOOL CALL 2 Z|L Y+Q114 FMAX'
+    lines = ['BEGIN PGM T MM', *text.split('|'), 'END PGM T MM']
+    blocks = read_text('\n'.join(lines), 'a.h', XYZ, Settings(), TOOLS).blocks
+    np.testing.assert_allclose(blocks.tip[-2:, :2] / MM, [[2, 0], [2, 50]], atol=1e-9)

@@ -11,6 +11,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.setting_words import tolerances
 from cnc_interp.program.execution.setup_words import cutter_of
 from cnc_interp.program.geometry.arcs import PLANES, Corner
+from cnc_interp.program.job import Tool
 from cnc_interp.program.motion.cycles import Hole, dwell_of, go_along, make_hole, pecks_of
 from cnc_interp.program.motion.mover import NO_CORNER
 from cnc_interp.program.readers.heidenhain_frames import HeidenhainFrames
@@ -100,6 +101,7 @@ class HeidenhainReader(ProgramReader):
         self.modal_cycle = False  # M89
         self.cycle = 0  # number of the cycle that is defined
         self.defining = False  # whether lines with Q belong to the cycle before
+        self.in_comment = False  # whether the line before was one that goes on
         self._frames = HeidenhainFrames(self.mover, at.plane)
 
     def read_lines(self, first: int, end: int) -> None:
@@ -117,7 +119,11 @@ class HeidenhainReader(ProgramReader):
         match = _HEAD.fullmatch(_DECIMAL_COMMA.sub('.', text))
         line = match[1] if match else ''
         numbered = bool(re.match(r'\s*/?\s*\d', raw))
+        if self.in_comment and not numbered:
+            self.in_comment = raw.rstrip().endswith('~')
+            return
         if not line:
+            self.in_comment = raw.rstrip().endswith('~')  # a comment goes on in the next line
             return
         try:
             if self.defining and not numbered and self._assign(line):
@@ -446,6 +452,9 @@ class HeidenhainReader(ProgramReader):
             if name in values:
                 words.values[name], words.texts[name] = values[name], f'{name}{values[name]:g}'
         self.execute(words)
+        tool, unit = self.mover.setup.tools.get(self.at.tool, Tool()).worn, self.mover.unit
+        for name, size in (('Q108', tool.radius), ('Q114', tool.length)):
+            self.variables.set_name(name, size / unit)
 
     def _define_cycle(self, number: int, part: str | None, rest: str) -> None:
         frames = self._frames

@@ -214,7 +214,11 @@ def subprogram_file(folder: Path, stem: str) -> Path | None:
     if not re.fullmatch(r'[\w-]+', stem) or len(stem.encode()) > LONGEST_NAME:
         return None
     paths = (folder / (stem + suffix) for suffix in SUBPROGRAM_SUFFIXES)
-    return next((path for path in paths if path.is_file()), None)
+    if found := next((path for path in paths if path.is_file()), None):
+        return found
+    # Heidenhain's names differ in case from those of files.
+    alike = (path for path in sorted(folder.glob('*.[hH]')) if path.stem.upper() == stem.upper())
+    return next(alike, None)
 
 
 def called_files(

@@ -44,7 +44,8 @@ from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.hits import apart
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.clearance import Cells, Solids, certified, links_of
+from cnc_interp.proof.clearance import links_of
+from cnc_interp.proof.clearance_bound import Cells, Solids, certified
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / 'shared' / 'programs'
@@ -273,8 +274,9 @@ def main():
     if options.programs:
         programs()
         return 0
+    judge(Counts(), 0, True)  # compiles the kernels
     counts, begun = Counts(), time.monotonic()
-    number, budget = 0, 100.0 if options.quick else float('inf')
+    number, budget = 0, 75.0 if options.quick else float('inf')
     wanted = min(options.scenes, 50) if options.quick else options.scenes
     while min(counts.scenes.values()) < wanted and time.monotonic() - begun < budget:
         for hits in (True, False):

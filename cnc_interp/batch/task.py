@@ -48,6 +48,7 @@ class Task:
     settings: tuple[tuple[str, str], ...]
     setup: str = ''  #: Content of the setup file, or ''.
     plans: str = ''  #: Folder in which the plan files are kept, or ''.
+    scene: str = ''  #: Hash of the files of the scene, or ''.
 
     @property
     def key(self) -> str:
@@ -60,6 +61,7 @@ class Task:
             self.model.file,
             json.dumps(self.settings),
             self.setup,
+            self.scene,
         )
         for part in (*(text.encode() for text in texts), *(text for _, text in self.files)):
             digest.update(hashlib.sha256(part).digest())
@@ -163,7 +165,7 @@ class Jobs:
     ):
         self._folders = folders  #: Where files may lie, as for ``open_named``.
         self._settings, self._setup = settings_of(settings)
-        self._plans = plans.resolve() if plans else None
+        self._plans, self._scene = plans.resolve() if plans else None, _scene_hash(settings)
         models = [_model(name) for name in dict.fromkeys(machines)]
         found = [
             BatchEntry(path, name, model, path.stat().st_size)
@@ -188,7 +190,16 @@ class Jobs:
         plans = ''
         if self._plans:
             plans = str(self._plans / Path(job.model.name).stem / job.program)
-        return Task(job.program, files, job.model, self._settings, self._setup, plans)
+        return Task(job.program, files, job.model, self._settings, self._setup, plans, self._scene)
+
+
+def _scene_hash(settings: Settings) -> str:
+    """Return the hash of a scene; SceneError before anything is planned with a bad one."""
+    if settings.scene is None:
+        return ''
+    from cnc_interp.collision.scene_file import read_scene
+
+    return hashlib.sha256(b'\0'.join(read_scene(settings.scene).content())).hexdigest()
 
 
 def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:

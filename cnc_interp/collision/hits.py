@@ -7,10 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from cnc_interp.collision.chain import pose_links
-from cnc_interp.collision.clearance import Route, Space, reach, reach_from, relative_pose
+from cnc_interp.collision.clearance import (
+    Route,
+    Space,
+    larger_to_divide,
+    reach,
+    reach_from,
+    relative_pose,
+)
 from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.gjk import nearest
-from cnc_interp.core import MM, BlockError, FloatArray
+from cnc_interp.core import MM, BlockError, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
 
@@ -112,6 +119,24 @@ def least_apart(
         pose_links(space.chain, q, pose)
         least = min(least, apart(space, a, b, pose, rel))
     return least
+
+
+@njit(cache=True, nogil=True)
+def bodies_apart(space: Space, roots: IntArray, pose: FloatArray) -> float:
+    """Return the least distance of pairs of pieces, (k, 2), with all their parts [m]."""
+    rel, waiting, best = np.empty(12), [(roots[0, 0], roots[0, 1])], 1e300
+    for k in range(1, len(roots)):
+        waiting.append((roots[k, 0], roots[k, 1]))
+    while waiting:
+        a, b = waiting.pop()
+        divided = larger_to_divide(space.pieces, a, b)
+        found = apart(space, a, b, pose, rel)
+        if divided < 0:
+            best = min(best, found)
+        elif found < best:
+            for part in space.pieces.child[divided]:
+                waiting.append((part, b) if divided == a else (a, part))
+    return best
 
 
 def positions_at(route: Route, s: float) -> FloatArray:

@@ -37,6 +37,10 @@ class Certificates(Table):
     witness: FloatArray = column(6, default=0.0)
 
 
+def space_of(placed: Placed) -> Space:
+    return Space(placed.pieces, placed.chain, *placed.steps(), placed.clearance)
+
+
 @dataclass
 class ClearanceFigures:
     """What was done: intervals, tests of pairs and certificates, and pairs of bodies."""
@@ -53,7 +57,7 @@ class PathClearance:
     def __init__(self, machine: Machine, scene: Scene, most_hits: int = MOST_HITS):
         self.machine, self.scene = machine, scene
         self.placed = placed = Placed.of(scene, machine)
-        self._space = Space(placed.pieces, placed.chain, *placed.steps(), placed.clearance)
+        self._space = space_of(placed)
         count = len(scene.bodies)
         self._until = np.full((count, count), -np.inf)
         self._last: dict[tuple[int, int], Hit] = {}  # the last hit of each pair of bodies

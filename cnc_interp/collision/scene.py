@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from itertools import combinations
 from pathlib import Path
@@ -52,7 +52,11 @@ class Scene:
     ignored: frozenset[frozenset[str]]  #: Pairs of names that may touch.
     tools: tuple[int, ...]  #: Numbers of the tools that have a body.
     first_tool: int  #: Tool in the spindle before the program calls one; 0: not known.
-    files: tuple[Path, ...] = field(default=())  #: Meshes that belong to it.
+    files: tuple[Path, ...] = ()  #: Meshes that belong to it, and the scene that it includes.
+
+    def content(self) -> list[bytes]:
+        """Return the content of all its files."""
+        return [file.read_bytes() for file in (self.source, *self.files) if file.is_file()]
 
     def clearance(self, a: Body, b: Body) -> float:
         words = [role.name.lower() for role in (a.role, b.role)]

@@ -131,7 +131,7 @@ class _Reading:
             before.ignored | frozenset(ignored),
             numbers,
             first,
-            (*before.files, *self._meshes),
+            (*before.files, before.source, *self._meshes),
         )
 
     def _mapping(self, content: Any, where: str, known: tuple[str, ...]) -> dict[str, Any]:

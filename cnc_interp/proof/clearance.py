@@ -1,9 +1,7 @@
 """The proof of ``collision.npz``: every certificate, that they cover the motion, and every hit.
 
-A certificate says that two pieces keep apart along n in an interval. Here the interval gets its
-own enclosure from the columns of ``path.npz``, and each disc of piece A its own bound: how far it
-can come along n to first order, what the enclosure leaves, and what higher orders add at its own
-levers. The planner bounds a ball around the piece instead; its code is not used.
+A certificate says that two pieces keep apart along n in an interval; ``clearance_bound.py`` tells
+by how much, with an enclosure and a bound of its own.
 
 Certificates must cover the whole motion for every pair of bodies that can meet. What the pair of
 two pieces does not cover, the pairs of their parts must. Only hits are left out, to the end of
@@ -15,18 +13,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from math import comb, cos, pi, sin, sqrt
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from cnc_interp.collision.scene import Placed, Role
 from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.core import BoolArray, FloatArray, IntArray
-from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.links import BASE, joints_of
 from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.signals import Signals
+from cnc_interp.proof.clearance_bound import (
+    Cells,
+    Links,
+    Solids,
+    certified,
+    frames,
+    joints_of_pair,
+    place,
+)
+from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verdict import Ledger
 
 #: What a hit may be farther apart than the clearance, and its witness points from their pieces;
@@ -35,248 +42,6 @@ TOUCH, ON_PIECE, ROUNDED = 1.1e-6, 1e-8, 1e-10
 MOST_TOLD = 20  #: Faults of one kind that are told.
 TOOL_OUTPUT = 'tool_number'
 Spans = list[tuple[float, float]]
-#: Derivatives 0 to 3 by u at both ends of a cell -> coefficients of 1, u ... u^7.
-HERMITE = np.linalg.inv(
-    [
-        [
-            np.prod(np.arange(k, k - m, -1.0)) * (u if k > m else 1.0) if k >= m else 0.0
-            for k in range(8)
-        ]
-        for u in (0.0, 1.0)
-        for m in range(4)
-    ]
-)
-#: Coefficients of 1, u ... u^7 -> Bernstein values.
-BERNSTEIN = np.array(
-    [[comb(k, i) / comb(7, i) if i <= k else 0.0 for i in range(8)] for k in range(8)]
-)
-
-
-class Cells(NamedTuple):
-    """The path as the plan files have it."""
-
-    s: FloatArray  #: (N,): Path length at the grid points [m].
-    left: FloatArray  #: (4, N - 1, n): Derivatives by s at the left end of each cell.
-    right: FloatArray  #: (4, N - 1, n): At the right end.
-
-
-class Links(NamedTuple):
-    """The tree of links, the base first."""
-
-    parent: IntArray
-    axis: IntArray  #: Axis of the joint before each link; -1 of a fixed one.
-    turns: BoolArray  #: Whether that axis is rotary.
-    origin: FloatArray  #: (n, 3): In the frame of the parent [m].
-    along: FloatArray  #: (n, 3): Direction of the axis [-].
-
-
-class Solids(NamedTuple):
-    """The pieces of the scene."""
-
-    disc: FloatArray
-    first: IntArray
-    along: FloatArray
-    round: FloatArray
-    link: IntArray
-
-
-@njit(cache=True, nogil=True)
-def polynomial(cells: Cells, i: int, j: int, out: FloatArray) -> None:
-    """Write the coefficients in u of one axis in one cell, (8,)."""
-    h = cells.s[i + 1] - cells.s[i]
-    for k in range(8):
-        total, power = 0.0, 1.0
-        for m in range(4):
-            total += power * (
-                HERMITE[k, m] * cells.left[m, i, j] + HERMITE[k, 4 + m] * cells.right[m, i, j]
-            )
-            power *= h
-        out[k] = total
-
-
-@njit(cache=True, nogil=True)
-def onto(c: FloatArray, u0: float, width: float) -> None:
-    """Change coefficients in u to those in v with u = u0 + width v."""
-    for k in range(8):
-        for i in range(6, k - 1, -1):
-            c[i] += u0 * c[i + 1]
-    power = 1.0
-    for k in range(8):
-        c[k] *= power
-        power *= width
-
-
-@njit(cache=True, nogil=True)
-def cell_at(s: FloatArray, place: float) -> int:
-    found = int(np.searchsorted(s, place, 'right'))
-    return max(min(found - 1, len(s) - 2), 0)
-
-
-@njit(cache=True, nogil=True)
-def place(cells: Cells, s: float, out: FloatArray) -> None:
-    """Write the axis positions at a path length, (n,) [m, rad]."""
-    i = cell_at(cells.s, s)
-    u, c = (s - cells.s[i]) / (cells.s[i + 1] - cells.s[i]), np.empty(8)
-    for j in range(cells.left.shape[2]):
-        polynomial(cells, i, j, c)
-        value = c[7]
-        for k in range(6, -1, -1):
-            value = value * u + c[k]
-        out[j] = value
-
-
-@njit(cache=True, nogil=True)
-def enclosure(cells: Cells, begin: float, end: float, out: FloatArray) -> None:
-    """Write for each axis middle, half change and bound of the rest, (3, n) [m, rad]."""
-    s, n = cells.s, cells.left.shape[2]
-    first = cell_at(s, begin)
-    after = int(np.searchsorted(s, end, 'left'))
-    last = max(min(after - 1, len(s) - 2), first)
-    ends, c = np.empty((2, n)), np.empty(8)
-    place(cells, begin, ends[0])
-    place(cells, end, ends[1])
-    for j in range(n):
-        low, high = 1e300, -1e300
-        slope = (ends[1, j] - ends[0, j]) / (end - begin)
-        for i in range(first, last + 1):
-            h = s[i + 1] - s[i]
-            from_s, to_s = max(s[i], begin), min(s[i + 1], end)
-            polynomial(cells, i, j, c)
-            onto(c, (from_s - s[i]) / h, (to_s - from_s) / h)
-            c[0] -= ends[0, j] + slope * (from_s - begin)
-            c[1] -= slope * (to_s - from_s)
-            for k in range(8):
-                value = 0.0
-                for m in range(k + 1):
-                    value += BERNSTEIN[k, m] * c[m]
-                low, high = min(low, value), max(high, value)
-        out[0, j] = 0.5 * (ends[0, j] + ends[1, j] + low + high)
-        out[1, j] = 0.5 * (ends[1, j] - ends[0, j])
-        out[2, j] = 0.5 * (high - low)
-
-
-@njit(cache=True, nogil=True)
-def frames(links: Links, q: FloatArray, turn: FloatArray, origin: FloatArray) -> None:
-    """Write rotations (n, 3, 3) and origins (n, 3) of all links in M."""
-    turn[0], origin[0] = np.eye(3), 0.0
-    for k in range(1, len(links.parent)):
-        p, u, axis = links.parent[k], links.along[k], links.axis[k]
-        shift = links.origin[k].copy()
-        local = np.eye(3)
-        if axis >= 0 and not links.turns[k]:
-            shift += u * q[axis]
-        elif axis >= 0:
-            skew = np.array(((0.0, -u[2], u[1]), (u[2], 0.0, -u[0]), (-u[1], u[0], 0.0)))
-            local += sin(q[axis]) * skew + (1.0 - cos(q[axis])) * (skew @ skew)
-        turn[k] = turn[p] @ local
-        origin[k] = origin[p] + turn[p] @ shift
-
-
-@njit(cache=True, nogil=True)
-def size(v: FloatArray) -> float:
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-
-
-@njit(cache=True, nogil=True)
-def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.array(
-        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    )
-
-
-@njit(cache=True, nogil=True)
-def joints_of_pair(links: Links, a: int, b: int, out_link: IntArray, out_sense: FloatArray) -> int:
-    """Write the links whose joints lie between two links, a's first; return their number."""
-    carried = np.zeros(len(links.parent), dtype=np.bool_)
-    k = b
-    while k >= 0:
-        carried[k] = True
-        k = links.parent[k]
-    count, k = 0, a
-    while not carried[k]:
-        if links.axis[k] >= 0:
-            out_link[count], out_sense[count] = k, 1.0
-            count += 1
-        k = links.parent[k]
-    common, k, begin = k, b, count
-    while k != common:
-        if links.axis[k] >= 0:
-            out_link[count], out_sense[count] = k, -1.0
-            count += 1
-        k = links.parent[k]
-    # From the common link down to b: the other way round.
-    out_link[begin:count] = out_link[begin:count][::-1].copy()
-    return count
-
-
-@njit(cache=True, nogil=True)
-def certified(
-    solids: Solids,
-    links: Links,
-    cells: Cells,
-    span: FloatArray,
-    pair: IntArray,
-    normal: FloatArray,
-    group: IntArray,
-) -> FloatArray:
-    """Return how far each certificate proves its pieces to keep apart, at least, (m,) [m].
-
-    ``group`` (m,): certificates in an order in which those of one interval are neighbours.
-    """
-    n_links, n = len(links.parent), cells.left.shape[2]
-    proven, motion = np.empty(len(span)), np.empty((3, n))
-    turn, origin = np.empty((n_links, 3, 3)), np.empty((n_links, 3))
-    steps, senses = np.empty(n_links, np.int64), np.empty(n_links)
-    before = -1
-    for row in group:
-        if before < 0 or span[row, 0] != span[before, 0] or span[row, 1] != span[before, 1]:
-            enclosure(cells, span[row, 0], span[row, 1], motion)
-            frames(links, motion[0], turn, origin)
-        before = row
-        a, b = pair[row]
-        link_a, link_b = solids.link[a], solids.link[b]
-        along = turn[link_b] @ normal[row]
-        other = 1e300
-        axis = turn[link_b] @ solids.along[b]
-        for i in range(solids.first[b], solids.first[b + 1]):
-            p = turn[link_b] @ solids.disc[i, :3] + origin[link_b]
-            reach = (p * along).sum() - solids.disc[i, 3] * size(crossed(along, axis))
-            other = min(other, reach - solids.round[b])
-        count = joints_of_pair(links, link_a, link_b, steps, senses)
-        axis = turn[link_a] @ solids.along[a]
-        near, near_whole = -1e300, -1e300
-        for i in range(solids.first[a], solids.first[a + 1]):
-            p = turn[link_a] @ solids.disc[i, :3] + origin[link_a]
-            rho, r = solids.disc[i, 3], solids.round[a]
-            change, change_axis, rest, way = 0.0, np.zeros(3), 0.0, 0.0
-            for j in range(count):
-                k = steps[j]
-                u = turn[links.parent[k]] @ links.along[k]
-                half, eps = motion[1, links.axis[k]], motion[2, links.axis[k]]
-                most = abs(half) + eps
-                if not links.turns[k]:
-                    change += senses[j] * half * (along * u).sum()
-                    rest += eps * abs((along * u).sum())
-                    way += most
-                    continue
-                # n . (u x (p - o)) = (n x u) . (p - o)
-                across = crossed(along, u)
-                arm = p - origin[k]
-                change += senses[j] * half * (across * arm).sum()
-                change_axis += senses[j] * half * across
-                rest += eps * (abs((across * arm).sum()) + size(across) * (rho + r))
-                lever = size(crossed(arm, u)) + rho + r
-                chord = 2.0 * sin(0.5 * min(most, pi))
-                rest += chord * way + 0.5 * most * most * lever
-                way += chord * lever
-            here = (p * along).sum()
-            for sign in (-1.0, 1.0):
-                tilted = along + sign * change_axis
-                reach = here + sign * change + rho * size(crossed(tilted, axis)) + r * size(tilted)
-                near = max(near, reach + rest)
-            near_whole = max(near_whole, here + rho * size(crossed(along, axis)) + r + way)
-        proven[row] = other - min(near, near_whole)
-    return proven
 
 
 @dataclass(frozen=True)
@@ -463,7 +228,9 @@ def _pairs(motion: Motion) -> Iterator[tuple[int, int, Spans]]:
     numbers = [motion.placed.names.index(body.link) for body in scene.bodies]
     rows = np.asarray(plan.path['block'])[:-1]
     rapid = np.asarray(plan.blocks['rapid'], dtype=np.bool_)[rows]
-    tool = _tool_of(motion, rows)
+    tool = tools_at(plan, motion.ledger.machine.signals, scene.first_tool, rows)
+    unknown = sorted({int(t) for t in tool} - {0, *scene.tools})
+    motion.ledger.require(not unknown, f'the scene has no body of the tools {unknown}')
     spare = np.empty(len(links.parent), np.int64), np.empty(len(links.parent))
     for a, b in combinations(range(len(scene.bodies)), 2):
         one, other = scene.bodies[a], scene.bodies[b]
@@ -479,22 +246,14 @@ def _pairs(motion: Motion) -> Iterator[tuple[int, int, Spans]]:
         yield a, b, motion.spans_where(there)
 
 
-def _tool_of(motion: Motion, rows: IntArray) -> IntArray:
-    """Return the number of the tool in the spindle at each row."""
-    plan, signals = motion.ledger.plan, motion.ledger.machine.signals
+def tools_at(plan: PlanFiles, signals: Signals, first: int, rows: IntArray) -> IntArray:
+    """Return the number of the tool in the spindle at program rows; ``first``: before M6."""
     steps, names = signals.steps, [output.name for output in signals.outputs]
-    calls = [
-        (int(block), int(value))
-        for block, step, value in zip(
-            *(plan.functions[name] for name in ('block', 'step', 'value')), strict=True
-        )
-        if names[steps[step].output] == TOOL_OUTPUT
-    ]
-    tool = np.full(len(rows), motion.placed.scene.first_tool)
-    for block, number in calls:
-        tool[rows >= block] = number
-    unknown = sorted({int(t) for t in tool} - {0, *motion.placed.scene.tools})
-    motion.ledger.require(not unknown, f'the scene has no body of the tools {unknown}')
+    tool = np.full(len(rows), first)
+    columns = (plan.functions[name] for name in ('block', 'step', 'value'))
+    for block, step, value in zip(*columns, strict=True):
+        if names[steps[step].output] == TOOL_OUTPUT:
+            tool[rows >= block] = int(value)
     return tool
 
 

@@ -196,6 +196,10 @@ def write_report(
     for plot in PLOTS:
         text = plot.text.format(**vars(series))
         body.append(section(plot.heading, text, drawing(plot.draw(series))))
+    if plan.collision:
+        from cnc_interp.report.clearances import clearance_section
+
+        body.append(clearance_section(plan, machine, series))
     if errors:
         body.append(tool_error_section(errors, plan.period))
     if segments is not None:

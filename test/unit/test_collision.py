@@ -28,7 +28,8 @@ from cnc_interp.collision.pieces import triangle_tree, winding
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.transform import Transform
-from cnc_interp.proof.clearance import Cells, Solids, certified, links_of
+from cnc_interp.proof.clearance import links_of
+from cnc_interp.proof.clearance_bound import Cells, Solids, certified
 
 MACHINES = 'xyzac', 'head_head', 'head_table', 'xyzacw'
 LINKS = {

@@ -7,9 +7,17 @@ import sys
 
 import numpy as np
 import pytest
+from collision_cases import distance
 
+from cnc_interp.batch.task import Jobs
+from cnc_interp.collision.scene import Placed
+from cnc_interp.collision.scene_file import read_scene, scenes_directory
 from cnc_interp.commands.cli import main
-from cnc_interp.machine_model.machine import Machine
+from cnc_interp.machine_model.machine import Machine, machines_directory
+from cnc_interp.proof.plan_files import read_plan
+from cnc_interp.report.clearances import clearance_section, distances, rim_points
+from cnc_interp.report.series import series_of
+from cnc_interp.settings.options import Settings
 
 XYZAC = 'config/scenes/xyzac.yaml'
 #: A line along X, an approach of a wall by the holder, and a rapid back.
@@ -238,13 +246,57 @@ def test_a_scene_changes_no_setpoint(folder):
         np.testing.assert_array_equal(watched, archive['position'])
 
 
-def test_bundled_scenes_fit_their_machines():
-    from cnc_interp.collision.scene import Placed
-    from cnc_interp.collision.scene_file import read_scene, scenes_directory
-    from cnc_interp.machine_model.machine import machines_directory
+def test_a_bundled_scene_is_found_by_its_name(folder):
+    words = ['plan', str(folder / 'part.ngc'), '--out', str(folder / 'plan')]
+    assert main([*words, '--scene', 'xyzac']) == 0
 
+
+def test_bundled_scenes_fit_their_machines():
     scenes = {file.stem for file in scenes_directory().glob('*.yaml')}
     assert scenes >= {file.stem for file in machines_directory().glob('*.yaml')}
     for file in machines_directory().glob('*.yaml'):
         placed = Placed.of(read_scene(file.stem), Machine.load(file))
         assert len(placed.pairs) > 3
+
+
+def test_the_report_shows_the_smallest_distances_and_every_hit(folder, capsys):
+    scene(folder, HIT)
+    assert plan(folder, '--collision', 'warn') == 1
+    machine, made = Machine.load('xyzac'), read_plan(folder / 'plan').in_memory()
+    page = clearance_section(made, machine, series_of(made, machine))
+    assert page.count('<script') == 1 + int(made.collision['hit'].sum()), 'the curve and the hits'
+    assert 'holder and wall' in page and 'line 5' in page
+    placed = Placed.of(read_scene(folder / 'scene.yaml'), machine)
+    rows = np.arange(0, len(made.position), 97)
+    bodies = placed.scene.bodies
+    found = distances(placed, machine, made, list(placed.pairs), rows)
+    for k, (a, b) in enumerate(placed.pairs):
+        links = bodies[a].link, bodies[b].link
+        for row, told in zip(rows, found[:, k], strict=True):
+            q = made.position[row]
+            own = min(
+                distance(machine, (one, other), links, q)
+                for one in bodies[a].pieces
+                for other in bodies[b].pieces
+            )
+            assert max(told, 0.0) == pytest.approx(own, abs=1e-8)
+    cutter = bodies[1].pieces[0]
+    points = rim_points(cutter.discs, cutter.along, cutter.round)
+    assert np.hypot(points[:, 0], points[:, 1]).max() == pytest.approx(3e-3)
+    assert points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_changed_scene_or_mesh_is_another_task_of_a_batch(folder):
+    file = scene(folder, 'bodies:\n  - {name: wall, link: workpiece, mesh: mesh.stl}\n' + TOOL)
+
+    def key():
+        jobs = Jobs([folder / 'part.ngc'], ['xyzac'], Settings(scene=file))
+        return jobs.task(next(iter(jobs))).key
+
+    stl(folder, mesh_box([50, -20, -20], [70, 20, 15]))
+    keys = {key(), key()}
+    stl(folder, mesh_box([50, -20, -20], [70, 20, 16]))
+    keys.add(key())
+    file.write_text(file.read_text() + 'clearance_mm: {default: 0.2}\n')
+    keys.add(key())
+    assert len(keys) == 3

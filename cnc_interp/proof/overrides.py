@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +29,12 @@ class Overrides:
         self._fixed = value_in_rows(plan, machine, FEED_FIXED, rows) != 0.0
         self._turns = value_in_rows(plan, machine, PER_TURN, rows) != 0.0
         self._turns &= value_in_rows(plan, machine, SPINDLE_FIXED, rows) == 0.0
+
+    def in_rows(self, row: IntArray) -> Overrides:
+        """Return the same for rows that are made of those of the program."""
+        found = copy(self)
+        found._fixed, found._turns = self._fixed[row], self._turns[row]
+        return found
 
     def share(self, k: int) -> FloatArray:
         """Return the factor of a step on the feed of each row: M49 and G95 change it."""

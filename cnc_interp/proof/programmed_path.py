@@ -303,11 +303,14 @@ PROBES = 65  #: Number of points of a knot interval at which its curvature is me
 REACH = 2e-4  #: A pose is searched up to twice its movement plus this along the curve [m].
 
 
+ROW = 'row'  #: Column of the blocks with chords: the row of the program.
+
+
 def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
     on_spline = np.isfinite(plan.blocks['knot_interval'])
     if not on_spline.any():
         return plan
-    blocks, parts, count = plan.blocks, [], 0
+    blocks, parts, rows, count = plan.blocks, [], [], 0
     new = np.zeros(len(on_spline), dtype=np.int64)  # number of linear rows, first row of curves
     curves: dict[tuple[int, int], FloatArray] = {}
     for first, last in portions(on_spline, np.asarray(blocks['exact_stop'], dtype=bool)):
@@ -315,9 +318,11 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
         if not on_spline[first]:
             parts.append({name: column[first:last] for name, column in blocks.items()})
             new[first:last] += np.arange(last - first)
+            rows.append(np.arange(first, last))
         else:
             part, curves[first, last] = chords(blocks, first, last, plan.flank_height)
             parts.append(part)
+            rows.append(np.full(len(part['tip']), last - 1))
         count += len(parts[-1]['tip'])
 
     def renumbered(block: Any, position: Any) -> Stored:
@@ -328,7 +333,8 @@ def with_chords(plan: PlanFiles, machine: Machine) -> PlanFiles:
         path = {**path, 'block': renumbered(path['block'], path['q'])}
     return replace(
         plan,
-        blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks},
+        blocks={name: np.concatenate([part[name] for part in parts]) for name in blocks}
+        | {ROW: np.concatenate(rows)},
         setpoints={**plan.setpoints, 'block': renumbered(plan.block, plan.position)},
         path=path,
     )

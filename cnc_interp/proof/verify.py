@@ -24,7 +24,7 @@ from cnc_interp.proof.overrides import Overrides, scaled
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid
 from cnc_interp.proof.plan_files import PlanFiles, Stored, held, read_plan, spans
 from cnc_interp.proof.program_shapes import REACH, SLACK, ProgramShapes, measure, measure_widely
-from cnc_interp.proof.programmed_path import WINDOW, with_chords
+from cnc_interp.proof.programmed_path import ROW, WINDOW, with_chords
 from cnc_interp.proof.verdict import DIFFERENCES, TORQUE, Ledger, Proof
 
 SAME_USE = 1e-6  #: Uses of limits agree when they differ by less [-].
@@ -60,6 +60,8 @@ def verify(plan: PlanFiles, machine: Machine) -> Proof:
 
         prove_clearance(ledger, machine)
     ledger.plan = plan = with_chords(plan, machine)
+    if ROW in plan.blocks:
+        overrides = overrides.in_rows(plan.blocks[ROW])
     program = ProgramShapes.of(plan, machine)
     plan = _prove_sequence(ledger, plan, program)
     _prove_tolerances(ledger, plan, program)

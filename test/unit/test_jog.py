@@ -251,7 +251,7 @@ def test_a_hold_and_an_emergency_stop_end_it_at_once_and_keys_must_be_let_go(pre
     else:
         bench.rest()
         assert bench.state is State.FAULT
-        with pytest.raises(StreamError, match='emergency stop; reset'):
+        with pytest.raises(StreamError, match='emergency stop; press reset'):
             bench.beat(X=0.5)
         bench.play.reset()
     bench.rest()

@@ -25,6 +25,17 @@ from cnc_interp.core.small_files import UnreadableError, read_json, write_whole
 
 GOUGE = 0.5 * UM  #: Depth from which a needle counts as gouged [m].
 CLASS = 0.1 * UM  #: Width of the classes of the histogram [m].
+#: Colours of the map, by their place from -1.3 to 1.3 scallop heights; blue turns to yellow at 1.
+COLOURS = [
+    [0.0, '#7b1d12'],
+    [0.35, '#d9583f'],
+    [0.5, '#f7f7f7'],
+    [0.75, '#4f93c9'],
+    [0.885, '#123a63'],
+    [0.89, '#e0b21e'],
+    [1.0, '#e08a1e'],
+]
+RANGE = 1.3
 #: Heights are summed in units of 2 ** -HEIGHT_BITS m, their squares in 2 ** -SQUARE_BITS m2.
 HEIGHT_BITS, SQUARE_BITS = 60, 75
 #: Where such numbers are divided, so that neither half overflows when millions are added.

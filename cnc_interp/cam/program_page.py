@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from cnc_interp.cam.heights import COLOURS, RANGE
 from cnc_interp.cam.iso_scallop import IsoScallopPaths
 from cnc_interp.cam.nbuffer import Heights
 from cnc_interp.cam.simulation import Section
 from cnc_interp.cam.spline_pass import Strips
-from cnc_interp.cam.tile_work import COLOURS, RANGE
 from cnc_interp.core import DEG, MM, UM, FloatArray, norm
 from cnc_interp.report import html
 

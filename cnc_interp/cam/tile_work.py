@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from cnc_interp.cam.heights import CLASS, TILE, Figures, HeightStore
+from cnc_interp.cam.heights import CLASS, COLOURS, RANGE, TILE, Figures, HeightStore
 from cnc_interp.cam.nbuffer import TileProgress, cut_tiles
 from cnc_interp.cam.needles import MotionPieces, NeedleGrid
 from cnc_interp.cam.request import SimulateRequest
@@ -105,17 +105,6 @@ def histogram(figures: Figures) -> dict[str, Any]:
 #: Unit of the heights on the page [m], and the number that stands for zero.
 STEP, ZERO = 1e-9, 1 << 23
 POINTS = 65  #: Points in each direction from which the page tells x, y and z.
-#: Colours of the map, by their place from -1.3 to 1.3 scallop heights; blue turns to yellow at 1.
-COLOURS = [
-    [0.0, '#7b1d12'],
-    [0.35, '#d9583f'],
-    [0.5, '#f7f7f7'],
-    [0.75, '#4f93c9'],
-    [0.885, '#123a63'],
-    [0.89, '#e0b21e'],
-    [1.0, '#e08a1e'],
-]
-RANGE = 1.3
 
 
 class TilePage:

@@ -113,7 +113,7 @@ def split_words(line: str, variables: expressions.ProgramVariables, fault: Fault
         line = _IDLE_CALL.sub(r'\1 ', line)
     if ',' in line and '(' not in line:
         line = _CORNER.sub(_corner_word, line)
-    if '[' in line:
+    if '[' in line and any(name in line for name in ('AX', 'ACC', 'LIMA', 'FGREF')):
         line = _NAMED_AXIS.sub(r' \1=', _LIMIT_OF_AXIS.sub(r' \1 ', line))
     if 'E' in line and (exponent := _EXPONENT.search(line)):
         raise fault('a number with an exponent; write all its digits', exponent[1], DependsOn.LINE)

@@ -277,8 +277,9 @@ class RunConsole:
         ):
             self._stop_told = False
             return
-        answers = state.reason == MachineState.REASON_FUNCTION  # no option answers for a switch
-        passes = self._request.pass_stops and not answers
+        answers = state.reason == MachineState.REASON_FUNCTION
+        # Nobody stands at simulated drives; at real ones no option answers for a person.
+        passes = self._request.pass_stops and (self._request.simulated or not answers)
         asked = not passes and at_terminal()
         if not self._stop_told:
             self._stop_told = True

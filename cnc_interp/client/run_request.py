@@ -25,7 +25,8 @@ class RunRequest:
     out: Path | None = None  #: Folder for plan files of what the machine executed.
     record: Path | None = None  #: Bag to record all messages into.
     quiet: bool = False  #: Show no progress.
-    #: Go on without cycle start at program stops, single blocks and before a plunge.
+    #: Go on without cycle start at program stops, single blocks and before a plunge; with
+    #: simulated drives also where a function waits for the operator, as M6 without a tool changer.
     pass_stops: bool = False
     #: Drives of the machine and their parameters of the machine node, see
     #: ``command_options.drives``; empty: as the parameters of the nodes say.
@@ -45,6 +46,10 @@ class RunRequest:
             options.pass_stops,
             options.drives,
         )
+
+    @property
+    def simulated(self) -> bool:
+        return self.drives.get('drives', 'simulated') == 'simulated'
 
     @property
     def programs(self) -> tuple[Path, ...]:

@@ -189,8 +189,8 @@ def add_run_command(commands: Any) -> None:
     run.option('--record', 'record all messages of the run into a bag', Path, 'BAG')
     run.flag(
         '--pass-stops',
-        'go on without cycle start: at M0, M1 and single blocks, and before the plunge of '
-        '--from-line',
+        'go on without cycle start: at M0, M1 and single blocks, before the plunge of '
+        '--from-line, and with simulated drives at M6 without a tool changer',
     )
     run.flag('--panel', 'the operator page beside it, until Ctrl-C')
     run.page_options()

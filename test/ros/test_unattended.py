@@ -115,6 +115,7 @@ def test_a_run_goes_on_and_ends_without_its_fork_server(program):
 
 @pytest.mark.thorough
 def test_pass_stops_goes_on(program):
+    program.write_text(PROGRAM.replace('M0', 'T4 M6\nM0'))
     assert start(program, '--from-line', '4', '--pass-stops').wait(PATIENCE) == 0
 
 

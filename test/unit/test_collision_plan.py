@@ -10,6 +10,7 @@ import pytest
 from collision_cases import distance
 
 from cnc_interp.batch.task import Jobs
+from cnc_interp.collision.mesh_file import triangles_of
 from cnc_interp.collision.scene import Placed
 from cnc_interp.collision.scene_file import read_scene, scenes_directory
 from cnc_interp.commands.cli import main
@@ -300,3 +301,27 @@ def test_a_changed_scene_or_mesh_is_another_task_of_a_batch(folder):
     file.write_text(file.read_text() + 'clearance_mm: {default: 0.2}\n')
     keys.add(key())
     assert len(keys) == 3
+
+
+def test_a_step_file_becomes_a_closed_mesh_within_its_chord(folder):
+    """A plate of 40 x 40 x 10 mm with a bore of 16 mm."""
+    pytest.importorskip('OCP')
+    from OCP.BRepAlgoAPI import BRepAlgoAPI_Cut
+    from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox, BRepPrimAPI_MakeCylinder
+    from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt
+    from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
+
+    plate = BRepPrimAPI_MakeBox(gp_Pnt(-20, -20, 0), gp_Pnt(20, 20, 10)).Shape()
+    bore = gp_Ax2(gp_Pnt(0, 0, -1), gp_Dir(0, 0, 1))
+    part = BRepAlgoAPI_Cut(plate, BRepPrimAPI_MakeCylinder(bore, 8.0, 12.0).Shape()).Shape()
+    writer = STEPControl_Writer()
+    writer.Transfer(part, STEPControl_StepModelType.STEPControl_AsIs)
+    writer.Write(str(folder / 'plate.step'))
+    chord = 1e-5
+    mesh = triangles_of(folder / 'plate.step', 1e-3, chord)
+    volume = np.einsum('ij,ij->', mesh[:, 0], np.cross(mesh[:, 1], mesh[:, 2])) / 6.0
+    assert volume == pytest.approx((1600 - np.pi * 64) * 10e-9, rel=1e-3)
+    middles = mesh.mean(axis=1)
+    wall = np.hypot(middles[:, 0], middles[:, 1])
+    inner = (np.abs(wall - 0.008) < 1e-4) & (middles[:, 2] > 1e-4) & (middles[:, 2] < 9.9e-3)
+    assert inner.any() and (wall[inner] > 0.008 - chord).all(), 'flat pieces of the bore'

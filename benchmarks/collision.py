@@ -65,10 +65,10 @@ bodies:
 """
 #: Programs, their machines, and where six clamps lie around the part [mm].
 PROGRAMS = {
-    'impeller': (SHARED / 'linuxcnc-impeller-xyzac', 'xyzac', 75.0, -60.0, -25.0),
+    'impeller': (SHARED / 'linuxcnc-impeller-xyzac', 'xyzac', 55.0, -58.0, -25.0),
     'LHchips4': (SHARED / 'linuxcnc-lhchips4', 'xyzac_trt', 95.0, -55.0, -30.0),
-    'pyramid': (ROOT / 'examples' / 'pyramid.apt', 'xyzac', 60.0, -60.0, -20.0),
-    'first part': (ROOT / 'examples' / 'first_part.ngc', 'xyzac', 75.0, -60.0, -25.0),
+    'pyramid': (ROOT / 'examples' / 'pyramid.apt', 'xyzac', 55.0, -58.0, -20.0),
+    'first part': (ROOT / 'examples' / 'first_part.ngc', 'xyzac', 55.0, -58.0, -25.0),
 }
 
 
@@ -277,7 +277,7 @@ def main():
     judge(Counts(), 0, True)  # compiles the kernels
     counts, begun = Counts(), time.monotonic()
     number, budget = 0, 75.0 if options.quick else float('inf')
-    wanted = min(options.scenes, 50) if options.quick else options.scenes
+    wanted = min(options.scenes, 200) if options.quick else options.scenes
     while min(counts.scenes.values()) < wanted and time.monotonic() - begun < budget:
         for hits in (True, False):
             if counts.scenes['hit' if hits else 'clear'] < wanted:

@@ -153,7 +153,7 @@ def _certificates(motion: Motion, found: Mapping[str, Any]) -> BoolArray:
     rows = rows[np.lexsort((span[rows, 1], span[rows, 0]))]
     length = np.linalg.norm(found['normal'], axis=1)
     normal = found['normal'] / np.where(length > 0.5, length, 1.0)[:, None]
-    solids = Solids(pieces.disc, pieces.first, pieces.along, pieces.round, pieces.link)
+    solids = Solids(*(getattr(pieces, name) for name in Solids._fields))
     apart = certified(solids, motion.links, motion.cells, span, found['pair'], normal, rows)
     bodies = pieces.body[found['pair']]
     wanted = placed.clearance[bodies[:, 0], bodies[:, 1]]

@@ -56,6 +56,9 @@ class Solids(NamedTuple):
     along: FloatArray
     round: FloatArray
     link: IntArray
+    ball: (
+        FloatArray  #: (n, 4): Any point near the middle of each piece [m]; its radius is not read.
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -188,6 +191,18 @@ def joints_of_pair(links: Links, a: int, b: int, out_link: IntArray, out_sense: 
 
 
 @njit(cache=True, nogil=True)
+def around(solids: Solids, piece: int) -> float:
+    """Return how far a piece reaches from its middle [m]."""
+    most, axis = 0.0, solids.along[piece]
+    for i in range(solids.first[piece], solids.first[piece + 1]):
+        way = solids.disc[i, :3] - solids.ball[piece, :3]
+        up = (way * axis).sum()
+        across = size(way - up * axis) + solids.disc[i, 3]
+        most = max(most, sqrt(up * up + across * across))
+    return most + solids.round[piece]
+
+
+@njit(cache=True, nogil=True)
 def certified(
     solids: Solids,
     links: Links,
@@ -222,6 +237,8 @@ def certified(
             other = min(other, reach - solids.round[b])
         count = joints_of_pair(links, link_a, link_b, steps, senses)
         axis = turn[link_a] @ solids.along[a]
+        middle = turn[link_a] @ solids.ball[a, :3] + origin[link_a]
+        radius = around(solids, a)
         near, near_whole = -1e300, -1e300
         for i in range(solids.first[a], solids.first[a + 1]):
             p = turn[link_a] @ solids.disc[i, :3] + origin[link_a]
@@ -242,8 +259,11 @@ def certified(
                 arm = p - origin[k]
                 change += senses[j] * half * (across * arm).sum()
                 change_axis += senses[j] * half * across
-                rest += eps * (abs((across * arm).sum()) + size(across) * (rho + r))
-                lever = size(crossed(arm, u)) + rho + r
+                # The ball around the disc, or that around the piece, whichever is nearer.
+                away = middle - origin[k]
+                own = abs((across * arm).sum()) + size(across) * (rho + r)
+                rest += eps * min(own, abs((across * away).sum()) + size(across) * radius)
+                lever = min(size(crossed(arm, u)) + rho + r, size(crossed(away, u)) + radius)
                 chord = 2.0 * sin(0.5 * min(most, pi))
                 rest += chord * way + 0.5 * most * most * lever
                 way += chord * lever

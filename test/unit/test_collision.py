@@ -64,7 +64,7 @@ def found_in(machine, pieces, links, path, clearance_of_pair, search=descend):
 def proven(machine, space, path, found):
     cells = Cells(path.s, path.cell_left, path.cell_right)
     pieces = space.pieces
-    solids = Solids(pieces.disc, pieces.first, pieces.along, pieces.round, pieces.link)
+    solids = Solids(*(getattr(pieces, name) for name in Solids._fields))
     rows = np.lexsort((found.span[:, 1], found.span[:, 0]))
     return certified(solids, links_of(machine), cells, found.span, found.pair, found.normal, rows)
 

@@ -86,7 +86,7 @@ class Machine:
         p_M = R_1 (R_2 (p_W + workpiece_offset) + secondary_offset) + primary_offset
         R_1 R_2 o_W = +Z
 
-    ``transform.py`` has the general formula, heads included.
+    ``five_axis.py`` has the general formula, heads included.
     """
 
     name: str  #: Name of the machine.

@@ -1,4 +1,4 @@
-"""The five-axis transformation, compiled: jets of machine axes (see ``transform.py``)."""
+"""The five-axis transformation, compiled: jets of machine axes (see ``five_axis.py``)."""
 
 from math import atan2, cos, floor, pi, sin, sqrt
 

@@ -127,7 +127,7 @@ def test_what_is_refused_is_told(bench):
     assert not answer.success and 'its travel is' in answer.message
     assert bench.press('emergency_stop').success
     answer = move(bench, axes=['X'], values=[0.0])
-    assert not answer.success and 'emergency stop; reset' in answer.message
+    assert not answer.success and 'emergency stop; press reset' in answer.message
     bench.beats.publish(Jog(axes=['X'], shares=[0.1]))
     told = ('machine_node: jog', answer.message)
     bench.spin_until(lambda: told in bench.diagnostics)

@@ -54,7 +54,7 @@ def test_what_a_page_names_is_there(page):
 
 def test_rooms_of_the_readme_are_the_folders_of_the_package():
     text = (ROOT / 'README.md').read_text()
-    map_ = text[text.index('Rooms in `cnc_interp/`') :].split('```')[1]
+    map_ = text[text.index('Packages in `cnc_interp/`') :].split('```')[1]
     named = {room for line in map_.splitlines() for room in re.findall(r'^(?:\w+/ ?)+', line)}
     rooms = {room.strip('/') for names in named for room in names.split()}
     folders = {p.name for p in (ROOT / 'cnc_interp').iterdir() if (p / '__init__.py').exists()}

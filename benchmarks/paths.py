@@ -106,7 +106,7 @@ def flank_path(file: Path) -> tuple[AxisPath, Limits]:
         stop=stop,
     )
     names = ('velocity', 'acceleration', 'jerk')
-    return path, Limits(*(np.array(limits[name], float) * unit for name in names))
+    return path, Limits.constant(*(np.array(limits[name], float) * unit for name in names))
 
 
 def public_cases(machine: Machine, pieces: Iterable[Piece]) -> Iterator[Problem]:

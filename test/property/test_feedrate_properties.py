@@ -51,7 +51,7 @@ def problems(draw, most_corners: int = 6) -> tuple[AxisPath, Limits, np.random.G
     feed = draw(st.one_of(st.just(np.inf), st.floats(-3, -0.3).map(lambda x: 10.0**x)))
     spread = draw(st.floats(0, 2))
     factors = 10 ** rng.uniform(-spread, spread, (3, 5))
-    limits = Limits(
+    limits = Limits.constant(
         XYZAC.max_velocity * factors[0],
         XYZAC.max_acceleration * factors[1],
         XYZAC.max_jerk * factors[2],
@@ -191,7 +191,7 @@ def test_relaxing_limits_never_costs_time(problem, order, axis, factor):
     table = np.array([limits.max_velocity, limits.max_acceleration, limits.max_jerk])
     table[order, axis] *= 10.0**factor
     strict = plan_path(path, limits).law.end_time
-    assert plan_path(path, Limits(*table)).law.end_time <= 1.001 * strict
+    assert plan_path(path, Limits.constant(*table)).law.end_time <= 1.001 * strict
 
 
 @pytest.mark.parametrize(

@@ -226,7 +226,7 @@ def test_the_file_gives_the_drives_in_si():
     assert a.backlash == pytest.approx(12 * ARCSEC) and a.static == 7.0
     assert TIRED.drives[0].stribeck_velocity == pytest.approx(2 * MM)
     ideal = Machine.load('xyzac')
-    assert np.array_equal(TIRED.limits, ideal.limits)
+    assert np.array_equal(TIRED.limits.by_order, ideal.limits.by_order)
     assert np.array_equal(TIRED.offsets, ideal.offsets)
 
 

@@ -23,7 +23,7 @@ LONGER = 0.4
 EVERY = 0.02
 
 XY = first_axes(XYZAC, 2)
-SOFT = Limits(np.full(2, 1.0), np.full(2, 0.3), np.full(2, 50.0))
+SOFT = Limits.constant(np.full(2, 1.0), np.full(2, 0.3), np.full(2, 50.0))
 
 
 def circle(radius: float, turns: float, feed: float) -> AxisPath:

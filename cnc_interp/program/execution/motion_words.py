@@ -121,9 +121,8 @@ def move(at: Execution, words: BlockWords, feed_given: bool) -> None:
         if at.signals.uses(letter):
             continue
         if letter == 'E' and codes.EXTRUDING.isdisjoint(words.g):
-            raise at.fault(
-                'a fixture offset on Fadal; write G54 to G59, or leave it out', words.texts['E']
-            )
+            why = 'a fixture offset on Fadal; write G54 to G59, or leave it out'
+            raise at.fault(why, words.texts['E'], DependsOn.LINE)
         if letter in 'STDHE':
             at.notice(letter, 'no effect, it does not move the tool')
         elif letter in 'ABCUVW':

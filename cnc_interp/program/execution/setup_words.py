@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cnc_interp.core import DEG, FloatArray
+from cnc_interp.core import DEG, DependsOn, FloatArray
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.geometry.target_row import EXTRA_LETTERS
 from cnc_interp.program.job import ALL_OFFSETS, MOST_TOOL, SetupChange, Tool
@@ -18,7 +18,7 @@ MOST_ANGLE = 3600.0  #: Largest rotation of a work offset [deg].
 
 def choose_work_offset(at: Execution, code: str, words: BlockWords) -> None:
     if 'H' in words.values and not codes.LENGTH_CODES & set(words.g):
-        raise at.fault(codes.OKUMA_LENGTH, code)
+        raise at.fault(codes.OKUMA_LENGTH, code, DependsOn.LINE)
     choose_offset(at, code)
 
 

@@ -477,8 +477,10 @@ class Mover(ModalState):
             kind = 8 if as_centre else 9 if back else kind
         if kind:
             amount = f' (by {arcs.mismatch[0] / self.unit:.4g})' if kind in (3, 4) else ''
-            place = DependsOn.PLACE if kind in OF_PLACE else DependsOn.STATE
-            fault = self.fault(FAULTS[kind] + amount, f'G{self.motion}', place)
+            on = DependsOn.PLACE if kind in OF_PLACE else DependsOn.STATE
+            if words.g and words.values.keys().isdisjoint('IJKR'):
+                on = DependsOn.LINE
+            fault = self.fault(FAULTS[kind] + amount, f'G{self.motion}', on)
             if kind < 8 or not self.centres_open or (as_centre and back):
                 raise fault
             self.centres_open, self.centre_absolute = False, as_centre

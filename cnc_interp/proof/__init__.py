@@ -1,1 +1,1 @@
-"""Plan files and their proof. The proof shares only the forward kinematics with the planner."""
+"""Plan files and their proof, which shares machine files and kinematics with the planner."""

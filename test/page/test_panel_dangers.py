@@ -192,7 +192,14 @@ def test_m6_without_a_tool_changer_waits_and_names_the_tool(panel, tmp_path):
     tab.wait(lambda: tab.text('status') == 'planned' and tab.text('start') == '')
     runs = len(panel.loaded)
     tab.click_with_mouse('cycle start')
-    panel.spin_until(lambda: len(panel.loaded) > runs and panel.peers.state.completed)
+    panel.spin_until(
+        lambda: (
+            len(panel.loaded) > runs
+            and panel.peers.state.program_id == panel.loaded[-1].program_id
+            and panel.peers.state.completed
+        )
+    )
+    tab.wait(lambda: tab.text('state') == 'idle')
     tab.click_with_mouse('offsets')
     tab.click_with_mouse('load tool 0')
     tab.wait(lambda: 'tool 5 -> no tool' in (tab.text('setup change') or ''))

@@ -107,8 +107,10 @@ class NodesUnderTest:
     def spin_for(self, time_span):
         """Spin for a time [s]; a busy computer may take longer."""
         end = time.monotonic() + time_span
+        # With another timeout the executor would begin again with the first subscription, and a
+        # stream of messages there would keep all others waiting.
         while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=end - time.monotonic())
+            self.executor.spin_once(timeout_sec=0.05)
 
     def last_words(self):
         """Last diagnostics of each part of the nodes, acknowledgements, state of the machine."""

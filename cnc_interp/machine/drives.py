@@ -45,7 +45,7 @@ class Drives(ABC):
     """The drives of all axes. Setpoints were checked before against travel and limits."""
 
     lag = 0.0  #: How much later than their setpoints the axes are there, about [s].
-    ahead = 0.0  #: How much later than it is told a setpoint is played; 0: in its period [s].
+    ahead = 0.0  #: Delay from receiving a setpoint to playing it; 0: played in its period [s].
     #: Whether the drives themselves bring the inputs. Otherwise ``machine_inputs`` does.
     wired = False
     calm = 0.0  #: Time between two steps of drives that have stood for long; 0: each period [s].

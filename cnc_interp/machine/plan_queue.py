@@ -194,7 +194,7 @@ class PlanQueue:
         self.run_id = run_id
 
     def way_to_rest(self, resting: bool) -> AxisRows:
-        """Return the setpoints that are played next if nothing else comes, down to rest."""
+        """Return the setpoints down to rest that are played unless a new plan arrives."""
         if resting or self.current is None:
             return AxisRows.held(self._axes.setpoints[-1], 0)
         return axis_rows(

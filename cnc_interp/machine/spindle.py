@@ -85,7 +85,7 @@ class Spindle(NamedTuple):
     limits: FloatArray  #: (3, 3): Velocity, acceleration, jerk of X Y Z [m/s, m/s2, m/s3].
     known: FloatArray  #: (D, 2): Angle and speed by the ramp since what is told now [rev, rev/s].
     highest: float = 0.0  #: Largest speed [rev/min].
-    ahead: float = 0.0  #: How much later than it is told a setpoint is played [s].
+    ahead: float = 0.0  #: Delay from receiving a setpoint to playing it [s].
     period: float = 0.0  #: [s].
     slows: float = 0.0  #: How fast the spindle changes its speed [rev/s2].
 

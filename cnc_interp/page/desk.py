@@ -36,7 +36,6 @@ from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
 REST = 1.0  #: After so long at rest the charts stand, so that they show the last motion [s].
 KINDS = ('velocity', 'acceleration', 'jerk')  #: The charts show values as shares of their limit.
-LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
 
 
 def is_text(text: str) -> bool:
@@ -212,7 +211,7 @@ class Desk:
 
     async def _listed(self, name: str, take: Callable[[str, str], Awaitable[Answer]]) -> Answer:
         try:
-            text = await asyncio.to_thread(self.folder.read, name, LONGEST_PROGRAM)
+            text = await asyncio.to_thread(self.folder.read, name)
         except InterpError as problem:
             return Answer(False, str(problem))
         answer = await take(name, text)

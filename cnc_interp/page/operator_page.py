@@ -10,13 +10,14 @@ from cnc_interp.client.setup_client import work_zero
 from cnc_interp.description.urdf import describe_machine
 from cnc_interp.machine_model.signals import TOWARD
 from cnc_interp.page.contact import AGAIN, LATE, NO_TOKEN, VIEW_ONLY, Access, Act, Contact, key
-from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.page.desk import Desk
 from cnc_interp.page.dialogs import SettingsDialog, SetupDialog, keyboard_list
 from cnc_interp.page.hand_motion import JogPad, PoseField, TouchOffField
 from cnc_interp.page.keys import Keys, SignalKeys
 from cnc_interp.page.probe_dialog import ProbeDialog
 from cnc_interp.page.program_column import Listing, MdiField, StartField
 from cnc_interp.page.program_dialogs import EditorDialog, FolderDialog, MacroKeys
+from cnc_interp.page.program_folder import LONGEST_PROGRAM
 from cnc_interp.page.readings import (
     NOTHING,
     Charts,

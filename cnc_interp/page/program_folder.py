@@ -15,6 +15,7 @@ SUFFIXES = frozenset(
     }
 )
 MOST_LISTED, MOST_RECENT = 500, 10
+LONGEST_PROGRAM = 64 << 20  #: Larger programs are not taken from a browser [bytes].
 LONGEST_EDITED = 500_000  #: Longer programs are not edited on a page [characters].
 
 
@@ -27,6 +28,18 @@ class Listed:
     def text(self) -> str:
         size = f'{self.size} B' if self.size < 2000 else f'{self.size / 1e3:.0f} kB'
         return f'{size}, {time.strftime("%Y-%m-%d %H:%M", time.localtime(self.changed))}'
+
+
+def program_text(path: Path, name: str) -> str:
+    """Read a program; errors (InterpError) call it by ``name``."""
+    try:
+        with path.open('rb') as file:
+            content = file.read(LONGEST_PROGRAM + 1)
+    except OSError as problem:
+        raise InterpError(f'{name}: cannot be opened: {problem.strerror}') from None
+    if len(content) > LONGEST_PROGRAM:
+        raise InterpError(f'{name}: longer than {LONGEST_PROGRAM >> 20} MB; use cnc-interp run')
+    return content.decode('utf-8-sig', errors='replace')
 
 
 class ProgramFolder:
@@ -43,9 +56,9 @@ class ProgramFolder:
         for path in self.folder.rglob('*'):
             hidden = any(part.startswith('.') for part in path.relative_to(self.folder).parts)
             if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
-                told = path.stat()
+                status = path.stat()
                 name = path.relative_to(self.folder).as_posix()
-                found.append(Listed(name, told.st_size, told.st_mtime))
+                found.append(Listed(name, status.st_size, status.st_mtime))
         return sorted(found, key=lambda one: -one.changed)[:MOST_LISTED]
 
     def recent(self) -> list[str]:
@@ -70,15 +83,8 @@ class ProgramFolder:
         except OSError:
             return  # a list for comfort; the program is open all the same
 
-    def read(self, name: str, longest: int) -> str:
-        try:
-            with self._path(name).open('rb') as file:
-                content = file.read(longest + 1)
-        except OSError as problem:
-            raise InterpError(f'{name}: cannot be opened: {problem.strerror}') from None
-        if len(content) > longest:
-            raise InterpError(f'{name}: longer than {longest >> 20} MB; use cnc-interp run')
-        return content.decode('utf-8-sig', errors='replace')
+    def read(self, name: str) -> str:
+        return program_text(self._path(name), name)
 
     def save(self, name: str, text: str) -> None:
         path = self._path(name)

@@ -21,11 +21,12 @@ from nicegui import app, ui
 
 from cnc_interp.core import InterpError
 from cnc_interp.page.contact import AGAIN, WRONG_TOKEN, Access, Gate
-from cnc_interp.page.desk import LONGEST_PROGRAM, Desk
+from cnc_interp.page.desk import Desk
 from cnc_interp.page.dialogs import MARKS
 from cnc_interp.page.hand_motion import ARROWS, EARLY, FILLS, LOST, STALE
 from cnc_interp.page.operator_page import Page
 from cnc_interp.page.origin import PARENT, Revive
+from cnc_interp.page.program_folder import LONGEST_PROGRAM, program_text
 from cnc_interp.processes.stop_signals import stops_later
 
 PACKAGE = Path(__file__).resolve().parents[1]  #: Where our own code is.
@@ -80,7 +81,7 @@ class Served:
     def prepare(
         host: str, port: int, token: str, program: Path | None, folder: Path | None = None
     ) -> Served:
-        text = read(program) if program is not None else None
+        text = program_text(program, str(program)) if program is not None else None
         folder = folder or (program.parent if program else Path())
         if not folder.is_dir():
             raise InterpError(f'{folder}: no such folder')
@@ -224,14 +225,3 @@ def free_port(host: str, port: int) -> int:
             raise InterpError(reason) from None
         found: int = trial.getsockname()[1]
         return found
-
-
-def read(program: Path) -> str:
-    try:
-        with program.open('rb') as file:
-            content = file.read(LONGEST_PROGRAM + 1)
-    except OSError as problem:
-        raise InterpError(f'{program}: cannot be opened: {problem.strerror}') from None
-    if len(content) > LONGEST_PROGRAM:
-        raise InterpError(f'{program}: longer than {LONGEST_PROGRAM >> 20} MB; use cnc-interp run')
-    return content.decode('utf-8-sig', errors='replace')

@@ -39,7 +39,7 @@ from cnc_interp.proof.verdict import Ledger
 #: What a hit may be farther apart than the clearance, and its witness points from their pieces;
 #: what rounding changes in a certificate [m].
 TOUCH, ON_PIECE, ROUNDED = 1.1e-6, 1e-8, 1e-10
-MOST_TOLD = 20  #: Faults of one kind that are told.
+MOST_TOLD = 20  #: Largest number of faults of one kind in a report.
 TOOL_OUTPUT = 'tool_number'
 Spans = list[tuple[float, float]]
 

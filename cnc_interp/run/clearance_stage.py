@@ -77,7 +77,7 @@ class LiveClearance:
         self._clearance.call_tools(self._functions)
 
     def check(self, path: AxisPath) -> None:
-        """Raise CollisionError if a part hits something; rapids are told by their feed."""
+        """Raise CollisionError if a part hits something; infinite feed means a rapid."""
         from cnc_interp.collision.hits import CollisionError
 
         moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES

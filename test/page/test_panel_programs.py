@@ -37,9 +37,9 @@ def running(tmp_path_factory):
     panel.close()
 
 
-def rewrite(tab, text):
-    """Write a whole text into the editor, as its user pastes it."""
-    tab.click_with_mouse('edited text')
+def rewrite(tab, text, field='edited text'):
+    """Replace what a field holds, as a user pastes it."""
+    tab.click_with_mouse(field)
     tab.send(
         'Input.dispatchKeyEvent', type='keyDown', key='a', modifiers=2, commands=['selectAll']
     )
@@ -63,19 +63,11 @@ def test_a_program_is_opened_edited_and_saved_under_another_name(panel):
     # Nothing is written before it is saved.
     assert 'FF' not in (panel.programs / 'good.ngc').read_text()
     rewrite(tab, 'G21 G90\nG0 X0 Y0 Z10\nG1 X7 F600\nM30\n')
-    tab.click_with_mouse('edited name')
-    tab.send(
-        'Input.dispatchKeyEvent', type='keyDown', key='a', modifiers=2, commands=['selectAll']
-    )
-    tab.send('Input.insertText', text='long.ngc')
+    rewrite(tab, 'long.ngc', 'edited name')
     tab.click_with_mouse('save edited')
     tab.wait(lambda: tab.text('save edited') == 'overwrite')  # another program has that name
     assert (panel.programs / 'long.ngc').read_text() == LONG
-    tab.click_with_mouse('edited name')
-    tab.send(
-        'Input.dispatchKeyEvent', type='keyDown', key='a', modifiers=2, commands=['selectAll']
-    )
-    tab.send('Input.insertText', text='other.ngc')
+    rewrite(tab, 'other.ngc', 'edited name')
     tab.click_with_mouse('save edited')
     tab.wait(lambda: tab.text('program') == 'other.ngc' and tab.text('status') == 'planned')
     assert 'X7 F600' in (panel.programs / 'other.ngc').read_text()

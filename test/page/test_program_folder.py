@@ -24,7 +24,7 @@ def test_programs_are_listed_the_last_changed_one_first(folder):
     assert {one.name for one in folder.listed()} == {'old.ngc', 'jobs/NEW.NC'}
     folder.save('old.ngc', 'M2\n')
     assert [one.name for one in folder.listed()] == ['old.ngc', 'jobs/NEW.NC']
-    assert folder.read('old.ngc', 100) == 'M2\n'
+    assert folder.read('old.ngc') == 'M2\n'
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_nothing_outside_the_folder_is_read_or_written(folder, name, tmp_path):
     (folder.folder / 'link.ngc').symlink_to(tmp_path / 'outside.ngc')
     for bad in (name, 'link.ngc'):
         with pytest.raises(InterpError, match='below'):
-            folder.read(bad, 100)
+            folder.read(bad)
         with pytest.raises(InterpError, match='below'):
             folder.save(bad, 'G0 X1')
     assert (tmp_path / 'outside.ngc').read_text() == 'M30\n'

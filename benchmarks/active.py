@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine, limits_of
 from cnc_interp.run.setpoints import BEFORE, largest_shares

@@ -23,14 +23,14 @@ from programs import CASES
 from whole_plans import path_of
 
 from cnc_interp.core import MS, FloatArray, InterpError
-from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.problems import Problem
-from cnc_interp.run.chain import LONGEST_STEP
+from cnc_interp.run.planning_chain import LONGEST_STEP
 from cnc_interp.run.setpoints import BEFORE, Interpolator, largest_shares
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 

@@ -38,10 +38,10 @@ from collision_cases import (
     space_of,
 )
 
-from cnc_interp.collision.chain import pose_links
 from cnc_interp.collision.clearance import descend
 from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.hits import apart
+from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.proof.clearance import links_of

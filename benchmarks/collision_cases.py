@@ -5,10 +5,10 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
 from cnc_interp.collision import shapes
-from cnc_interp.collision.chain import chain_of, step_table
 from cnc_interp.collision.clearance import Route, Space
 from cnc_interp.collision.enclosure import bezier_table
 from cnc_interp.collision.gjk import nearest
+from cnc_interp.collision.link_poses import chain_of, step_table
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.links import joints_of
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.settings.options import Settings
 

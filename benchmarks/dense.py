@@ -35,12 +35,12 @@ from whole_plans import Kept
 
 from cnc_interp.core import MM, MM_PER_MIN, UM, InterpError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, open_program
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH, batches
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.planning_chain import Chain
 from cnc_interp.settings.options import Settings
 
 PUBLIC = (

@@ -23,9 +23,9 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.reading import open_program
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))

@@ -14,8 +14,8 @@ from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.problems.paths import of_blocks
 from cnc_interp.program import Blocks
-from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import BATCH
+from cnc_interp.run.planning_chain import Chain
 from cnc_interp.settings.options import Settings
 
 ROW = 100

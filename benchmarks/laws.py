@@ -10,8 +10,8 @@ from active import largest_use
 from paths import cases, stop_at_corners
 
 from cnc_interp.core import PlanningError
-from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import plan_path
 
 
 def main() -> int:

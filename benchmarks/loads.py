@@ -17,7 +17,7 @@ import numpy as np
 from paths import cases
 
 from cnc_interp.core.axis_limits import DriveLoad, Limits
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.machine_model.machine import Machine, limits_of
 
 COULOMB, VISCOUS = 0.1, 0.3

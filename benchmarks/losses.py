@@ -51,7 +51,7 @@ INTRODUCTION = (
     'program lost, as was told. Times: the longest.'
 )
 BUSY = 'losses_busy'  #: The figures beside busy loops.
-WHY = ('cycle_start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
+WHY = ('cycle start', 'restarted', 'lost', 'reset')  #: A text with one says what to press.
 STANDS = 1.5  #: The operator presses a button after so long at rest [s].
 
 

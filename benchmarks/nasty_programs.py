@@ -24,9 +24,9 @@ from rotary_words import files_of
 from whole_plans import Plan, plan_program
 
 from cnc_interp.core import DEG, MM, InterpError
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Program, read_text
 from cnc_interp.proof.verify import verify
 from cnc_interp.settings.options import Settings

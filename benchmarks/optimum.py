@@ -32,7 +32,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
+from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import (
     AxisPath,
     evaluate_cells,

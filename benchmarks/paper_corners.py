@@ -24,9 +24,9 @@ from whole_plans import Plan, plan_program, write_plan
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings

@@ -27,9 +27,9 @@ import numpy as np
 
 from cnc_interp.core import MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 FILES = ('blocks.npz', 'segments.npz', 'path.npz', 'setpoints.npz')

@@ -15,11 +15,11 @@ from scipy.interpolate import BSpline
 
 from cnc_interp.core import MM, MM_PER_MIN, InterpError
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.problems import Problem, problem
 from cnc_interp.problems.paths import dome, of_blocks, random_blocks
 from cnc_interp.program import Blocks, read_program

@@ -21,7 +21,7 @@ from whole_plans import plan_program
 
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.geometry.subdivide import great_circle
 from cnc_interp.proof.verify import verify

@@ -33,7 +33,7 @@ from whole_plans import plan_program, summary_of, write_plan
 
 from cnc_interp.core import MM_PER_MIN, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup, Program, open_program
 from cnc_interp.proof.linuxcnc_reader import interpreter
 from cnc_interp.proof.verify import verify_plan

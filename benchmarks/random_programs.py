@@ -47,7 +47,7 @@ from cnc_interp.core import InterpError
 from cnc_interp.feedrate.motion_law import axis_motion
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text

@@ -18,10 +18,10 @@ from paths import ROOT, SHARED, time_along
 from whole_plans import path_of
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, FloatArray
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.problems.paths import dome, random_blocks
 from cnc_interp.program import Blocks, read_program
 from cnc_interp.run.path_chain import is_faster

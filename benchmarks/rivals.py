@@ -15,7 +15,7 @@ from toppra.interpolator import AbstractGeometricPath
 
 from cnc_interp.core import FloatArray
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.feedrate.speed_guess import FASTEST, speed_bounds
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine, limits_of

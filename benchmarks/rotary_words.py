@@ -26,7 +26,7 @@ from whole_plans import Plan, plan_program
 
 from cnc_interp.core import DEG, MM, InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.verify import verify

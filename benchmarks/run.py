@@ -27,7 +27,7 @@ from strokes import line_path, stroke_time
 from tables import write_tables
 
 from cnc_interp.core import MM
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.problems import Problem, stretches
 from cnc_interp.problems.paths import of_blocks

@@ -18,7 +18,7 @@ from paths import time_along
 from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks
 from cnc_interp.run.path_chain import is_faster
 from cnc_interp.settings.options import Settings

@@ -22,12 +22,12 @@ from paths import cases
 from whole_plans import path_of
 
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine, limits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.problems import Problem
 from cnc_interp.program import read_program
 from cnc_interp.settings.options import Settings

@@ -24,7 +24,7 @@ import numpy as np
 from cnc_interp.core import INCH, MM, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ANGLE, FOLLOWS, FREE, Signals, signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup, Tool
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.job import WORK_OFFSETS

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings
 

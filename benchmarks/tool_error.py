@@ -22,16 +22,16 @@ from whole_plans import Kept
 
 from cnc_interp.core import MM, UM
 from cnc_interp.drives.tool_error import tool_error
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.tool_limit import ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
-from cnc_interp.run.chain import Chain
 from cnc_interp.run.path_chain import batches
+from cnc_interp.run.planning_chain import Chain
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 

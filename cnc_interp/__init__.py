@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from cnc_interp.cam.iso_scallop import IsoScallopOptions, iso_scallop_paths
     from cnc_interp.cam.shapes import BSplineSurface
     from cnc_interp.core import InterpError
-    from cnc_interp.feedrate.feed_planner import plan_path
     from cnc_interp.feedrate.motion_law import axis_motion
     from cnc_interp.feedrate.plan_options import PlanOptions
+    from cnc_interp.feedrate.planning_windows import plan_path
     from cnc_interp.kinematics.axis_path import evaluate
     from cnc_interp.library import Plan, axis_path_from, check, plan_program, smooth_path
     from cnc_interp.machine.simulated_drives import simulate
     from cnc_interp.machine_model.machine import Machine
-    from cnc_interp.machine_model.transform import Transform
+    from cnc_interp.machine_model.transform_port import Transform
     from cnc_interp.program.blocks import Blocks
     from cnc_interp.program.reading import Program, read_program, read_text
     from cnc_interp.settings.options import Settings
@@ -55,14 +55,14 @@ _HOMES = {
     'cam.iso_scallop': 'IsoScallopOptions iso_scallop_paths',
     'cam.shapes': 'BSplineSurface',
     'core': 'InterpError',
-    'feedrate.feed_planner': 'plan_path',
+    'feedrate.planning_windows': 'plan_path',
     'feedrate.motion_law': 'axis_motion',
     'feedrate.plan_options': 'PlanOptions',
     'kinematics.axis_path': 'evaluate',
     'library': 'Plan axis_path_from check plan_program smooth_path',
     'machine.simulated_drives': 'simulate',
     'machine_model.machine': 'Machine',
-    'machine_model.transform': 'Transform',
+    'machine_model.transform_port': 'Transform',
     'program.blocks': 'Blocks',
     'program.reading': 'Program read_program read_text',
     'settings.options': 'Settings',

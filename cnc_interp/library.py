@@ -9,19 +9,19 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from cnc_interp.core import FloatArray, InterpError
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import Program
 from cnc_interp.proof.plan_files import BLOCK_COLUMNS, PlanFiles
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import Chain, at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, batches
 from cnc_interp.run.plan_writer import block_columns
+from cnc_interp.run.planning_chain import Chain, at_fault, no_motion
 from cnc_interp.run.setpoints import Setpoints
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.segments import PathSegments

@@ -20,7 +20,7 @@ from matplotlib import pyplot as plt
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.settings.options import Settings

@@ -25,12 +25,12 @@ from scipy.optimize import brentq
 
 from cnc_interp.core import MM, MM_PER_MIN, FloatArray
 from cnc_interp.core.bspline import corner_spline_points
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.segment_axes import arc_length, shapes_of
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.report.corners import lengths
 from cnc_interp.settings.options import Settings

@@ -20,12 +20,12 @@ from cnc_interp.batch.task import Cost, Model, Row, Task, TaskOutcome, Verdict
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import parse_yaml
 from cnc_interp.machine_model.machine import Machine, from_mapping
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, open_program
 from cnc_interp.proof.verdict import Proof
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.parallel_planner import LostProcessError
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings, with_texts
 
 #: A line, a corner and an exact stop: it loads what every task needs.

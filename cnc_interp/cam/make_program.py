@@ -31,10 +31,10 @@ from cnc_interp.cam.tool_path import UPRIGHT, link, write_tool_path
 from cnc_interp.core import MM_PER_MIN, UM, FloatArray, InterpError, cross, norm, unit
 from cnc_interp.core.progress_bar import ProgressBar
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.plan_files import PlanFiles, read_plan
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 HIGHER = 1.002  #: A note names executed ridges that are higher than so many scallops.

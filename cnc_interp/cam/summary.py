@@ -16,7 +16,7 @@ from cnc_interp.cam.strategies import STRATEGIES, Strategy
 from cnc_interp.core import DEG, MM, UM, FloatArray, cross, dot, norm
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 TURNS = range(1, 61)  #: Turns of the workpiece that are tried, in this order [deg].
 #: A pass is near the pole where the outer axis is asked for more of its largest velocity [-].

@@ -16,7 +16,7 @@ from cnc_interp.cam.surface import SAMPLES, Surface, SurfaceError
 from cnc_interp.convert.conversion import convert
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, InterpError, norm, unit
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program
 from cnc_interp.program.writer import WrittenMove, cl_data, siemens
 from cnc_interp.settings.options import Settings

@@ -25,7 +25,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine.jog import JOG
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import ARMED
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine

@@ -19,7 +19,7 @@ from cnc_interp.client.recorded_run import stream_of
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.seals import OWNERS, SealedPublisher
 from cnc_interp.processes.stop_signals import stop_signals

@@ -15,7 +15,7 @@ from cnc_interp.client.setup_client import SetupClient, work_zero
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import GEOMETRY
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.qos import CONTACTS
 from cnc_interp.nodes.seals import hear
 

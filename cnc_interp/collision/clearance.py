@@ -1,8 +1,8 @@
 """Whether pairs of pieces keep their clearance along the path: the bound, and the descent.
 
 In an interval (``enclosure.py``), seen from link B at the reference position q = c, a point x of A
-moves by the joints of ``chain.py`` one after the other. With unit vectors u_j along the axes and
-places o_j on them, senses sigma_j and any unit vector n, to first order
+moves by the joints of ``link_poses.py`` one after the other. With unit vectors u_j along the axes
+and places o_j on them, senses sigma_j and any unit vector n, to first order
 
     n . x(t) = n . x + t (w . x + k)
     w = sum_rotary sigma_j a_j (n x u_j)
@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cnc_interp.collision.chain import Chain, placed, pose_links, turned, turned_back
 from cnc_interp.collision.enclosure import enclose, position
 from cnc_interp.collision.gjk import nearest
+from cnc_interp.collision.link_poses import Chain, placed, pose_links, turned, turned_back
 from cnc_interp.collision.shapes import Pieces, support
 from cnc_interp.core import FloatArray, IntArray
 from cnc_interp.core.kernels import njit

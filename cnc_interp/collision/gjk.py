@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from cnc_interp.collision.chain import placed, turned_back
+from cnc_interp.collision.link_poses import placed, turned_back
 from cnc_interp.collision.shapes import Pieces, support_point
 from cnc_interp.core import FloatArray
 from cnc_interp.core.kernels import njit

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.collision.chain import pose_links
 from cnc_interp.collision.clearance import (
     Route,
     Space,
@@ -17,6 +16,7 @@ from cnc_interp.collision.clearance import (
 )
 from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.gjk import nearest
+from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.core import MM, BlockError, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cnc_interp.collision.chain import pose_links
 from cnc_interp.collision.clearance import Found, Route, Space, descend
 from cnc_interp.collision.enclosure import DEGREE, bezier_table
 from cnc_interp.collision.hits import PLACES, CollisionError, Hit, least_apart, positions_at
+from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.collision.mesh_file import SceneError
 from cnc_interp.collision.pieces import winding
 from cnc_interp.collision.scene import Placed, Scene

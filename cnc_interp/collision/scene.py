@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cnc_interp.collision.chain import Chain, chain_of, step_table, steps_between
+from cnc_interp.collision.link_poses import Chain, chain_of, step_table, steps_between
 from cnc_interp.collision.mesh_file import SceneError
 from cnc_interp.collision.shapes import Piece, Pieces, gathered
 from cnc_interp.core import FloatArray, IntArray

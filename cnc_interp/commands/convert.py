@@ -34,7 +34,7 @@ def convert_command(options: Namespace) -> int:
     """Write a program in another dialect."""
     from cnc_interp.convert.conversion import convert
     from cnc_interp.machine_model.machine import Machine
-    from cnc_interp.machine_model.transform import Transform
+    from cnc_interp.machine_model.transform_port import Transform
     from cnc_interp.program import read_program
     from cnc_interp.program.notices import tell
 

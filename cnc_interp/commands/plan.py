@@ -41,11 +41,11 @@ def plan_command(options: argparse.Namespace) -> int:
     from cnc_interp import kernel_cache
     from cnc_interp.core.progress_bar import ProgressBar
     from cnc_interp.feedrate.plan_options import tool_warnings
-    from cnc_interp.machine_model.transform import Transform
+    from cnc_interp.machine_model.transform_port import Transform
     from cnc_interp.program import open_program
     from cnc_interp.program.notices import tell
-    from cnc_interp.run.chain import plan_to_files
     from cnc_interp.run.plan_figures import excesses
+    from cnc_interp.run.planning_chain import plan_to_files
 
     machine = machine_of(options)
     settings = settings_from(options)
@@ -86,7 +86,7 @@ def plan_command(options: argparse.Namespace) -> int:
 def _compile(machine: Machine) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
-    from cnc_interp.feedrate.feed_planner import plan_path
+    from cnc_interp.feedrate.planning_windows import plan_path
     from cnc_interp.nodes.kernel_warmup import path_without_kernels
 
     plan_path(path_without_kernels(machine), machine)

@@ -9,7 +9,7 @@ from cnc_interp.convert.native_splines import Portion, SplineMoves
 from cnc_interp.core import MM, UM, BlockError, FloatArray, IntArray, ProgramError, norm
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform, start_positions
+from cnc_interp.machine_model.transform_port import Transform, start_positions
 from cnc_interp.program import Program
 from cnc_interp.program.blocks import AXES_LINEAR, GO_ON, POSES, Blocks
 from cnc_interp.program.geometry.subdivide import piece_counts, ragged

@@ -21,7 +21,7 @@ from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, path_and_axis_errors
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine, find_machine_file
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 #: Largest cutoff of the low pass [Hz], and its largest share of the frequency of the mode.
 CUTOFF, SHARE = 40.0, 0.65

@@ -15,7 +15,7 @@ from cnc_interp.drives.compensation import Compensation, compensate_all
 from cnc_interp.drives.drive_model import follow_all, lag_of, memory_of, words_of
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 HEIGHT = 0.03  #: Poses are as near as their tips and the points so high on their tool axes [m].
 SETTLING = 0.1  #: Time after the last setpoint in which the axes settle [s].

@@ -22,7 +22,6 @@ import numpy as np
 from cnc_interp.core import BoolArray, FloatArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.core.limits_by_position import JERK, VELOCITY, acceleration_room, limit_at
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import (
     TORQUE,
     bends_of_use,
@@ -30,6 +29,7 @@ from cnc_interp.feedrate.limit_use import (
     place_bounds,
 )
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics import axis_path
 from cnc_interp.kinematics.axis_path import AxisPath
 

@@ -28,7 +28,7 @@ from cnc_interp.drives.tool_error import ErrorSeries, ToolMotion, error_series
 from cnc_interp.feedrate.motion_law import MotionLaw, Stretch, axis_motion
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.notices import WARNING
 from cnc_interp.settings.options import Settings
 

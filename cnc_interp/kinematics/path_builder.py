@@ -14,7 +14,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.pole_passage import PolePassages
 from cnc_interp.kinematics.sampling import FINE, sample_segments
 from cnc_interp.machine_model.five_axis import FiveAxis
-from cnc_interp.machine_model.transform import start_positions
+from cnc_interp.machine_model.transform_port import start_positions
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.smoothing import segments as kinds
 from cnc_interp.smoothing.segments import PathSegments

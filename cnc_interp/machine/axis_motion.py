@@ -11,7 +11,7 @@ from cnc_interp.drives.drive_model import memory_of
 from cnc_interp.drives.tool_error import AHEAD, on_chord
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.setpoints import BEFORE, largest_shares, torque_shares
 
 ROUNDING = 1.01  #: Differences of valid setpoints exceed a limit by rounding at most.

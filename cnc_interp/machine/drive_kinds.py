@@ -11,7 +11,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.signals import home_input
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 if TYPE_CHECKING:
     from cnc_interp.machine.drives import Drives

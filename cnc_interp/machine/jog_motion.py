@@ -20,7 +20,7 @@ from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.core.axis_limits import Limits
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform, tool_line
+from cnc_interp.machine_model.transform_port import Transform, tool_line
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 LEAST_SHARE = 1e-3  #: A smaller share of a velocity limit is no motion, to bound its time.

@@ -12,7 +12,7 @@ from cnc_interp.drives.learning import LearntMotion
 from cnc_interp.machine.axis_motion import AxisMotion, ContourErrors, Recording
 from cnc_interp.machine.drives import CycleDrives
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 CALM = 0.01  #: Time between two steps at rest [s].
 #: Of a simulated spindle: change of its speed without another one in the machine file [rev/s2],

@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.core import DEG, FloatArray
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine_entries import BlockPace
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 #: Rates of the axes along a line, each over its jerk limit, of rows of tool tip, tool axis, unit
 #: step of the tip, and turn of the tool axis per metre.

@@ -18,7 +18,7 @@ from cnc_interp.machine.jog import Jog
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Step
-from cnc_interp.machine_model.transform import Transform, positions_of_pose
+from cnc_interp.machine_model.transform_port import Transform, positions_of_pose
 from cnc_interp.nodes.node_main import OK, WARN, Diagnostics, answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.nodes.seals import publishers_of

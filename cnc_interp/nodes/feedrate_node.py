@@ -17,7 +17,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from cnc_interp.core import MS, FloatArray, Refusal, StreamError
 from cnc_interp.feedrate.plan_options import tool_warnings
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import node_main, parameters
 from cnc_interp.nodes.controls import OperatorInputs
 from cnc_interp.nodes.kernel_warmup import warm_all, warm_clearance

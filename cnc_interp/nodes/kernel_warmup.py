@@ -11,7 +11,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from cnc_interp.core import MM, MM_PER_MIN, FloatArray, InterpError
-from cnc_interp.feedrate.feed_planner import FeedPlanner, plan_path
+from cnc_interp.feedrate.planning_windows import FeedPlanner, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
@@ -19,7 +19,7 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.clearance_stage import clearance_of

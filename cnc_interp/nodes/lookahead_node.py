@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from cnc_interp.core import InterpError, Refusal
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.kernel_warmup import warm_lookahead
 from cnc_interp.nodes.node_main import Diagnostics, Pace, run_node

@@ -15,7 +15,7 @@ from cnc_interp.machine.homing import Homing
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import Uncompensated
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.controls import Overrides
 from cnc_interp.nodes.node_main import OK, WITHOUT, Diagnostics
 from cnc_interp.nodes.qos import CONTACTS, JOINTS, LOADED, STATE, STREAM

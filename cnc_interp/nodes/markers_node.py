@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from cnc_interp.convert.conversion import with_poses
 from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import every, run_node
 from cnc_interp.nodes.qos import LISTENING, MARKERS

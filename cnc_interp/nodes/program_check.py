@@ -20,9 +20,9 @@ from cnc_interp.program.motion.probing import Probe
 from cnc_interp.program.notices import WARNING
 from cnc_interp.program.reading import MdiLine, MdiReader
 from cnc_interp.program.text.source import Source
-from cnc_interp.run.chain import at_fault, no_motion
 from cnc_interp.run.path_chain import PathChain, PathPart, batches
 from cnc_interp.run.plan_figures import ToleranceUse
+from cnc_interp.run.planning_chain import at_fault, no_motion
 from cnc_interp.run.run_phase import Code, Outcome
 from cnc_interp.run.setpoints import NO_FUNCTIONS
 from cnc_interp.run.start_place import StartFinder, StartPlace

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.kernel_warmup import warm_kinematics
 from cnc_interp.nodes.node_main import (

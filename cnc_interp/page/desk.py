@@ -23,7 +23,7 @@ from cnc_interp.client.setup_client import (
 )
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.page.preview import Planner, Preview
 from cnc_interp.page.program_folder import ProgramFolder
 from cnc_interp.page.scene import tube

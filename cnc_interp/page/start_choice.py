@@ -7,7 +7,7 @@ from cnc_interp_msgs.msg import LoadedProgram
 
 from cnc_interp.client.operator_client import MachineState
 from cnc_interp.core import FloatArray
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.start_place import way_inside
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import settings_from

@@ -17,7 +17,7 @@ from cnc_interp.drives.tool_error import HEIGHT, on_chord
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.library import axis_path_from, smooth_path
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import read_program
 from cnc_interp.run.setpoints import BEFORE, STILL, largest_shares

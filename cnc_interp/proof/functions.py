@@ -9,7 +9,7 @@ import numpy as np
 from cnc_interp.core import MM, BoolArray, IntArray
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import AWAY, FOLLOWS, TOWARD, Signals
-from cnc_interp.proof.axis_limits import limits_of_differences
+from cnc_interp.proof.limits_again import limits_of_differences
 from cnc_interp.proof.path_grid import ROUNDING
 from cnc_interp.proof.plain_reader import ReadCall
 from cnc_interp.proof.plan_files import Columns, PlanFiles, gathered

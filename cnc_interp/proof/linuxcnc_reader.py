@@ -23,7 +23,7 @@ import numpy as np
 from cnc_interp.core import DEG, MM, FloatArray, InterpError
 from cnc_interp.core.small_files import UnreadableError, parse_yaml
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof.plain_reader import DWELL, PLANES, TCP_OFF, TCP_ON, ReadCall, ReadMove
 
 LAST_DIGIT = 1e-4  #: The last digit that is printed, in the unit of the program.

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from cnc_interp.core import MM, FloatArray, IntArray
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof import plan_files
-from cnc_interp.proof.axis_limits import limits_at
+from cnc_interp.proof.limits_again import limits_at
 from cnc_interp.proof.overrides import Overrides, scaled
 from cnc_interp.proof.plan_files import (
     NO_LENGTH,

@@ -19,7 +19,7 @@ from cnc_interp.core import (
     ProgramError,
 )
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, STOP
 from cnc_interp.proof import linuxcnc_reader as second
 from cnc_interp.proof.functions import compare_calls

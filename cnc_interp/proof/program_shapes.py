@@ -10,7 +10,7 @@ import numpy as np
 from cnc_interp.core import BoolArray, FloatArray, IntArray
 from cnc_interp.machine_model.five_axis import FiveAxis
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.proof.plan_files import PlanFiles
 from cnc_interp.proof.programmed_path import Deviation, ProgrammedPath

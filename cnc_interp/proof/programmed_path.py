@@ -18,7 +18,7 @@ from scipy.interpolate import BSpline
 from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof.plan_files import Columns, PlanFiles, Stored, held, spans
 
 WINDOW = 2  #: Rows searched on either side of the row to which a setpoint belongs.

@@ -16,9 +16,9 @@ from cnc_interp.core import MM, FloatArray, IntArray, InterpError
 from cnc_interp.drives.compensation import compensated_model
 from cnc_interp.drives.tool_error import ToolMotion
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.proof.axis_limits import limits_of_differences, torques_of
 from cnc_interp.proof.completeness import prove_completeness
 from cnc_interp.proof.functions import prove_followed, prove_functions
+from cnc_interp.proof.limits_again import limits_of_differences, torques_of
 from cnc_interp.proof.order import order_of
 from cnc_interp.proof.overrides import Overrides, scaled
 from cnc_interp.proof.path_grid import ROUND_TRIP, ROUNDING, prove_grid

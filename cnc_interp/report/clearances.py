@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from cnc_interp.collision.chain import pose_links
 from cnc_interp.collision.hits import bodies_apart
+from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.collision.path_clearance import space_of
 from cnc_interp.collision.scene import Placed
 from cnc_interp.collision.scene_file import read_scene

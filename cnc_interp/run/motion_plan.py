@@ -12,7 +12,7 @@ import numpy as np
 
 from cnc_interp.core import FloatArray, PlanningError
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import PlannedPiece
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine, limits_of
 from cnc_interp.run.course import Course, Leg, finely, slowed

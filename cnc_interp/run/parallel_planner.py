@@ -22,8 +22,8 @@ import numpy as np
 
 from cnc_interp.core import InterpError
 from cnc_interp.core.axis_limits import Limits
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
 if TYPE_CHECKING:

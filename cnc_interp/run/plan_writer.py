@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cnc_interp.core import HOUR, FloatArray, IntArray, InterpError
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import feed_limit
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.run.overrides import NOMINAL, OverrideStep

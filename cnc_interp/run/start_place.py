@@ -14,7 +14,7 @@ from cnc_interp.core import FloatArray, IntArray, ProgramError
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.machine_model.transform import ToolLine, Transform, tool_line
+from cnc_interp.machine_model.transform_port import ToolLine, Transform, tool_line
 from cnc_interp.program.blocks import POSES, Blocks
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartBlock, StartLine

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cnc_interp.core import FloatArray, IntArray
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.feedrate.stop_law import cut_between, grid_place, stop_law
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.signals import FEED_FIXED, PER_TURN, SPEED, SPINDLE_FIXED, Signals

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from cnc_interp.core import BoolArray, FloatArray, IntArray, InterpError
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_entries import STANDSTILL, BlockPace, Standstill
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions

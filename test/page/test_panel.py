@@ -33,7 +33,7 @@ from cnc_interp.client.run_request import RunResult
 from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.page import command, server
 from cnc_interp.page.contact import Access
 from cnc_interp.page.desk import KINDS, Desk, Job

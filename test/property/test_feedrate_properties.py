@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 from tiers import examples, few_of
 
 from cnc_interp.core import PlanningError
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate, refine
 
 PERIOD = 1e-3
@@ -209,7 +209,7 @@ import hashlib, sys
 import numpy as np
 sys.path.insert(0, sys.argv[1])
 from feedrate_paths import XYZAC, polyline_path, random_polyline
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 digest = hashlib.sha256()
 for seed in range(5):
     points = random_polyline(np.random.default_rng(seed), 5)

@@ -12,7 +12,7 @@ from whole_plans import plan_program
 
 from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import AXES_LINEAR, ROTARY_LINEAR
 from cnc_interp.proof.verify import verify

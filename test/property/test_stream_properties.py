@@ -10,11 +10,11 @@ from programs import pyramid, zigzag
 from tiers import examples, few_of
 
 from cnc_interp.core import StreamError
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.motion_plan import MotionStream
 from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Interpolator, Setpoints, Wait

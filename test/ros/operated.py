@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings

@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.program import read_text
 from cnc_interp.run.run_state import RunId

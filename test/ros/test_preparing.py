@@ -15,11 +15,11 @@ from whole_plans import plan_program
 
 from cnc_interp.core import BlockError, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.program_check import prepare
 from cnc_interp.program import open_program, read_text
 from cnc_interp.program.blocks import Blocks
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 TRANSFORM = Transform.of(Machine.load('xyzac'))

@@ -17,7 +17,7 @@ from cnc_interp.client.bag import Bag
 from cnc_interp.commands.cli import main
 from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.processes.node_processes import NODES
 
 CONFIG = config_directory()

@@ -19,7 +19,7 @@ from cnc_interp.client.session import run_session
 from cnc_interp.convert.conversion import convert
 from cnc_interp.core import UM, InterpError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.run_state import RunId

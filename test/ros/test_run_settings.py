@@ -23,7 +23,7 @@ from cnc_interp.client.recorded_run import recorded_run
 from cnc_interp.client.recorder import Recorder
 from cnc_interp.client.replay import compute_again
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import qos
 from cnc_interp.nodes.seals import place_of
 from cnc_interp.nodes.streams import opened, sealed

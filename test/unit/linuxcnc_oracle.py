@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_program
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, Setup, read_by_linuxcnc
 from cnc_interp.proof.program_again import compare_places

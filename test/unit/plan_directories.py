@@ -11,7 +11,7 @@ from ruckig import InputParameter, Ruckig, Trajectory
 
 from cnc_interp.core import MM, MM_PER_MIN
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 PERIOD = 1e-3
 HEIGHT = 30 * MM

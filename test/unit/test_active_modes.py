@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup
 from cnc_interp.program.blocks import block_modes as active_modes
 from cnc_interp.program.reading import ProgramStream

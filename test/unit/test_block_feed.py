@@ -10,7 +10,7 @@ from cnc_interp_msgs.msg import G1Block
 from cnc_interp.core import StreamError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.program_check import Prepared
 from cnc_interp.nodes.program_run import MOST_QUEUED, MOST_TOGETHER, BlockFeed
 from cnc_interp.program import JobSetup, read_text

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.machine_entries import BlockPace
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, read_text
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.pace import Pacer

@@ -22,7 +22,7 @@ from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.core import DEG, MM, UM
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program
 from cnc_interp.settings.options import Settings
 

@@ -16,10 +16,10 @@ from cnc_interp.commands.cli import main, parser
 from cnc_interp.commands.parser import BAD_INPUT, FAILED, FINE
 from cnc_interp.core import BlockError
 from cnc_interp.machine_model.machine import Machine, find_machine_file
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.text.codes import NO_SPINDLE
-from cnc_interp.run import chain
+from cnc_interp.run import planning_chain
 from cnc_interp.run.path_chain import segments_of
 from cnc_interp.run.plan_figures import ToleranceUse
 from cnc_interp.run.plan_writer import PlanWriter
@@ -91,7 +91,9 @@ def test_a_plan_over_a_limit_is_not_proven_and_fails(tmp_path, capsys, monkeypat
     machine = Machine.load('xyzac')
     lower = machine.having(max_jerk=machine.max_jerk * [0.8, 1, 1, 1, 1])
     monkeypatch.setattr(
-        chain, 'PlanWriter', lambda folder, _, settings: PlanWriter(folder, lower, settings)
+        planning_chain,
+        'PlanWriter',
+        lambda folder, _, settings: PlanWriter(folder, lower, settings),
     )
     assert main(['plan', program, '--out', str(tmp_path)]) == FAILED
     last = capsys.readouterr().out.splitlines()[-1]
@@ -213,7 +215,7 @@ def test_a_full_disk_is_named(tmp_path, capsys, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, 'No space left on device')
 
-    monkeypatch.setattr('cnc_interp.run.chain.plan_to_files', full)
+    monkeypatch.setattr('cnc_interp.run.planning_chain.plan_to_files', full)
     out = str(tmp_path / 'plan')
     assert main(['plan', str(EXAMPLES / 'pyramid.apt'), '--out', out]) == BAD_INPUT
     assert capsys.readouterr().err == f'cnc-interp: {out}: No space left on device\n'

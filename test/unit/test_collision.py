@@ -19,15 +19,15 @@ from scipy.spatial.transform import Rotation
 from tiers import examples
 
 from cnc_interp.collision import clearance, shapes
-from cnc_interp.collision.chain import chain_of, pose_links
 from cnc_interp.collision.clearance import descend
 from cnc_interp.collision.enclosure import enclose
 from cnc_interp.collision.gjk import nearest
 from cnc_interp.collision.hits import least_apart
+from cnc_interp.collision.link_poses import chain_of, pose_links
 from cnc_interp.collision.pieces import triangle_tree, winding
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine_model.machine import Machine, machines_directory
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.proof.clearance import links_of
 from cnc_interp.proof.clearance_bound import Cells, Solids, certified
 

@@ -13,7 +13,7 @@ from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.core import MM, StreamError
 from cnc_interp.machine.jog import Jog
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.kernel_warmup import warm_clearance
 from cnc_interp.program import read_text
 from cnc_interp.run.clearance_stage import contact_by_hand

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import MM, InterpError, ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.program.setup_table import tool_changes
 from cnc_interp.settings.options import Settings

@@ -9,7 +9,7 @@ from whole_plans import path_of
 from cnc_interp.core import MM
 from cnc_interp.feedrate import jerk_stage
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.settings.options import Settings
 
 XYZAC = Machine.load('xyzac')

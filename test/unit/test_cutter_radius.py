@@ -12,7 +12,7 @@ from tiers import few_of
 
 from cnc_interp.core import DEG, MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.proof import linuxcnc_reader
 from cnc_interp.settings.options import Settings

@@ -11,7 +11,7 @@ from whole_plans import plan_program, write_plan
 from cnc_interp.core import DEG, MM, MachineError, ProgramError, StreamError
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import BlockSpool
 from cnc_interp.proof.plan_files import read_plan

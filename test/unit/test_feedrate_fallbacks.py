@@ -16,7 +16,9 @@ from feedrate_paths import (
 
 from cnc_interp.core import PlanningError
 from cnc_interp.feedrate import jerk_stage
-from cnc_interp.feedrate.feed_planner import (
+from cnc_interp.feedrate.interior_point import BROKEN, STALLED
+from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import (
     CONVERGED,
     DIVIDED,
     NOT_CONVERGED,
@@ -24,8 +26,6 @@ from cnc_interp.feedrate.feed_planner import (
     PlannedPiece,
     plan_path,
 )
-from cnc_interp.feedrate.interior_point import BROKEN, STALLED
-from cnc_interp.feedrate.plan_options import PlanOptions
 from cnc_interp.kinematics.axis_path import AxisPath
 
 CORNER = np.array([[0, 0, 0], [0.03, 0, 0], [0.03, 0.02, 0], [0.05, 0.02, 0.01]], dtype=float)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from feedrate_paths import XYZAC, line_path, polyline_path
 
-from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.feedrate.motion_law import MotionLaw
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate, refine
 
 CORNER = np.array([[0, 0, 0], [0.02, 0, 0], [0.02, 0.015, 0], [0.035, 0.02, 0.01]], dtype=float)

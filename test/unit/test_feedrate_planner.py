@@ -18,9 +18,9 @@ from feedrate_paths import (
     scaled,
 )
 
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.jerk_stage import plan
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 
 ruckig = pytest.importorskip('ruckig')

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from whole_plans import plan_program
 
-from cnc_interp.feedrate.feed_planner import CONVERGED
+from cnc_interp.feedrate.planning_windows import CONVERGED
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings
 

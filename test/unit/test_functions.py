@@ -13,7 +13,7 @@ from cnc_interp.core.small_files import config_directory
 from cnc_interp.machine_model.machine import Machine, from_mapping
 from cnc_interp.machine_model.machine_entries import Standstill
 from cnc_interp.machine_model.signals import signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.job import JobSetup
@@ -23,7 +23,7 @@ from cnc_interp.program.text.source import Source
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 MACHINE = replace(Machine.load('xyz'), signals=signals({'signals': 'milling'}))

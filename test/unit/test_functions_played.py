@@ -15,7 +15,7 @@ from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import STOPS, Step, signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source

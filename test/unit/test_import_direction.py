@@ -72,7 +72,7 @@ PROOF_MAY_IMPORT = (
     'cnc_interp.machine_model.links',
     'cnc_interp.machine_model.machine',
     'cnc_interp.machine_model.signals',
-    'cnc_interp.machine_model.transform',
+    'cnc_interp.machine_model.transform_port',
     'cnc_interp.proof',
 )
 
@@ -249,7 +249,8 @@ def test_circles_are_seen():
 def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_for_methods_to_compare():
     """A merged file brought scipy.interpolate into every plan and node: a quarter of a second."""
     script = (
-        'import sys, cnc_interp.run.chain, cnc_interp.run.run_planner, cnc_interp.commands.cli\n'
+        'import sys, cnc_interp.run.planning_chain, cnc_interp.run.run_planner\n'
+        'import cnc_interp.commands.cli\n'
         "heavy = ('interpolate', 'optimize', 'ndimage', 'signal', 'spatial', 'sparse')\n"
         "print([name for name in heavy if f'scipy.{name}' in sys.modules])\n"
         'import cnc_interp.nodes.feedrate_node, cnc_interp.nodes.lookahead_node\n'
@@ -275,7 +276,7 @@ def test_no_start_waits_for_splines_and_optimisers_of_scipy_or_for_methods_to_co
         ('cnc_interp.report.html', 'from cnc_interp_msgs.msg import G1Block'),
         ('cnc_interp.commands.cli', 'from rosbags.rosbag2 import Reader'),
         ('cnc_interp.wire.path_messages', 'from rclpy.serialization import serialize_message'),
-        ('cnc_interp.run.chain', 'import rclpy'),
+        ('cnc_interp.run.planning_chain', 'import rclpy'),
         ('cnc_interp.proof.verify', 'from cnc_interp.smoothing import corner'),
         ('cnc_interp.proof.verify', 'from cnc_interp.program.blocks.moves import Moves'),
         ('cnc_interp.program.text.flow', 'from cnc_interp.program.modal.state import ModalState'),

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.run.setpoints import Interpolator
 

@@ -13,7 +13,7 @@ from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Wait
 

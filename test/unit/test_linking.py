@@ -16,7 +16,7 @@ from cnc_interp.convert.native_splines import Portion
 from cnc_interp.core import MM, UM, InterpError
 from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings

@@ -18,7 +18,7 @@ from cnc_interp.machine.cycle_kernels import ALARM_SHIFT, REFUSED, REST
 from cnc_interp.machine.simulated_drives import SimulatedDrives, simulate
 from cnc_interp.machine_model.axis_drives import AxisDrive
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 MACHINE = Machine.load('xyzac')

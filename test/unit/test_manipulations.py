@@ -18,7 +18,7 @@ from whole_plans import plan_program, write_plan
 from cnc_interp.commands.cli import main
 from cnc_interp.core import DEG, MM, MM_PER_MIN, InterpError
 from cnc_interp.machine_model.machine import Machine, machines_directory
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.proof import plan_files
 from cnc_interp.proof.verify import verify_plan

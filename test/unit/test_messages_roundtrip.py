@@ -17,7 +17,7 @@ from tiers import examples
 
 from cnc_interp.core import InterpError, StreamError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run import path_chain
 from cnc_interp.run.run_state import RunId

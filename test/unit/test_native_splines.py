@@ -14,7 +14,7 @@ from whole_plans import path_of, plan_program, write_plan
 from cnc_interp.core import DEG, MM, BlockError, ProgramError, jet
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.plan_files import read_plan

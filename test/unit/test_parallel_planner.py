@@ -12,14 +12,13 @@ import pytest
 from feedrate_paths import XYZAC, polyline_path, random_polyline
 
 from cnc_interp.core import InterpError, PlanningError
-from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath, cut
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.run import parallel_planner
-from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.parallel_planner import (
     LostProcessError,
     ParallelPlanner,
@@ -27,6 +26,7 @@ from cnc_interp.run.parallel_planner import (
     Planning,
     RestSections,
 )
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 MACHINE = Machine.load('xyzac')

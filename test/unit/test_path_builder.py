@@ -15,7 +15,7 @@ from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.kinematics.path_checks import check_travel
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.run.path_chain import PathChain, segments_of
 from cnc_interp.settings.options import Settings

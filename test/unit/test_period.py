@@ -12,7 +12,7 @@ from cnc_interp.core import MM, MM_PER_MIN
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Program, read_program
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings

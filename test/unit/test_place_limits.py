@@ -14,18 +14,18 @@ from tiers import examples
 from cnc_interp.core import MM, FloatArray, MachineError, StreamError
 from cnc_interp.core.axis_limits import LimitsByPlace
 from cnc_interp.core.limits_by_position import largest_between, limits_along
-from cnc_interp.feedrate.feed_planner import PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import PlannedPiece, plan_path
 from cnc_interp.feedrate.stop_law import stop_law
 from cnc_interp.kinematics.axis_path import evaluate
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import JogMotion, Slides
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
-from cnc_interp.proof.axis_limits import limits_of_differences
+from cnc_interp.proof.limits_again import limits_of_differences
 from cnc_interp.proof.verify import verify_plan
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 RAM = Machine.load('ram_mill')

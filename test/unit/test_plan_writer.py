@@ -13,14 +13,14 @@ from cnc_interp.core import MS, InterpError
 from cnc_interp.feedrate.limit_use import feed_limit
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program
 from cnc_interp.program.blocks.functions import Functions
 from cnc_interp.program.blocks.start_line import StartLine
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run import path_chain
-from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.plan_writer import PlanWriter
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.run.setpoints import Interpolator, Setpoints
 from cnc_interp.settings.options import Settings
 

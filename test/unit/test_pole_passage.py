@@ -14,7 +14,7 @@ from cnc_interp.kinematics.axis_path import AxisPath, evaluate
 from cnc_interp.kinematics.path_builder import AxisPathBuilder
 from cnc_interp.machine_model.machine import Machine, find_machine_file
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.path_smoother import PathSmoother

@@ -5,7 +5,7 @@ import pytest
 
 from cnc_interp.core import BlockError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform, positions_of_pose
+from cnc_interp.machine_model.transform_port import Transform, positions_of_pose
 
 
 @pytest.mark.parametrize(

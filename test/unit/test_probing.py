@@ -15,7 +15,7 @@ from cnc_interp.core.small_files import config_directory, read_yaml
 from cnc_interp.machine.simulated_probe import COLUMNS, ProbingDrives, distance, read_surfaces
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source

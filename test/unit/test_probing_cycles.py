@@ -10,7 +10,7 @@ from cnc_interp.core import DEG, ProgramError
 from cnc_interp.machine.simulated_probe import distance, read_surfaces
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.job import JobSetup, Tool
 from cnc_interp.program.reading import MdiReader
 from cnc_interp.settings.options import Settings

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.program.blocks import AXES_LINEAR, POSES
 from cnc_interp.settings.options import Settings

@@ -6,7 +6,7 @@ from test_program_mdi import Desk
 
 from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup
 from cnc_interp.program.job import Tool
 from cnc_interp.program.reading import ProgramStream

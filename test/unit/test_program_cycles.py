@@ -6,7 +6,7 @@ import yaml
 
 from cnc_interp.core import MM, MachineError, ProgramError
 from cnc_interp.machine_model.machine import Machine, find_machine_file, from_mapping
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, ProgramStream, Tool, read_text
 from cnc_interp.program.reading import MdiReader
 from cnc_interp.program.text.source import Source

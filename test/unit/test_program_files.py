@@ -12,7 +12,7 @@ from test_program_subdivision import TableAC
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, read_program
 from cnc_interp.program.motion.mover import Mover
 from cnc_interp.settings.options import Settings

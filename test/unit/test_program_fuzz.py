@@ -15,7 +15,7 @@ from tiers import examples
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program.reading import ProgramStream
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings

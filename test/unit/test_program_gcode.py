@@ -9,7 +9,7 @@ from test_program_subdivision import TableAC
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.signals import Signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, open_program, read_program, read_text
 from cnc_interp.program.blocks import GO_ON, OPTIONAL_STOP, POSES, ROTARY_LINEAR, STOP, targets
 from cnc_interp.program.readers import gcode

@@ -6,7 +6,7 @@ from whole_plans import path_of
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import Blocks, JobSetup, read_text
 from cnc_interp.program.reading import MdiReader
 from cnc_interp.settings.options import Settings

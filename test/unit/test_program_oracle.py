@@ -8,12 +8,12 @@ import pytest
 from linuxcnc_oracle import PROGRAMS, columns_of, judged, motions_of
 
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import open_program, read_program
 from cnc_interp.proof.linuxcnc_reader import LinuxCNCError, interpreter, read_by_linuxcnc
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_places, compare_with_text
-from cnc_interp.run.chain import plan_to_files
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.settings.options import Settings
 
 if not interpreter():

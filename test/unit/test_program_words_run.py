@@ -7,7 +7,7 @@ from whole_plans import plan_program, write_plan
 
 from cnc_interp.core import DEG, MM
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.settings.options import Settings

@@ -10,10 +10,10 @@ from tiers import few_of
 from whole_plans import path_of
 
 from cnc_interp.core import DEG, MM, InterpError, cross
-from cnc_interp.feedrate.feed_planner import FeedPlanner
+from cnc_interp.feedrate.planning_windows import FeedPlanner
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.corner_curve import LARGEST, LEAST, MOST, Corners, ratios_at
 from cnc_interp.smoothing.lookahead import LookAhead

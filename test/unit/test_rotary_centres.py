@@ -8,7 +8,7 @@ import pytest
 from cnc_interp.client.rotary_probing import fit_rotary_centres
 from cnc_interp.core import InterpError
 from cnc_interp.machine_model.machine import Machine, with_geometry
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 REACH, BEYOND, UM = 14e-3, -1.5e-3, 1e-6
 BALL = np.array([30e-3, -20e-3, 10e-3])

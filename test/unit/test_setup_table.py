@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from cnc_interp.core import InterpError, ProgramError
 from cnc_interp.core.small_files import LONGEST_YAML
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, open_program
 from cnc_interp.program.blocks.targets import MOST_CHANGES
 from cnc_interp.program.job import WORK_OFFSETS, SetupChange

@@ -15,7 +15,7 @@ from tiers import examples
 from cnc_interp.core import DEG, MM, BlockError, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import MachineTraits, jerk_rates
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.settings.options import Settings
 from cnc_interp.smoothing.corners.connection import Curves, lacking, matching_slopes, poses
 from cnc_interp.smoothing.corners.vertices import SWIVEL

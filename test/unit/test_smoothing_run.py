@@ -10,7 +10,7 @@ from programs import zigzag
 
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes.lookahead_node import SmoothingRun
 from cnc_interp.run.run_state import RunId
 from cnc_interp.settings.options import Settings

@@ -14,7 +14,7 @@ from tiers import few_of
 from cnc_interp.core import MM, ProgramError
 from cnc_interp.machine.spindle import Spindle, see_angle
 from cnc_interp.machine_model.signals import Signals, signals
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.run.overrides import OperatorSettings
 from cnc_interp.run.run_state import Reason, State

@@ -7,7 +7,7 @@ import pytest
 
 from cnc_interp.core import ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.text.source import Source
 from cnc_interp.settings.options import Settings

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from cnc_interp.core import InterpError, ProgramError
-from cnc_interp.feedrate.feed_planner import plan_path
 from cnc_interp.feedrate.limit_use import limits_at
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import ProgramStream, read_text
 from cnc_interp.program.text.source import Source
 from cnc_interp.proof.plan_files import read_plan
 from cnc_interp.proof.program_again import compare_with_text
 from cnc_interp.proof.verify import verify
-from cnc_interp.run.chain import plan_to_files
 from cnc_interp.run.path_chain import PathChain
+from cnc_interp.run.planning_chain import plan_to_files
 from cnc_interp.run.start_place import StartFinder, approach, approach_inside, way_inside
 from cnc_interp.settings.options import Settings
 

@@ -10,10 +10,10 @@ from tiers import few_of
 from whole_plans import path_of
 
 from cnc_interp.core import DEG, MM, MM_PER_MIN, UM
-from cnc_interp.feedrate.feed_planner import plan_path
+from cnc_interp.feedrate.planning_windows import plan_path
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import ROUND_CORNER, STOP_CORNER
 from cnc_interp.run import path_chain

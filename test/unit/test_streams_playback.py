@@ -11,14 +11,14 @@ from limit_use import limit_use
 from tiers import few_of
 
 from cnc_interp.core import Refusal, StreamError, TravelError
-from cnc_interp.feedrate.feed_planner import PlannedPiece
 from cnc_interp.feedrate.motion_law import MotionLaw
+from cnc_interp.feedrate.planning_windows import PlannedPiece
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.simulated_drives import SimulatedDrives
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.run.course import SLICE, sliced
 from cnc_interp.run.motion_plan import MotionStream
 from cnc_interp.run.overrides import OperatorSettings

@@ -13,13 +13,13 @@ import whole_plans
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, UM
 from cnc_interp.drives.tool_error import error_series, path_and_axis_errors, tool_error
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece, plan_path
 from cnc_interp.feedrate.tool_limit import FIRST_PART, RELAXED, ToolLimit
 from cnc_interp.kinematics.axis_path import AxisPath, cut, evaluate
 from cnc_interp.machine.simulated_drives import simulate
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_program, read_text
 from cnc_interp.proof.verify import verify_plan
 from cnc_interp.run.motion_plan import MotionStream

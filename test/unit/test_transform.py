@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from cnc_interp.core import MM
 from cnc_interp.machine_model.machine import Machine, from_mapping
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 BUNDLED = ('xyzac', 'xyzbc', 'bc_trunnion', 'head_head', 'head_table', 'xyza', 'xyzacw')
 LIMITS = {

@@ -10,7 +10,7 @@ from cnc_interp import plan_program
 from cnc_interp.commands.cli import main
 from cnc_interp.core import MM, ProgramError
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import JobSetup, Tool, read_text
 from cnc_interp.settings.options import Settings
 

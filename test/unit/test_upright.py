@@ -11,7 +11,7 @@ from whole_plans import plan_program
 from cnc_interp.core import MM, UM
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.machine_traits import traits_of
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import read_text
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.proof.programmed_path import ProgrammedPath

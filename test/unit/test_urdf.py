@@ -11,7 +11,7 @@ import yourdfpy
 from cnc_interp.description.urdf import describe_machine, urdf_of
 from cnc_interp.machine_model.links import TOOL_TIP, WORKPIECE
 from cnc_interp.machine_model.machine import Machine, machines_directory
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 BUNDLED = sorted(path.stem for path in machines_directory().glob('*.yaml'))
 POSES = 50

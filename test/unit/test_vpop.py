@@ -15,8 +15,8 @@ from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import FINE
 from cnc_interp.core import SettingsError
 from cnc_interp.feedrate import vpop
-from cnc_interp.feedrate.feed_planner import DIVIDED, PlannedPiece, plan_path
 from cnc_interp.feedrate.plan_options import PlanOptions
+from cnc_interp.feedrate.planning_windows import DIVIDED, PlannedPiece, plan_path
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.settings.options import Settings
 from cnc_interp.wire.run_messages import settings_of_goal

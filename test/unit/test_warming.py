@@ -15,8 +15,8 @@ from numba.core.dispatcher import Dispatcher
 from cnc_interp.settings.options import Settings
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.nodes.kernel_warmup import warm_all
-from cnc_interp.feedrate.feed_planner import FeedPlanner
-from cnc_interp.run.chain import Chain
+from cnc_interp.feedrate.planning_windows import FeedPlanner
+from cnc_interp.run.planning_chain import Chain
 from whole_plans import Kept
 from cnc_interp.run.course import LIVE
 from programs import dome, zigzag

@@ -8,7 +8,7 @@ import pytest
 from cnc_interp.commands.cli import main
 from cnc_interp.commands.parser import BAD_INPUT, FINE
 from cnc_interp.machine_model.machine import Machine, placed_machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 
 MM, DEG = 1e-3, np.pi / 180
 PROGRAM = 'G21 G90 G94\nTRAORI\nG0 X0 Y0 Z0 A10 C0\nG1 X8 C20 F3000\nY9\nM30\n'

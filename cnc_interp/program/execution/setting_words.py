@@ -7,7 +7,7 @@ from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.execution.setup_words import cutter_of, keep_shift
 from cnc_interp.program.geometry.arcs import PLANES
 from cnc_interp.program.geometry.contact_normal import ToolShape
-from cnc_interp.program.modal.groups import MODES, SETTINGS
+from cnc_interp.program.modal.modal_words import MODES, SETTINGS
 from cnc_interp.program.modal.state import FARTHEST
 from cnc_interp.program.motion.cycles import TAPPING, CannedCycle
 from cnc_interp.program.text import codes

@@ -12,7 +12,7 @@ from cnc_interp.program.execution import setting_words as setting
 from cnc_interp.program.execution import setup_words as setup
 from cnc_interp.program.execution.context import Execution
 from cnc_interp.program.job import WORK_OFFSETS
-from cnc_interp.program.modal.groups import MODES, SETTINGS
+from cnc_interp.program.modal.modal_words import MODES, SETTINGS
 from cnc_interp.program.motion import bezier, probing
 from cnc_interp.program.motion.tilted_plane import CODES as PLANE_CODES
 from cnc_interp.program.text import codes

@@ -11,7 +11,7 @@ from cnc_interp.program.geometry.arcs import PLANES, TOLD, arcs_of
 from cnc_interp.program.modal.state import FARTHEST, LONG_WAY, SLOWEST
 from cnc_interp.program.motion.mover import MOST_TURN, Mover
 from cnc_interp.program.text import scan
-from cnc_interp.program.text.dialects import PLAIN
+from cnc_interp.program.text.dialect_traits import PLAIN
 
 _LINEAR, _ROTARY_WORDS, _ARC_WORDS = slice(0, 3), slice(3, 6), slice(6, 10)
 SHORTEST = 6  #: Shorter runs are as fast line by line.

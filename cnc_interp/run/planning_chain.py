@@ -7,11 +7,11 @@ from typing import Any, Protocol
 
 from cnc_interp.core import BlockError, InterpError, PlanningError, ProgramError
 from cnc_interp.core.compile_time import working_time
-from cnc_interp.feedrate.feed_planner import FeedPlanner, PlannedPiece
 from cnc_interp.feedrate.limit_use import limits_at
 from cnc_interp.feedrate.plan_options import PlanOptions, wanted_tool
+from cnc_interp.feedrate.planning_windows import FeedPlanner, PlannedPiece
 from cnc_interp.machine_model.machine import Machine
-from cnc_interp.machine_model.transform import Transform
+from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.program import ProgramStream
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.run.clearance_stage import ClearanceStage

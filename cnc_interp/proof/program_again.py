@@ -36,6 +36,7 @@ from cnc_interp.proof.verdict import Proof
 
 # Ends agree within this [m, -, rad] and so many last digits; feeds and durations by this share.
 SAME_PLACE, DIGITS, SAME_FEED = 2e-9, 2.0, 1e-6
+STILL = 1e-12  #: A shorter way is none, so that what turns sets the time [m].
 ROUNDED = 0.75  #: An angle is printed within so many last digits.
 # A row inside a motion may lie beside it by this share of the tolerances: curves become lines.
 CHORD = 0.11
@@ -419,8 +420,10 @@ class _Comparison:
     def unsure_time(self, move: ReadMove, wanted: float, rows: IntArray) -> float:
         """Return by how much the digits of the reader leave the time of a motion open [s]."""
         unsure = move.unsure * wanted
-        if np.isnan(move.duration) and move.digit:
-            unsure += 2.0 * (DIGITS * move.digit + self.room(move)) / move.feed
+        if np.isnan(move.duration):
+            unsure += 2.0 * SAME_PLACE / move.feed
+            if move.digit:
+                unsure += 2.0 * (DIGITS * move.digit + self.room(move)) / move.feed
         return unsure
 
     def lasts(self, move: ReadMove, before: ReadMove, rows: IntArray) -> list[float]:
@@ -447,7 +450,7 @@ class _Comparison:
             along = end - start + aside @ direction
             way = max(float(np.linalg.norm(along)), float(np.linalg.norm(aside)))
         turning = float(np.linalg.norm(move.rotary - before.rotary)) / move.turn_feed
-        alone = way / move.feed if way > SAME_PLACE else turning
+        alone = way / move.feed if way > STILL else turning
         both = float(np.hypot(way / move.feed, turning))
         return [alone if move.tcp or not combined else both for combined in self.combined]
 

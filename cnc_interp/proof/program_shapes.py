@@ -145,6 +145,11 @@ class ProgrammedAxes:
         step[beside, :3] = np.diff(tip, axis=0)[beside]
         return np.asarray(np.linalg.norm(step * self.scale, axis=1) / period)
 
+    def gaps(self, position: FloatArray, tip: FloatArray, row: int) -> FloatArray:
+        """Return how far samples are from the end of a known row, X Y Z as its feed counts [m]."""
+        here = position[:, :3] if self.in_axes[row] else tip
+        return np.asarray(np.linalg.norm(here - (self.start + self.step)[row, :3], axis=1))
+
 
 @dataclass(frozen=True)
 class _Search:

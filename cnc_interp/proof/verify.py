@@ -271,7 +271,11 @@ def _prove_feed(
             for vertex, row in ((before[i] - 1, before[i] - 1), (after[i], after[i] + 1)):
                 if not 0 < row < len(feed):
                     continue
-                gap = np.linalg.norm(tip[i : i + 2] - blocks['tip'][vertex], axis=1)
+                ends = position[i : i + 2], tip[i : i + 2]
+                gap = np.linalg.norm(ends[1] - blocks['tip'][vertex], axis=1)
+                beside = slice(vertex, vertex + 2)
+                if lines is not None and lines.known[vertex] and lines.linear[beside].any():
+                    gap = lines.gaps(*ends, vertex)  # a turning head may swing the tip
                 if gap.min() <= near:
                     allowed[i] = max(allowed[i], feed[row])
         speed = np.where(np.isfinite(allowed), speed, 0.0)

@@ -145,6 +145,17 @@ def test_extra_axes_with_tool_tip_programming_off(tmp_path, capsys):
     assert 'line 2 of the program: its extra axes' in capsys.readouterr().out
 
 
+def test_a_way_below_a_nanometre_lasts_as_long_as_the_rows_say(tmp_path, capsys):
+    """The second reader said that a way of 0.7 nm beside an extra axis takes no time."""
+    way = 'G0 X8.4411328 Z1.2291459 W-17.5971466\nG1 X8.4411335 Z1.2291461 W-17.597146 F5881\nX9\n'
+    program = tmp_path / 'w.ngc'
+    program.write_text(way)
+    plan = ['plan', str(program), '--machine', 'xyzacw', '--out', str(tmp_path / 'plan')]
+    assert main(plan) == 0
+    capsys.readouterr()
+    assert main(['check', str(tmp_path / 'plan'), '--program', str(program)]) == 0
+
+
 def test_great_circles_by_choice_have_no_rotary_words(tmp_path, capsys):
     program, plan = tmp_path / 'tcp.ngc', tmp_path / 'plan'
     program.write_text(PROGRAMS['tcp.ngc'])

@@ -192,7 +192,7 @@ def advance(memory: Memory, step: int) -> None:
         memory.feedback.ctypes.data,
         memory.setpoint.shape[1],
     )
-    spin.see_angle(memory.spindle, memory.outputs, memory.inputs)
+    spin.see_angle(memory.spindle, memory.outputs, memory.inputs, 1 + int(memory.feedback[3, 1]))
     if fault > 0 and source != REST:
         events |= FAILED
         control[SOURCE], control[ROW] = REST, fault

@@ -83,7 +83,8 @@ class CycleDrives(Drives):
     positions, then n_axes velocities, at the end of the period; at rest the velocities are 0.
     ``feedback`` takes the actual ones in the same layout. Two rows follow for drives that answer
     later, because of a FIFO: the setpoint that the positions answer (before the call:
-    ``setpoint``), and the time by which the next period shall begin later [s] (before: 0).
+    ``setpoint``); then the time by which the next period shall begin later [s], and how many times
+    more than once the drives will play this setpoint, at rest alone (before: 0).
 
     It returns 0, or the number of a fault; then the machine is told no further setpoints and the
     last one is held. The number of an alarm, less than 0, stops the machine on its path: the stop

@@ -202,13 +202,15 @@ def _judge(block: Block) -> int:
 
 @njit(cache=True, nogil=True)
 def _tell_angle(block: Block) -> None:
-    """Tell the angle by rows, so that it is uniform in time however samples come."""
+    """Tell the angle by rows, so that it is uniform in time however samples come.
+
+    NaN if the row has not been sampled yet, because HAL's thread is late: two samples would show
+    its speed to a step of the encoder only.
+    """
     words, angle = block.words, block.kept[:, 2 * len(block.units) + FLAGS]
     last, at = words[PLAYED] - 1, words[PUSHED] - words[WANTED] - LATER
-    newest = angle[last % KEPT]
-    block.inputs[words[TURNS]] = newest if at < 0 else angle[at % KEPT]
-    if at > last:
-        block.inputs[words[TURNS]] = newest + (at - last) * (newest - angle[(last - 1) % KEPT])
+    sampled = np.nan if at > last else angle[at % KEPT]
+    block.inputs[words[TURNS]] = angle[last % KEPT] if at < 0 else sampled
 
 
 @njit(cache=True, nogil=True)
@@ -321,7 +323,9 @@ def step_hal(memory: int, setpoint: int, feedback: int, n: int) -> int:
         velocity = np.zeros(n)
     moves, fault = bool(np.any(velocity != 0.0)), 0
     waiting = _call(words, DEPTH, STREAM)
-    for _ in range(_rows_to_push(words, waiting, moves)):
+    rows = _rows_to_push(words, waiting, moves)
+    told[3, 1] = rows - 1
+    for _ in range(rows):
         if not _push(block, wanted, velocity, power != OFF, moves):
             fault = FULL
     alarm = _read_samples(block)

@@ -185,17 +185,29 @@ def _turn_by_ramp(spindle: Spindle, outputs: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray) -> None:
-    """Take the angle of this period into the filter and the chain."""
-    state, angle_input = spindle.state[0], spindle.places.angle
-    if angle_input < 0:
-        return
+def see_angle(spindle: Spindle, outputs: FloatArray, inputs: FloatArray, periods: int = 1) -> None:
+    """Take the angle into the filter and the chain, as many periods after the one before.
+
+    With NaN, because the drives have not sampled it yet, the spindle turns as before.
+    """
+    if spindle.places.angle >= 0:
+        for k in range(periods, 0, -1):
+            _see(spindle, outputs, inputs[spindle.places.angle] if k == 1 else math.nan)
+
+
+@njit(cache=True, nogil=True)
+def _see(spindle: Spindle, outputs: FloatArray, measured: float) -> None:
+    state = spindle.state[0]
     told = _turn_by_ramp(spindle, outputs)
     period, seen, chain, known = spindle.period, state.seen, state.chain, state.known
     angle, rate = seen[0] + period * (seen[1] + 0.5 * period * seen[2]), seen[1] + period * seen[2]
-    off = inputs[angle_input] - told[0] - angle
+    off = measured - told[0] - angle
+    if math.isnan(off):
+        if not state.begun:
+            return
+        off = 0.0
     if not state.begun or not abs(off) < LOST:
-        seen[0], seen[1], seen[2] = inputs[angle_input] - told[0], 0.0, 0.0
+        seen[0], seen[1], seen[2] = measured - told[0], 0.0, 0.0
         chain[:], state.begun = seen + known, True
         return
     ahead = spindle.ahead

@@ -17,6 +17,9 @@ from cnc_interp.proof.program_shapes import SLACK
 from cnc_interp.proof.verdict import DIFFERENCES, Ledger
 
 SHALLOW = 0.5  #: A tapped hole may be less deep by so many turns [rev].
+KNOWN_ANGLES = (
+    0.9  #: The angle of the spindle is known in this share of the periods of a line [-].
+)
 MISSING = -1  #: In place of the setpoint of a function that did not come out.
 SAME_VALUE = 1e-9  #: Values of outputs that differ by less, in relation to their size, agree [-].
 
@@ -167,8 +170,12 @@ def _prove_line(
     ramp, line = float(record['ramp'][rows[-1]]), found['line_number'][k]
     later = int(record['later'][rows[0]])
     angle, beside = angle[later:], place[: len(place) - later]
+    known = np.isfinite(angle)
+    text = f'of line {line} the angle of the spindle is known in {known.sum()} periods only'
+    ledger.require(cut or known.sum() >= KNOWN_ANGLES * len(known), f'{text}, of {len(known)}')
+    angle, beside = angle[known], beside[known]
     in_step = (beside > 0.5 * ramp) & ((turns < 0.0) | (beside < turns - 0.5 * ramp))
-    sense = np.sign(angle[np.argmax(beside)] - angle[0])
+    sense = np.sign(angle[np.argmax(beside)] - angle[0]) if len(angle) else 1.0
     off = (sense * angle - beside)[in_step]
     error = np.abs(off - np.round(np.median(off))) if len(off) else off
     tolerance = plan.blocks['contour_tolerance'][row[0]]

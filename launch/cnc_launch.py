@@ -9,7 +9,12 @@ import sys
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
-from launch.substitutions import Command, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import (
+    Command,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+    PythonExpression,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -29,6 +34,7 @@ ARGUMENTS = (
     ('parameters_file', PARAMETERS_FILE, 'Parameters of the nodes, a YAML file.'),
     ('program_folder', '', 'Programs below this folder may be run by their path.'),
     ('drives', 'simulated', f'Drives of the axes. {CHOICE}.'),
+    ('scene', '', 'Scene: a YAML file of bodies that must keep apart.'),
     ('setup', '', 'File in which offsets and tools of the machine are kept.'),
     ('use_sim_time', 'false', 'Take the time from topic /clock instead of the system clock.'),
     ('show', 'false', 'Also start robot_state_publisher and the markers of the paths.'),
@@ -46,6 +52,8 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
     }
     if name == 'machine_node':
         values['drives'] = ParameterValue(LaunchConfiguration('drives'), value_type=str)
+    if name in ('machine_node', 'feedrate_node', 'markers_node'):
+        values['scene'] = ParameterValue(LaunchConfiguration('scene'), value_type=str)
     if name == 'program_node':
         folders = ["['", LaunchConfiguration('program_folder'), "']"]
         values['setup'] = ParameterValue(LaunchConfiguration('setup'), value_type=str)
@@ -65,7 +73,9 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
 def views() -> list[Node]:
     """Describe what draws."""
     show = IfCondition(LaunchConfiguration('show'))
-    urdf = Command([sys.executable, ' -m cnc_interp urdf ', LaunchConfiguration('machine')])
+    bodies = PythonExpression(["' --frames' if '", LaunchConfiguration('scene'), "' else ''"])
+    command = [sys.executable, ' -m cnc_interp urdf ', LaunchConfiguration('machine'), bodies]
+    urdf = Command(command)
     frames = Node(
         package='robot_state_publisher',
         executable='robot_state_publisher',

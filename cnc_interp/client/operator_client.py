@@ -25,7 +25,7 @@ from cnc_interp.client.alarms import AlarmList
 from cnc_interp.client.question import AGAIN, Question, SentProgram
 from cnc_interp.client.served_node import SPIN, ServedNode
 from cnc_interp.core import InterpError
-from cnc_interp.nodes.node_main import PREPARED, TOOL, WAITING, WITHOUT
+from cnc_interp.nodes.node_main import AND, BODIES, PREPARED, TOOL, WAITING, WITHOUT
 from cnc_interp.nodes.peers import Peers, watch_machine
 from cnc_interp.nodes.qos import BEATS, DIAGNOSTICS, LOADED, OVERRIDE
 
@@ -123,7 +123,9 @@ class OperatorClient(ServedNode):
         self.active_modes: ModalState | None = None  # of the block that is executed
         self.signals: MachineSignals | None = None  # outputs and inputs of the machine
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
-        self.machine = ''
+        #: Names of two bodies that hit each other or would, and the sentence; by who tells it.
+        self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
+        self.machine = self.scene = ''
         self._on_state = on_state
         watch_machine(node, self._see_state)
         for kind, topic, name in (
@@ -145,7 +147,7 @@ class OperatorClient(ServedNode):
             owner: node.create_client(GetParameters, f'{owner}/get_parameters')
             for owner in (MACHINE, *OFFERED_BY.values())
         }
-        self._simulated = self._knock(MACHINE, 'machine')
+        self._simulated = self._knock(MACHINE, 'machine', 'scene')
         self._pending.append(self._knows_machine)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -194,6 +196,9 @@ class OperatorClient(ServedNode):
                 waits = PREPARED in values
                 self.waits_for = status.message if waits else ''
                 self.prepared = float(values[PREPARED]) if waits else None
+            self.hits.pop(status.name, None)
+            if BODIES in values:
+                self.hits[status.name] = tuple(values[BODIES].split(AND)), status.message
             if WITHOUT in values:
                 self.uncompensated = float(values[WITHOUT])
 
@@ -203,6 +208,7 @@ class OperatorClient(ServedNode):
     def _knows_machine(self) -> bool:
         answer = self._simulated.answer()
         if answer is not None and answer.values:
+            self.scene = answer.values[1].string_value
             self.machine = answer.values[0].string_value
         return answer is not None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from cnc_interp.collision.clearance import (
 )
 from cnc_interp.collision.enclosure import position
 from cnc_interp.collision.gjk import nearest
-from cnc_interp.collision.link_poses import pose_links
+from cnc_interp.collision.link_poses import placed, pose_links
+from cnc_interp.collision.shapes import Pieces
 from cnc_interp.core import MM, BlockError, FloatArray, IntArray
 from cnc_interp.core.kernels import njit
 from cnc_interp.machine_model.machine import Machine, place_text
@@ -52,6 +54,16 @@ class Hit:
     short: float  #: By how much the bodies come nearer than their clearance there [m].
     s: float  #: Path length where they first do [m].
     q: tuple[float, ...]  #: Axis positions there [m, rad].
+
+    def to_json(self, machine: Machine) -> dict[str, Any]:
+        return {
+            'line': self.line,
+            'pieces': list(self.names),
+            'bodies': list(self.bodies),
+            'short': self.short,
+            'positions': list(self.q),
+            'text': self.text(machine),
+        }
 
     def text(self, machine: Machine) -> str:
         one, other = self.names
@@ -137,6 +149,46 @@ def bodies_apart(space: Space, roots: IntArray, pose: FloatArray) -> float:
             for part in space.pieces.child[divided]:
                 waiting.append((part, b) if divided == a else (a, part))
     return best
+
+
+@njit(cache=True, nogil=True)
+def nearest_along(
+    space: Space, route: Route, cells: IntArray, roots: IntArray, best: float
+) -> tuple[float, int, int]:
+    """Return the least distance at the begin of cells, if it is less than ``best``, or ``best``.
+
+    With it, the row of ``roots`` and the cell where it is; -1 where nothing is nearer.
+    """
+    pose, rel = np.empty((len(space.chain.parent), 12)), np.empty(12)
+    q, out, pieces = np.empty(route.bezier.shape[1]), np.empty(9), space.pieces
+    found, where = -1, -1
+    for cell in cells:
+        position(route.bezier, cell, 0.0, q)
+        pose_links(space.chain, q, pose)
+        for row in range(len(roots)):
+            waiting = [(roots[row, 0], roots[row, 1])]
+            while waiting:
+                a, b = waiting.pop()
+                if _balls_apart(pieces, a, b, pose) >= best:
+                    continue
+                divided = larger_to_divide(pieces, a, b)
+                if divided >= 0:
+                    for part in pieces.child[divided]:
+                        waiting.append((part, b) if divided == a else (a, part))
+                    continue
+                relative_pose(pose[pieces.link[b]], pose[pieces.link[a]], rel)
+                distance = nearest(pieces, a, b, rel, out)
+                if distance < best:
+                    best, found, where = distance, row, cell
+    return best, found, where
+
+
+@njit(cache=True, nogil=True)
+def _balls_apart(pieces: Pieces, a: int, b: int, pose: FloatArray) -> float:
+    one, other = pieces.ball[a], pieces.ball[b]
+    x, y, z = placed(pose[pieces.link[a]], (one[0], one[1], one[2]))
+    u, v, w = placed(pose[pieces.link[b]], (other[0], other[1], other[2]))
+    return np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) - one[3] - other[3]
 
 
 def positions_at(route: Route, s: float) -> FloatArray:

@@ -9,17 +9,28 @@ import numpy as np
 
 from cnc_interp.collision.clearance import Found, Route, Space, descend
 from cnc_interp.collision.enclosure import DEGREE, bezier_table
-from cnc_interp.collision.hits import PLACES, CollisionError, Hit, least_apart, positions_at
-from cnc_interp.collision.link_poses import pose_links
+from cnc_interp.collision.hits import (
+    PLACES,
+    CollisionError,
+    Hit,
+    bodies_apart,
+    least_apart,
+    nearest_along,
+    positions_at,
+)
+from cnc_interp.collision.link_poses import pose_links, steps_between
 from cnc_interp.collision.mesh_file import SceneError
 from cnc_interp.collision.pieces import winding
 from cnc_interp.collision.scene import Placed, Scene
 from cnc_interp.core import MM, BoolArray, FloatArray, IntArray
 from cnc_interp.core.columns import Table, column
 from cnc_interp.kinematics.axis_path import AxisPath
+from cnc_interp.machine_model.links import TOOL_TIP
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks.functions import Functions
 
+LEAVES = 1e-7  #: Bodies that are too near move apart by hand if they gain more [m].
+EVERY = 4  #: The least distance is measured at the begin of every so many cells.
 MOST_HITS = 1 << 16  #: Hits of one part of the path that are listed.
 TOOL_OUTPUT = 'tool_number'  #: The output that M6 sets to the number of the tool.
 
@@ -41,6 +52,15 @@ def space_of(placed: Placed) -> Space:
     return Space(placed.pieces, placed.chain, *placed.steps(), placed.clearance)
 
 
+@dataclass(frozen=True)
+class Nearest:
+    """The least distance of bodies at the ends of the cells of the path."""
+
+    distance: float  #: How near they come [m].
+    bodies: tuple[str, str]
+    line: int  #: Line of the program.
+
+
 @dataclass
 class ClearanceFigures:
     """What was done: intervals, tests of pairs and certificates, and pairs of bodies."""
@@ -49,6 +69,7 @@ class ClearanceFigures:
     tests: int = 0
     certificates: int = 0
     pairs: int = 0
+    nearest: Nearest | None = None  #: Of what carries the tool and what does not.
 
 
 class PathClearance:
@@ -118,28 +139,78 @@ class PathClearance:
             self.figures.intervals += int(found.effort[0])
             self.figures.tests += int(found.effort[1])
             self.figures.certificates += len(found.span)
+            if self._most == MOST_HITS:
+                self._measure(route, lines, np.arange(first, last, EVERY), pairs)
         hits.sort(key=lambda hit: hit.s)
         if not self._begun and hits and hits[0].s == path.s[0]:
             raise SceneError(touching_text(self.scene, hits[0]))
         self._begun = True
         return hits, Certificates.concatenate(parts) if parts else Certificates.none()
 
+    def _measure(
+        self,
+        route: Route,
+        lines: IntArray,
+        cells: IntArray,
+        pairs: list[tuple[int, int]],
+    ) -> None:
+        """Note where what carries the tool comes nearest to all else, but the cutter to stock."""
+        tip = self.placed.names.index(TOOL_TIP)
+        carries = {tip, *(link for link, _ in steps_between(self.placed.chain, tip, 0))}
+        on_tool = [self.placed.names.index(body.link) in carries for body in self.scene.bodies]
+        roots = self._roots(
+            [(a, b) for a, b in pairs if on_tool[a] != on_tool[b] and self.scene.in_feed(a, b)]
+        )
+        before = self.figures.nearest
+        best = np.inf if before is None else before.distance
+        distance, row, cell = nearest_along(self._space, route, cells, roots, best)
+        if row >= 0:
+            a, b = (self.scene.bodies[self.placed.pieces.body[piece]].name for piece in roots[row])
+            self.figures.nearest = Nearest(float(distance), (a, b), int(lines[cell]))
+
     def contact(self, positions: FloatArray, tool: int = 0) -> Hit | None:
         """Return the first contact on straight ways between axis positions, (K, n_axes) [m, rad].
 
-        That is motion by hand, which may bring the cutter to the stock to touch it off.
+        That is motion by hand, which may bring the cutter to the stock to touch it off. Bodies
+        that are too near already may move apart.
         """
         ways, cells = np.diff(positions, axis=0), len(positions) - 1
         bezier = positions[:-1, :, None] + ways[:, :, None] * np.arange(DEGREE + 1.0) / DEGREE
         route = Route(np.arange(cells + 1.0), bezier, np.full(cells, float(cells)))
         pairs = self.placed.with_tool(tool or self.scene.first_tool)
-        roots = self._roots([pair for pair in pairs if self.scene.in_feed(*pair)])
-        if not len(roots) or not cells:
-            return None
+        pairs = [pair for pair in pairs if self.scene.in_feed(*pair)]
         until = np.full_like(self._until, -np.inf)
-        found = descend(self._space, route, (0, cells), roots, until, 1)
-        hits = self._hits(route, np.zeros(cells, np.int64), found)
-        return hits[0] if hits else None
+        while pairs and cells:
+            roots = self._roots(pairs)
+            found = descend(self._space, route, (0, cells), roots, until, 1)
+            if not len(found.hit):
+                return None
+            pair = self._bodies_of(found.hit_pair[0])
+            start, end = (self._apart(pair, q) for q in (positions[0], positions[-1]))
+            if found.hit[0, 0] > 0.0 or end <= start + LEAVES:
+                return self._hits(route, np.zeros(cells, np.int64), found)[0]
+            pairs.remove(pair)
+        return None
+
+    def distance(self, names: tuple[str, str], q: FloatArray, tool: int = 0) -> float:
+        """Return the distance of two bodies at axis positions [m]."""
+        tools = 0, tool or self.scene.first_tool
+        a, b = (
+            next(
+                k
+                for k, body in enumerate(self.scene.bodies)
+                if (body.name == name) and body.tool in tools
+            )
+            for name in names
+        )
+        return self._apart((a, b), q)
+
+    def _apart(self, pair: tuple[int, int], q: FloatArray) -> float:
+        return float(bodies_apart(self._space, self._roots([pair]), self.poses(q)))
+
+    def _bodies_of(self, pieces: IntArray) -> tuple[int, int]:
+        a, b = self.placed.pieces.body[pieces].tolist()
+        return a, b
 
     def _roots(self, pairs: list[tuple[int, int]]) -> IntArray:
         placed = self.placed

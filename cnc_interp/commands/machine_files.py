@@ -14,6 +14,11 @@ HAL_LIBRARY = Path('/usr/share/linuxcnc/hallib')  #: HAL files of LinuxCNC itsel
 def add_machine_commands(commands: Any) -> None:
     urdf = command(commands, urdf_command, 'urdf xyzac --out xyzac.urdf')
     urdf.option('machine', 'bundled machine or YAML file', metavar='M')
+    text = (
+        'scene whose bodies are drawn instead of simple shapes; STL files beside --out hold them'
+    )
+    urdf.option('--scene', text, Path, 'FILE')
+    urdf.flag('--frames', 'links and joints only, without shapes: markers_node draws the bodies')
     urdf.option('--out', 'file to write (default: print it)', Path, 'FILE')
 
     example = 'hal my_machine.yaml core_stepper.hal pinout.hal --out my_machine.hal'
@@ -35,7 +40,23 @@ def urdf_command(options: Namespace) -> int:
     from cnc_interp.description.urdf import urdf_of
     from cnc_interp.machine_model.machine import Machine
 
-    write(urdf_of(Machine.load(options.machine)), options.out)
+    machine, scene = Machine.load(options.machine), options.scene
+    if scene is None:
+        write(urdf_of(machine, frames_only=options.frames), options.out)
+        return FINE
+    if options.out is None:
+        raise InterpError('--scene writes STL files beside the URDF: give --out FILE, too')
+    from cnc_interp.collision.drawing import drawn_bodies
+    from cnc_interp.collision.scene_file import read_scene
+
+    read = read_scene(scene)
+    bodies = [body for body in drawn_bodies(read, machine) if body.tool in (0, read.first_tool)]
+    folder = options.out.resolve().with_suffix('.meshes')
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / f'{k}.stl' for k in range(len(bodies))]
+    for body, file in zip(bodies, files, strict=True):
+        file.write_bytes(body.stl())
+    write(urdf_of(machine, bodies, [file.as_uri() for file in files]), options.out)
     return FINE
 
 

@@ -149,7 +149,7 @@ def describe(summary: dict[str, Any]) -> str:
         lines.append(tool_error_text(error, summary['flank_height']))
     if found := summary.get('collision'):
         lines.append(f'collision      {clearance_text(found)}')
-        lines += found['hits']
+        lines += [hit['text'] for hit in found['hits']]
     if curves['blocks']:
         lines.append(
             f'curves         {curves["blocks"]} blocks as {curves["spans"]} spans, '
@@ -204,6 +204,7 @@ def add_panel_command(commands: Any) -> None:
     panel.machine_option()
     panel.drives_option()
     panel.option('--setup', 'YAML file in which offsets and tools are kept', Path, 'FILE')
+    panel.option('--scene', 'YAML file of bodies that must keep apart', Path, 'FILE')
     text = 'folder whose programs the page lists, opens and saves (that of PROGRAM, or this one)'
     panel.option('--programs', text, Path, 'FOLDER')
     panel.flag('--attach', 'join nodes that run already; start none')

@@ -108,6 +108,12 @@ class _Files(caching.IndexDataCacheFile):  # type: ignore[misc]
         with self._locked(fcntl.LOCK_SH):
             return super().load(key)
 
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (ImportError, AttributeError):  # types of another version, which have moved
+            return {}
+
     def _load_data(self, name: str) -> Any:
         return _Reader(io.BytesIO(Path(self._data_path(name)).read_bytes())).load()
 

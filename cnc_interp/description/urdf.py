@@ -1,7 +1,10 @@
 """Simple shapes of the links of a machine, and its URDF for RViz, Foxglove and others."""
 
-from collections.abc import Iterable, Mapping
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,6 +24,9 @@ from cnc_interp.machine_model.links import (
 )
 from cnc_interp.machine_model.machine import Machine
 
+if TYPE_CHECKING:
+    from cnc_interp.collision.drawing import DrawnBody
+
 Colour = tuple[float, float, float, float]
 IRON: Colour = (0.33, 0.38, 0.43, 1.0)
 SLIDE: Colour = (0.50, 0.56, 0.62, 1.0)
@@ -28,6 +34,8 @@ TURNING: Colour = (0.24, 0.47, 0.66, 1.0)
 STEEL: Colour = (0.58, 0.63, 0.68, 1.0)
 CUTTER: Colour = (0.88, 0.55, 0.14, 1.0)
 STOCK: Colour = (0.70, 0.74, 0.78, 0.35)
+FIXTURE: Colour = (0.66, 0.50, 0.30, 1.0)
+HIT: Colour = (0.92, 0.18, 0.20, 1.0)  #: Two bodies that hit each other.
 #: Height of the bridge above the tool tip, and its half width, for travels of half a metre [m].
 BRIDGE, HALF_WIDTH = 0.78, 0.68
 
@@ -134,6 +142,7 @@ class Description:
     name: str  #: Name of the machine.
     links: dict[str, tuple[Shape, ...]]  #: Shapes of each link, the base first.
     joints: tuple[Joint, ...]  #: Parents before children.
+    bodies: tuple[DrawnBody, ...] = ()  #: Those of a scene, which replace all shapes.
 
     def pose(self, link: str, positions: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Return rotation (3, 3) and origin (3,) [m] of a link in the base; other axes at 0."""
@@ -153,11 +162,21 @@ class Description:
         return rotation, place
 
 
-def describe_machine(machine: Machine) -> Description:
+def describe_machine(machine: Machine, bodies: Sequence[DrawnBody] = ()) -> Description:
     joints = joints_of(machine)
     links: dict[str, tuple[Shape, ...]] = {BASE: frame_shapes(machine)}
     links |= {joint.child: shapes_of(machine, joint) for joint in joints}
-    return Description(machine.name, links, joints)
+    if bodies:
+        links = dict.fromkeys(links, ())
+    return Description(machine.name, links, joints, tuple(bodies))
+
+
+def colour_of(body: DrawnBody) -> Colour:
+    """Return the colour of a body of a scene: by what it is, or by the link that carries it."""
+    roles = {'STOCK': STOCK, 'CUTTER': CUTTER, 'SHANK': STEEL, 'HOLDER': IRON}
+    links = {BASE: IRON, WORKPIECE: FIXTURE, TOOL_TIP: CUTTER}
+    turns = body.link.endswith(('_table', '_head'))
+    return roles.get(body.role.name, links.get(body.link, TURNING if turns else SLIDE))
 
 
 def shapes_of(machine: Machine, joint: Joint) -> tuple[Shape, ...]:
@@ -181,13 +200,22 @@ HEADER = '<?xml version="1.0"?>\n'
 UNKNOWN_EFFORT = 0.0  #: Largest force of a joint: needed by URDF, unknown [N, N m].
 
 
-def urdf_of(machine: Machine) -> str:
-    description = describe_machine(machine)
+def urdf_of(
+    machine: Machine,
+    bodies: Sequence[DrawnBody] = (),
+    meshes: Sequence[str] = (),
+    frames_only: bool = False,
+) -> str:
+    """Return a machine as URDF, with simple shapes or bodies of a scene and their STL files."""
+    description = describe_machine(machine, bodies)
     robot = ElementTree.Element('robot', name=description.name)
     for name, shapes in description.links.items():
         link = ElementTree.SubElement(robot, 'link', name=name)
-        for shape in shapes:
+        for shape in () if frames_only else shapes:
             add_shape(ElementTree.SubElement(link, 'visual'), shape)
+        for body, file in zip(bodies, meshes, strict=True):
+            if body.link == name:
+                add_mesh(link, body, file)
     for joint in description.joints:
         add_joint(robot, joint)
     ElementTree.indent(robot)
@@ -202,9 +230,21 @@ def add_shape(part: ElementTree.Element, shape: Shape) -> None:
     else:
         radius, length = shape.size
         ElementTree.SubElement(geometry, 'cylinder', radius=word(radius), length=word(length))
-    name = 'colour_' + ''.join(f'{round(255 * x):02x}' for x in shape.colour)
+    add_colour(part, shape.colour)
+
+
+def add_mesh(link: ElementTree.Element, body: DrawnBody, file: str) -> None:
+    for kind in ('visual', 'collision'):
+        part = ElementTree.SubElement(link, kind, name=body.name)
+        ElementTree.SubElement(ElementTree.SubElement(part, 'geometry'), 'mesh', filename=file)
+        if kind == 'visual':
+            add_colour(part, colour_of(body))
+
+
+def add_colour(part: ElementTree.Element, colour: Colour) -> None:
+    name = 'colour_' + ''.join(f'{round(255 * x):02x}' for x in colour)
     material = ElementTree.SubElement(part, 'material', name=name)
-    ElementTree.SubElement(material, 'color', rgba=words(shape.colour))
+    ElementTree.SubElement(material, 'color', rgba=words(colour))
 
 
 def add_joint(robot: ElementTree.Element, joint: Joint) -> None:

@@ -1,7 +1,7 @@
 """Motion by hand: beats ask for velocities, moves for targets; both become pieces with stops."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from cnc_interp.core import FloatArray, StreamError
 from cnc_interp.machine.axis_motion import refuse_setpoints
 from cnc_interp.machine.jog_motion import LEAST_SHARE, THERE, JogMotion, Slides
 from cnc_interp.machine.playback import Playback
+from cnc_interp.run.clearance_stage import Foresight
 from cnc_interp.run.run_state import Reason, RunId, State
 from cnc_interp.run.setpoints import Chunk
 
@@ -37,8 +38,8 @@ class Move:
 
 
 class Jog:
-    def __init__(self, playback: Playback, contact: Callable[[FloatArray], str] | None = None):
-        self._contact = contact  # text of the first contact on ways of axes (K, n), or ''
+    def __init__(self, playback: Playback, contact: Foresight | None = None):
+        self._contact = contact
         self._playback, self._machine = playback, playback.axes.machine
         self._period = playback.axes.period
         self._axes = Slides.of_axes(self._machine)
@@ -204,9 +205,9 @@ class Jog:
     def _fill(self, motion: JogMotion) -> None:
         while not motion.over and self._playback.plans.buffer.count < self._setpoints(AHEAD):
             self._playback.push(self._piece(motion))
-            if motion.blocked:
-                hit, motion.blocked = motion.blocked, ''
-                raise StreamError(hit)
+            if motion.blocked is not None:
+                hit, motion.blocked = motion.blocked, None
+                raise hit
         if motion.over and isinstance(self._wish, Move):
             self._wish = None
 

@@ -21,6 +21,7 @@ from cnc_interp.core.axis_limits import Limits
 from cnc_interp.kinematics.path_checks import TRAVEL_SLACK
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform, tool_line
+from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.setpoints import Chunk, Setpoints, Wait
 
 LEAST_SHARE = 1e-3  #: A smaller share of a velocity limit is no motion, to bound its time.
@@ -72,11 +73,11 @@ class JogMotion:
         slides: Slides,
         period: float,
         x: FloatArray,
-        contact: Callable[[FloatArray], str] | None = None,
+        contact: Foresight | None = None,
     ):
         self.slides, self._period = slides, period
-        self._contact = contact  # what is hit on the way through axis positions (K, n), or ''
-        self.blocked = ''  #: What the motion stops before, so that it does not hit it.
+        self._contact = contact
+        self.blocked: ContactError | None = None  #: What the motion stops before.
         self._solver = ruckig.Ruckig(len(x))
         #: Position, velocity and acceleration at the last setpoint handed out, shape (3, m).
         self._state = np.stack([x, np.zeros_like(x), np.zeros_like(x)])
@@ -131,10 +132,12 @@ class JogMotion:
         rows, tail = self._next_rows(count)
         hit = self._hit(rows, tail)
         if hit or not (self._inside(rows) and self._inside(tail)):
-            self.blocked = hit
             self.stop()
+            rest = self._planned.at_time(self._planned.duration)[0]
+            if hit is not None:
+                self.blocked = hit(self.slides.positions(np.array([rest]))[0])
             if self.over:  # at rest already
-                raise StreamError(hit)
+                raise self.blocked or StreamError('the motion would leave the travel')
             rows, tail = self._next_rows(count)
         before = self._state[2]
         self._next += len(rows)
@@ -199,9 +202,11 @@ class JogMotion:
         x = rows[:, 0]
         return bool(((x >= low - THERE) & (x <= high + THERE)).all())
 
-    def _hit(self, rows: FloatArray, tail: FloatArray) -> str:
+    def _hit(
+        self, rows: FloatArray, tail: FloatArray
+    ) -> Callable[[FloatArray], ContactError] | None:
         if self._contact is None:
-            return ''
+            return None
         x = np.concatenate([self._state[:1], rows[:, 0], tail[:, 0]])
         return self._contact(self.slides.positions(x))
 

@@ -19,9 +19,10 @@ from cnc_interp.machine.playback import Playback
 from cnc_interp.machine.switching import Act
 from cnc_interp.machine_model.signals import Step
 from cnc_interp.machine_model.transform_port import Transform, positions_of_pose
-from cnc_interp.nodes.node_main import OK, WARN, Diagnostics, answering
+from cnc_interp.nodes.node_main import AND, BODIES, OK, WARN, Diagnostics, answering
 from cnc_interp.nodes.qos import BEATS, OVERRIDE, STATE
 from cnc_interp.nodes.seals import publishers_of
+from cnc_interp.run.clearance_stage import ContactError, Foresight
 from cnc_interp.run.overrides import OVERRIDES, OperatorSettings, sound_override
 from cnc_interp.run.setpoints import Wait
 from cnc_interp.wire.path_messages import check_functions
@@ -37,11 +38,11 @@ class Controls:
         diagnostics: Diagnostics,
         give_up: Callable[[str], None],
         wake: Callable[[], None],
-        contact: Callable[[FloatArray], str] | None = None,
+        contact: Foresight | None = None,
     ):
         self._playback, self._diagnostics = playback, diagnostics
         self._give_up, self._wake = give_up, wake
-        self._jog = Jog(playback, contact)
+        self._jog = Jog(playback, contact and (lambda q: self._contact(contact, q)))
         self._transform = Transform.of(playback.axes.machine)
         self.homing = Homing(playback, self._jog)
         for kind, name, act in (
@@ -59,6 +60,10 @@ class Controls:
         if not playback.drives.wired:
             node.create_subscription(MachineSignals, 'machine_inputs', self._take_inputs, STATE)
         diagnostics.say('jog', OK, 'no motion by hand refused')
+
+    def _contact(self, contact: Foresight, q: FloatArray) -> Any:
+        """Find contacts ahead once it is known where the axes are."""
+        return None if self.homing.must_home else contact(q)
 
     def _press(self, act: Callable[[], None], _request: Any, _response: Any) -> str:
         act()
@@ -156,6 +161,10 @@ class Controls:
         try:
             self.homing.work(time.monotonic())
             self._jog.work(time.monotonic(), override)
+        except ContactError as problem:
+            if self.homing.active:  # again, of axes that were homed
+                self.homing.stop(time.monotonic())
+            self._diagnostics.say('jog', WARN, str(problem), **{BODIES: AND.join(problem.bodies)})
         except StreamError as problem:
             self._diagnostics.say('jog', WARN, str(problem))
 

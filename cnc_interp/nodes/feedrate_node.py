@@ -219,10 +219,19 @@ class FeedrateNode(LifecycleNode):
             longest_step_ms=round(self._thread.longest / MS, 1),
             setpoints_sent=session.sent_before + sender.sent,
         )
-        planner = session.planner
-        if planner is not None and planner.clearance is not None and planner.clearance.hits:
-            self._diagnostics.say('collision', node_main.WARN, planner.clearance.texts()[-1])
+        self._tell_hits()
         self._thread.longest = 0.0
+
+    def _tell_hits(self) -> None:
+        planner = self._session.planner
+        found = planner.clearance if planner is not None else None
+        if found is None or not found.hits:
+            if self._values['scene']:
+                self._diagnostics.say('collision', node_main.OK, 'no hit')
+            return
+        bodies = node_main.AND.join(found.hits[-1].bodies)
+        values = {node_main.BODIES: bodies}
+        self._diagnostics.say('collision', node_main.WARN, found.texts()[-1], **values)
 
     def make_planner(
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings
@@ -239,6 +248,7 @@ class FeedrateNode(LifecycleNode):
         self._inlet.receiver.consume(count)
 
     def refuse(self, kind: Refusal, reason: str) -> None:
+        self._tell_hits()
         receiver = self._inlet.receiver
         if not receiver.refused:
             self._inlet.refuse(receiver.run_id, kind, reason)

@@ -1,23 +1,29 @@
-"""The markers node: programmed and executed path for RViz and Foxglove; it only listens."""
+"""The markers node: both paths, and bodies of a scene, for RViz and Foxglove; it only listens."""
 
 import math
 from collections.abc import Iterable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
-from cnc_interp_msgs.msg import G1Block, G1BlockBatch, SetpointChunk
+from cnc_interp_msgs.msg import G1Block, G1BlockBatch, MachineSignals, SetpointChunk
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cnc_interp.collision.drawing import DrawnBody, drawn_bodies
+from cnc_interp.collision.path_clearance import TOOL_OUTPUT
+from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.convert.conversion import with_poses
 from cnc_interp.core import MM
+from cnc_interp.description.urdf import HIT, colour_of
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
-from cnc_interp.nodes.node_main import every, run_node
-from cnc_interp.nodes.qos import LISTENING, MARKERS
+from cnc_interp.nodes.node_main import AND, BODIES, every, run_node
+from cnc_interp.nodes.qos import DIAGNOSTICS, LISTENING, LOADED, MARKERS
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
 FRAME = 'workpiece'  #: The frame of programs, see the machines' URDF.
@@ -71,11 +77,64 @@ class MarkerLine:
         return [marker for marker in self._markers[first:] if len(marker.points) > 1]
 
 
+class BodyMarkers:
+    """The bodies of a scene in the frames of their links; two that hit each other are red."""
+
+    def __init__(self, scene: Path, machine: Machine):
+        read = read_scene(scene)
+        self._bodies = tuple(drawn_bodies(read, machine))
+        self._first_tool = read.first_tool
+        self._tool, self._hits = 0, dict[str, tuple[str, ...]]()
+        self._changed = True
+
+    def see_tool(self, signals: MachineSignals) -> None:
+        values = dict(zip(signals.outputs, signals.output_values, strict=False))
+        tool = int(values.get(TOOL_OUTPUT, 0))
+        self._changed |= tool != self._tool
+        self._tool = tool
+
+    def see_hits(self, namespace: str, array: DiagnosticArray) -> None:
+        before = dict(self._hits)
+        for status in array.status:
+            if status.hardware_id == namespace:
+                self._hits.pop(status.name, None)
+                values = {pair.key: pair.value for pair in status.values}
+                if BODIES in values:
+                    self._hits[status.name] = tuple(values[BODIES].split(AND))
+        self._changed |= before != self._hits
+
+    def news(self, everything: bool) -> list[Marker]:
+        changed, self._changed = self._changed, False
+        if not (changed or everything):
+            return []
+        return [self._marker(number, body) for number, body in enumerate(self._bodies)]
+
+    def _marker(self, number: int, body: DrawnBody) -> Marker:
+        here = body.tool in (0, self._tool or self._first_tool)
+        hit = any(body.name in names for names in self._hits.values())
+        r, g, b, a = HIT if hit else colour_of(body)
+        marker = Marker(ns='bodies', id=number, type=Marker.TRIANGLE_LIST)
+        marker.action = Marker.ADD if here else Marker.DELETE
+        marker.header.frame_id, marker.frame_locked = body.link, True
+        marker.color = ColorRGBA(r=r, g=g, b=b, a=a)
+        marker.scale.x = marker.scale.y = marker.scale.z = marker.pose.orientation.w = 1.0
+        corners = body.triangles.reshape(-1, 3).tolist()
+        marker.points = [Point(x=x, y=y, z=z) for x, y, z in corners]
+        return marker
+
+
 class MarkersNode(Node):
     def __init__(self) -> None:
         super().__init__('markers_node')
         values = parameters.declare(self, parameters.MARKERS)
-        self._transform = Transform.of(Machine.load(values['machine']))
+        machine = Machine.load(values['machine'])
+        self._transform = Transform.of(machine)
+        self._bodies = BodyMarkers(Path(values['scene']), machine) if values['scene'] else None
+        if self._bodies is not None:
+            see = partial(self._bodies.see_hits, self.get_namespace())
+            self.create_subscription(DiagnosticArray, '/diagnostics', see, DIAGNOSTICS)
+            see_tool = self._bodies.see_tool
+            self.create_subscription(MachineSignals, 'machine_signals', see_tool, LOADED)
         spacing = values['spacing']
         self._programmed = MarkerLine('programmed', PROGRAMMED, 0.3 * MM, spacing)
         self._executed = MarkerLine('executed', EXECUTED, 0.6 * MM, spacing)
@@ -123,6 +182,8 @@ class MarkersNode(Node):
         viewers = self.count_subscribers('markers')
         everything, self._viewers = viewers > self._viewers, viewers
         markers = self._programmed.news(everything) + self._executed.news(everything)
+        if self._bodies is not None:
+            markers += self._bodies.news(everything or self._cleared)
         if self._cleared:
             markers.insert(0, Marker(action=Marker.DELETEALL))
             self._cleared = False

@@ -209,6 +209,8 @@ TOOL = 'tool'  #: Key of the number of the tool that the operator must put in no
 PREPARED = 'prepared'  #: Key of the share of what a program waits for before it moves [-].
 #: Key under which machine_node gives the contour error that there were without compensation [m].
 WITHOUT = 'contour_error_without_compensation'
+#: Key under which a node names two bodies that hit each other, or would; apart by ``AND``.
+BODIES, AND = 'bodies', ' | '
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 

@@ -38,6 +38,7 @@ RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s
 PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
+SCENE = tuple(each for each in of_settings(Stage.PLANNING) if each.name == 'scene')
 
 LOOKAHEAD = (
     MACHINE,
@@ -60,7 +61,7 @@ MACHINE_NODE = (
     MACHINE,
     AUTOSTART,
     *of_settings(Stage.MOTION),
-    *(each for each in of_settings(Stage.PLANNING) if each.name == 'scene'),
+    *SCENE,
     Declared('buffer_time', 1.0, 'Motion held ready; it starts with so much [s]', 0.01, 2.0),
     Declared('joint_state_rate', 50.0, 'Rate of joint_states [Hz]', 1.0, 200.0),
     Declared('machine_state_rate', 20.0, 'Rate of machine_state [Hz]', 1.0, 100.0),
@@ -78,6 +79,7 @@ PROGRAM = (
 
 MARKERS = (
     MACHINE,
+    *SCENE,
     Declared('rate', 4.0, 'Rate of markers while something changes [Hz]', 0.1, 30.0),
     Declared('spacing', 5e-5, 'Least distance between points of a line [m]', 0.0, 0.1),
 )

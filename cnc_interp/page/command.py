@@ -58,6 +58,12 @@ def run_panel(options: Namespace) -> None:
     if options.drives.get('drives', 'simulated') == 'simulated':
         parameters['machine_node']['start_height'] = START_HEIGHT
     parameters['machine_node'] |= options.drives
+    if options.scene is not None:
+        from cnc_interp.collision.scene_file import find_scene_file
+
+        scene = f"'{find_scene_file(options.scene).resolve()}'"
+        for name in ('feedrate_node', 'machine_node'):
+            parameters[name]['scene'] = scene
     if options.setup is not None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"
     with Children(options.namespace, domain, parameters, session.nodes_file()) as children:

@@ -1,5 +1,7 @@
 """What all pages share: the nodes' last words, the loaded program, its plan and the history."""
 
+from __future__ import annotations
+
 import asyncio
 import re
 import time
@@ -8,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cnc_interp_msgs.action import RunProgram
@@ -24,14 +26,18 @@ from cnc_interp.client.setup_client import (
 from cnc_interp.core import FloatArray, InterpError
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
-from cnc_interp.page.preview import Planner, Preview
+from cnc_interp.page.preview import PlannedHit, Planner, Preview
 from cnc_interp.page.program_folder import ProgramFolder
 from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
+from cnc_interp.run.clearance_stage import REFUSE
 from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
+
+if TYPE_CHECKING:
+    from cnc_interp.collision.drawing import DrawnBody
 
 SPAN, STEP = 30.0, 0.1  #: History that the charts show, and the rate it is kept at [s].
 REST = 1.0  #: After so long at rest the charts stand, so that they show the last motion [s].
@@ -97,6 +103,8 @@ class Desk:
         self._moved = 0.0
         self._stopped = False  # by an emergency stop or a fault
         self.machine: Machine | None = None
+        self.bodies: tuple[DrawnBody, ...] = ()  #: Those of the machine's scene.
+        self._first_tool = 0  # the one that the scene puts in the spindle
         self.job: Job | None = None
         self.settings = Settings()
         self.start = StartChoice()
@@ -166,7 +174,15 @@ class Desk:
     async def watch(self) -> None:
         """Once in a while: learn which machine it is, adopt a program that others have started."""
         if self.machine is None and self.nodes.machine:
-            self.machine = Machine.load(self.nodes.machine)
+            machine = Machine.load(self.nodes.machine)
+            if self.nodes.scene:
+                from cnc_interp.collision.drawing import drawn_bodies
+                from cnc_interp.collision.scene_file import read_scene
+
+                scene = read_scene(Path(self.nodes.scene))
+                self.bodies = tuple(drawn_bodies(scene, machine))
+                self._first_tool = scene.first_tool
+            self.machine = machine
             self._ways = WayAhead(Transform.of(self.machine))
             self._planner.machine = self.nodes.machine
         self._plan_with_new_setup()
@@ -246,10 +262,11 @@ class Desk:
         return Answer(True, 'settings taken')
 
     def _for_nodes(self) -> Settings:
-        state = self.nodes.state
+        state, scene = self.nodes.state, Path(self.nodes.scene) if self.nodes.scene else None
+        settings = replace(self.settings, scene=scene)
         if state is None:
-            return self.settings
-        return replace(self.settings, interpolation_period=state.interpolation_period)
+            return settings
+        return replace(settings, interpolation_period=state.interpolation_period)
 
     def _setup_text(self, settings: Settings) -> str:
         """Return the offsets and tools of the machine, unless the settings name others."""
@@ -304,6 +321,10 @@ class Desk:
         self._drawn, self._drawn_lines = plan.s[drawn], plan.line[drawn]
         self.tube_number += 1
         job.plan, job.status = plan, 'planned'
+        for hit in reversed(plan.hits):
+            self.nodes.alarms.add('error', 'program', f'{job.name}:{hit.line}: {hit.text}')
+        if plan.hits and job.settings.collision == REFUSE:
+            job.refuse('\n'.join(f'{job.name}:{hit.line}: {hit.text}' for hit in plan.hits))
         warnings = warnings_of(plan.notices)
         for notice in plan.notices:
             self.nodes.alarms.add('error' if notice in warnings else 'notice', job.name, notice)
@@ -370,6 +391,24 @@ class Desk:
         if state is None or self._ways is None:
             return None
         return self._ways.at(state, self.nodes.program)
+
+    @property
+    def tool(self) -> int:
+        """The number of the tool in the spindle."""
+        return self.setup.setup.tool or self._first_tool
+
+    @property
+    def planned_hit(self) -> PlannedHit | None:
+        """The first hit of the program on the desk."""
+        plan = self.job.plan if self.job is not None else None
+        return plan.hits[0] if plan is not None and plan.hits else None
+
+    def hit(self) -> tuple[tuple[str, ...], str]:
+        """Return two bodies that hit each other, live or as planned, and a sentence."""
+        if live := tuple(self.nodes.hits.values()):
+            return live[0]
+        first = self.planned_hit
+        return ((), '') if first is None else (first.bodies, first.text)
 
     def start_line(self) -> int:
         run = self._shown_run()

@@ -62,7 +62,7 @@ class Page:
         self._unit = ShownUnit()
         self._count = self._waited = 0
         self._seen: Any = None  # the state of the machine that is shown
-        self._waits = False
+        self._waits = self._at_hit = False
         access.enter(tab, trusted)
         self._contact = Contact(self._stop_with)
         with ui.element('div').classes('panel'):
@@ -191,7 +191,7 @@ class Page:
             self._unit.label(unit).classes('unit' if unit else '')
 
     def _build_view(self) -> None:
-        self._view = view = MachineView(describe_machine(self._machine))
+        self._view = view = MachineView(describe_machine(self._machine, self._desk.bodies))
         with ui.element('div').classes('over') as self._over:
             looks = ui.toggle(['part', 'machine'], value='part')
             looks.on_value_change(lambda event: view.look_at_part(event.value == 'part'))
@@ -205,6 +205,10 @@ class Page:
             ui.html(f'<i style="{shade}"></i>', sanitize=False)
             self._label('scale', '')
         self._label('start', 'told')
+        with ui.element('div').classes('told hit') as self._hit:
+            self._label('hit', 'grow')
+            self._looks = key('show where', 'show hit', self._toggle_hit, 'red-10')
+        self._hit.set_visibility(False)
 
     def _build_hand_motion(self) -> None:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight
@@ -338,6 +342,15 @@ class Page:
             self._labels['status'].classes(replace=f'status small{failed}')
         words['status'] = job.status if job else 'press load to choose a program'
         words['start'] = self._start_text()
+        bodies, words['hit'] = desk.hit()
+        if self._at_hit and desk.planned_hit is not None:
+            words['hit'] = f'drawn there, not where the machine is: {words["hit"]}'
+        self._view.mark(bodies, desk.tool)
+        if self._changed('hits', bool(bodies)):
+            self._hit.set_visibility(bool(bodies))
+        if self._changed('planned hit', desk.planned_hit):
+            self._looks.set_visibility(desk.planned_hit is not None)
+            self._at_hit = False
         words['waiting'] = f'next: {desk.nodes.waiting}' if desk.nodes.waiting else ''
         for name, text in words.items():
             if self._changed(name, text):
@@ -353,7 +366,9 @@ class Page:
         self._show_change()
         self._show_lists()
         if state is not None:
-            self._view.show(dict(zip(self._machine.axis_names, state.positions, strict=False)))
+            hit = desk.planned_hit if self._at_hit else None
+            places = state.positions if hit is None else hit.positions
+            self._view.show(dict(zip(self._machine.axis_names, places, strict=False)))
             if desk.setup.table is not None:
                 where = work_zero(desk.setup.table, desk.setup.setup, desk.offset())
                 self._view.show_zero(*where)
@@ -372,6 +387,10 @@ class Page:
         self._count += 1
         if self._count % (AT_REST if state is None or state.resting else CHART_EVERY) == 0:
             self._charts.show(desk)
+
+    def _toggle_hit(self) -> None:
+        """Draw the machine at the first hit of the program, or where it is."""
+        self._at_hit, self._seen = not self._at_hit, None
 
     def _start_text(self) -> str:
         """Return what the operator must know about the start; empty for the top of a program."""

@@ -42,6 +42,14 @@ class Place:
 
 
 @dataclass(frozen=True)
+class PlannedHit:
+    line: int  #: Line of the program.
+    bodies: tuple[str, ...]  #: Names of both bodies.
+    positions: tuple[float, ...]  #: Axis positions there [m, rad].
+    text: str  #: What hits, by how much, and where.
+
+
+@dataclass(frozen=True)
 class Preview:
     s: FloatArray  #: (N,): Path length on the planner's grid [m].
     #: (N, 3): Tool tip [m] and tool axis [-] in W.
@@ -58,6 +66,7 @@ class Preview:
     line: IntArray  #: (N,): Its line of the program.
     cycle_time: float  #: Of the whole program [s].
     notices: tuple[str, ...] = ()  #: What had no effect or was simplified.
+    hits: tuple[PlannedHit, ...] = ()  #: What the program hits, in a plan with a scene.
     bound: str = ''  #: The least time that any motion takes, in words.
 
     @property
@@ -105,6 +114,10 @@ class Preview:
             line=line,
             cycle_time=summary['cycle_time'],
             notices=notices,
+            hits=tuple(
+                PlannedHit(hit['line'], tuple(hit['bodies']), tuple(hit['positions']), hit['text'])
+                for hit in summary.get('collision', {}).get('hits', ())
+            ),
             bound=bound_text(summary),
             **columns,
         )
@@ -142,7 +155,10 @@ class Planner:
             file.write_text(setup, encoding='utf-8')
             settings = replace(settings, setup=file)
         words = ['plan', str(program), '--machine', self.machine, '--out', str(self._plan)]
-        _, said = await self._run([*words, *command_words(settings)], see_progress)
+        fine: tuple[int, ...] = (0,)
+        if settings.scene is not None:  # planned in any case: the page shows what hits
+            settings, fine = replace(settings, collision='warn'), (0, 1)
+        _, said = await self._run([*words, *command_words(settings)], see_progress, fine)
         notes = [line.removeprefix('note: ') for line in said if NOTE.match(line)]
         # Beside the pages: a long plan takes seconds, and pages that hear nothing hang up.
         return await asyncio.to_thread(Preview.read, self._plan, tuple(notes))

@@ -1,9 +1,11 @@
 """The machine in three dimensions: moving axes, the tool, and its path as a coloured tube."""
 
+from __future__ import annotations
+
 import json
 import struct
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import ui
@@ -14,6 +16,9 @@ from cnc_interp.description import urdf
 from cnc_interp.machine_model import links
 from cnc_interp.page.preview import Preview
 from cnc_interp.page.start_choice import WayThere
+
+if TYPE_CHECKING:
+    from cnc_interp.collision.drawing import DrawnBody
 
 SIDES = 5
 FACES = 2 * SIDES  #: Triangles between two neighbouring points.
@@ -189,7 +194,10 @@ class MachineView:
         self._legs: tuple[tuple[str, FloatArray], ...] = ()
         self._drawn_way: Any = None
         self._hidden: list[Any] = []
-        self._carriers: list[tuple[Any, urdf.Shape]] = []  # what carries the tool, and the tool
+        self._carriers: list[tuple[Any, urdf.Colour]] = []  # what carries the tool, and the tool
+        self._bodies: list[tuple[Any, DrawnBody]] = []
+        self._hit: tuple[str, ...] = ()
+        self._tool = 0
         joints = {joint.child: joint.parent for joint in description.joints}
         link, self._tool_side = links.TOOL_TIP, {links.TOOL_TIP}
         while link in joints:
@@ -211,7 +219,10 @@ class MachineView:
             if link in MACHINE_LINKS:
                 self._hidden.append(found.visible(False))
             elif link in self._tool_side:
-                self._carriers.append((found, shape))
+                self._carriers.append((found, shape.colour))
+        for number, body in enumerate(self._description.bodies):
+            if body.link == link:
+                self._add_body(number, body)
         if link == links.TOOL_TIP:
             ray = urdf.Shape((0.0006, RAY), (0.0, 0.0, RAY / 2), (1.0, 0.82, 0.4, 1.0))
             self._add(ray).material(RAY_COLOUR)
@@ -223,6 +234,22 @@ class MachineView:
                 self._joints[joint.name] = joint, group
                 with group:
                     self._build(joint.child)
+
+    def _add_body(self, number: int, body: DrawnBody) -> None:
+        colour = urdf.colour_of(body)
+        found = self._scene.stl(f'/body/{number}.stl').material(css(colour), colour[3])
+        self._bodies.append((found, body))
+        if body.link in MACHINE_LINKS and body.link != links.WORKPIECE:
+            self._hidden.append(found.visible(False))
+        elif body.link in self._tool_side:
+            self._carriers.append((found, colour))
+
+    def mark(self, hit: tuple[str, ...], tool: int) -> None:
+        """Show bodies that hit each other in red, and of all tools the one in the spindle."""
+        if (hit, tool) == (self._hit, self._tool):
+            return
+        self._hit, self._tool = hit, tool
+        self._paint()
 
     def _add(self, shape: urdf.Shape) -> Any:
         if shape.is_box:
@@ -358,14 +385,26 @@ class MachineView:
 
     def look_at_part(self, of_part: bool) -> None:
         self._of_part = of_part
-        for shape in self._hidden:
-            shape.visible(not of_part)
-        for found, drawn in self._carriers:
-            found.material(css(drawn.colour), SEE_THROUGH if of_part else drawn.colour[3])
+        self._paint()
         if not of_part:
             self._look(np.array([0.0, 0.0, 0.12]), 1.15)
         elif self._path is not None:
             self._look(*self._size())
+
+    def _paint(self) -> None:
+        of_part = self._of_part
+        for shape in self._hidden:
+            shape.visible(not of_part)
+        for found, colour in self._carriers:
+            found.material(css(colour), SEE_THROUGH if of_part else colour[3])
+        for found, body in self._bodies:
+            here, hits = body.tool in (0, self._tool), body.name in self._hit
+            there = found not in self._hidden or not of_part or hits
+            found.visible(here and there)
+            if hits:
+                found.material(css(urdf.HIT), 1.0)
+            elif (found, urdf.colour_of(body)) not in self._carriers:
+                found.material(css(urdf.colour_of(body)), urdf.colour_of(body)[3])
 
     def _look(self, centre: FloatArray, radius: float) -> None:
         distance = radius / np.sin(np.radians(FOV / 2))

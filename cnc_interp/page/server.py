@@ -139,6 +139,12 @@ def _serve(served: Served, access: Access, desk: Desk, revive: Revive) -> None:
             return Response(status_code=404)
         return Response(desk.tube, media_type='model/gltf-binary')
 
+    @app.get('/body/{number}.stl')
+    def body(number: int) -> Response:
+        if number >= len(desk.bodies):
+            return Response(status_code=404)
+        return Response(desk.bodies[number].stl(), media_type='model/stl')
+
     @app.get('/program/{number}.txt')
     def program(number: int) -> Response:
         job = desk.job

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from cnc_interp.collision.drawing import rim_points
 from cnc_interp.collision.hits import bodies_apart
 from cnc_interp.collision.link_poses import pose_links
 from cnc_interp.collision.path_clearance import space_of
@@ -22,7 +23,6 @@ from cnc_interp.report import html
 from cnc_interp.report.series import Series
 
 PLACES, PAIRS, PICTURES = 400, 12, 12  #: Most setpoints, pairs and hits that are shown.
-AROUND = 24  #: Points on the rim of a disc.
 
 
 def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
@@ -131,16 +131,3 @@ def _picture(placed: Placed, plan: PlanFiles, row: int) -> Any:
         scene={'aspectmode': 'data'},
     )
     return figure
-
-
-def rim_points(disc: FloatArray, along: FloatArray, round: float) -> FloatArray:  # noqa: A002
-    """Return points whose hull is a piece, for a drawing, (k, 3) [m]."""
-    side = np.linalg.svd(along[None, :])[2][1:]
-    angle = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
-    rim = np.cos(angle)[:, None] * side[0] + np.sin(angle)[:, None] * side[1]
-    points = (disc[:, None, :3] + disc[:, None, 3:] * rim).reshape(-1, 3)
-    if round:
-        ball = np.vstack([rim, along, -along])
-        tilted = [np.cos(t) * rim + np.sin(t) * along for t in (-1.0, -0.5, 0.5, 1.0)]
-        points = (points[:, None] + round * np.vstack([ball, *tilted])).reshape(-1, 3)
-    return np.unique(points, axis=0)

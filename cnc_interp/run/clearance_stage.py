@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cnc_interp.core import BoolArray, FloatArray, IntArray
+from cnc_interp.core import MM, BoolArray, FloatArray, IntArray, StreamError
 from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
@@ -32,10 +34,21 @@ def clearance_of(machine: Machine, settings: Settings, most_hits: int = 0) -> Pa
     return PathClearance(machine, read_scene(settings.scene), most_hits or MOST_HITS)
 
 
-def contact_by_hand(
-    machine: Machine, settings: Settings, outputs: FloatArray
-) -> Callable[[FloatArray], str] | None:
-    """Return what names the first contact on ways through axis positions, or ''; None: no scene.
+class ContactError(StreamError):
+    """Motion by hand ends before two bodies come too near each other."""
+
+    def __init__(self, bodies: tuple[str, str], text: str):
+        self.bodies = bodies
+        super().__init__(text)
+
+
+#: What finds the first contact on ways through axis positions, (K, n) [m, rad], and what tells of
+#: it with the distance that is left where the axes rest, (n,).
+Foresight = Callable[[FloatArray], Callable[[FloatArray], ContactError] | None]
+
+
+def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -> Foresight | None:
+    """Return what finds contacts ahead of motion by hand; None without a scene.
 
     ``outputs``: those of the machine, one of which is the number of the tool in the spindle.
     """
@@ -47,13 +60,20 @@ def contact_by_hand(
     names = [signal.name for signal in machine.signals.outputs]
     place = names.index(TOOL_OUTPUT) if TOOL_OUTPUT in names else -1
 
-    def contact(positions: FloatArray) -> str:
+    def contact(positions: FloatArray) -> Callable[[FloatArray], ContactError] | None:
         tool = int(outputs[place]) if place >= 0 else 0
         hit = clearance.contact(positions, tool)
-        return '' if hit is None else f'stopped before a contact of {" and ".join(hit.names)}'
+        return None if hit is None else partial(_left, clearance, hit, tool)
 
     contact(np.zeros((2, len(machine.axis_names))))  # its kernels, before anything moves
     return contact
+
+
+def _left(clearance: PathClearance, hit: Hit, tool: int, rest: FloatArray) -> ContactError:
+    left = clearance.distance(hit.bodies, rest, tool)
+    one, other = hit.names
+    text = f'stopped before a contact of {one} and {other}; {left / MM:.3g} mm are left'
+    return ContactError(hit.bodies, text)
 
 
 class LiveClearance:
@@ -62,7 +82,7 @@ class LiveClearance:
     def __init__(self, clearance: PathClearance, mode: str, line_of: Callable[[int], int]):
         self._clearance, self._mode, self._line_of = clearance, mode, line_of
         self._functions = Functions.none()
-        self.hits: list[Hit] = []  #: Hits of a run that is only warned of them.
+        self.hits: list[Hit] = []  #: Of a run that is refused at the first one, or only warned.
 
     @staticmethod
     def of(
@@ -83,9 +103,9 @@ class LiveClearance:
         moves = np.linalg.norm(np.diff(path.tip, axis=0), axis=1) > TIP_MOVES
         rapid = np.isinf(path.cell_feed) & moves
         hits, _ = self._clearance.push(path, rapid, self._line_of)
+        self.hits += hits
         if hits and self._mode == REFUSE:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
-        self.hits += hits
 
     def texts(self) -> list[str]:
         return [hit.text(self._clearance.machine) for hit in self.hits]
@@ -138,5 +158,6 @@ class ClearanceStage:
             'pairs': figures.pairs,
             'intervals': figures.intervals,
             'certificates': figures.certificates,
-            'hits': [hit.text(machine) for hit in self.hits],
+            'nearest': None if figures.nearest is None else asdict(figures.nearest),
+            'hits': [hit.to_json(machine) for hit in self.hits],
         }

@@ -220,11 +220,15 @@ class PlanFigures:
 
 def clearance_text(found: Mapping[str, Any]) -> str:
     """Say in one line what the check of clearances found."""
-    hits = len(found['hits'])
+    hits, nearest = len(found['hits']), found['nearest']
     told = f'{found["bodies"]} bodies, {found["pairs"]} pairs'
-    if not hits:
-        return f'{told} keep their clearances, by {found["certificates"]} certificates'
-    return f'NOT clear: {told}, {hits} hit{"s" * (hits > 1)}'
+    if hits:
+        return f'NOT clear: {told}, {hits} hit{"s" * (hits > 1)}'
+    told = f'{told} keep their clearances, by {found["certificates"]} certificates'
+    if nearest is None:
+        return told
+    where = f'{" and ".join(nearest["bodies"])} in line {nearest["line"]}'
+    return f'{told}; nearest {nearest["distance"] / MM:.3g} mm, {where}'
 
 
 def bound_text(summary: Mapping[str, Any]) -> str:

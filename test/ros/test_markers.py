@@ -13,10 +13,13 @@ pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test'
 
 import rclpy
 from cnc_interp_msgs.msg import G1Block, SetpointChunk
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nodes_under_test import DOMAIN
 from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cnc_interp.collision.drawing import drawn_bodies
+from cnc_interp.collision.scene_file import read_scene
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import qos
@@ -41,11 +44,11 @@ PROGRAM = (
 class Viewer:
     """The markers node as a process, somebody who streams, and somebody who looks."""
 
-    def __init__(self):
+    def __init__(self, *parameters):
         namespace, domain = f'/test_{uuid.uuid4().hex[:8]}', DOMAIN
         command = [sys.executable, '-m', 'cnc_interp.nodes', 'markers_node', '--ros-args']
         self.process = subprocess.Popen(
-            [*command, '-r', f'__ns:={namespace}'],
+            [*command, '-r', f'__ns:={namespace}', *parameters],
             env=os.environ
             | {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'},
         )
@@ -72,7 +75,7 @@ class Viewer:
             if marker.action == Marker.DELETEALL:
                 self.markers.clear()
             else:
-                assert marker.header.frame_id == 'workpiece'
+                assert marker.header.frame_id == 'workpiece' or marker.ns == 'bodies'
                 self.markers[marker.ns, marker.id] = marker
 
     def points(self, name):
@@ -139,6 +142,43 @@ def test_programmed_and_executed_path_are_drawn(viewer):
     assert viewer.seen(lambda: len(viewer.points('executed')) == 2 * len(tips))
     viewer.stream('two')
     assert viewer.seen(lambda: len(viewer.points('executed')) == len(tips))
+
+
+def test_bodies_of_the_scene_are_drawn_and_a_hit_is_red():
+    viewer = Viewer('-p', 'scene:=xyzac')
+    try:
+        told = viewer.node.create_publisher(DiagnosticArray, '/diagnostics', qos.DIAGNOSTICS)
+        bodies = list(drawn_bodies(read_scene('xyzac'), Machine.load('xyzac')))
+
+        def red():
+            reds = [m for m in viewer.markers.values() if m.ns == 'bodies' and m.color.r > 0.9]
+            return {bodies[m.id].name for m in reds if m.color.g < 0.3}
+
+        def drawn(number, body):
+            marker = viewer.markers.get(('bodies', number))
+            return marker is not None and len(marker.points) == 3 * len(body.triangles)
+
+        assert viewer.seen(lambda: all(drawn(k, body) for k, body in enumerate(bodies)))
+        for k, body in enumerate(bodies):
+            marker = viewer.markers['bodies', k]
+            assert marker.header.frame_id == body.link
+            points = [(p.x, p.y, p.z) for p in marker.points]
+            assert np.abs(np.array(points) - body.triangles.reshape(-1, 3)).max() < 1e-12
+        assert viewer.seen(told.get_subscription_count) and not red()
+        hit = KeyValue(key='bodies', value='nose | cradle')
+        status = {'name': 'feedrate_node: collision', 'level': b'\1'}
+
+        def tell(values, namespace):
+            status.update(hardware_id=namespace, values=values)
+            told.publish(DiagnosticArray(status=[DiagnosticStatus(**status)]))
+
+        tell([hit], '/other')
+        tell([hit], viewer.node.get_namespace())
+        assert viewer.seen(lambda: red() == {'nose', 'cradle'})
+        tell([], viewer.node.get_namespace())
+        assert viewer.seen(lambda: not red())
+    finally:
+        viewer.close()
 
 
 def test_axes_that_run_linearly_are_drawn_where_the_tool_goes(viewer):

@@ -134,6 +134,8 @@ def test_jogging_into_a_clamp_stops_before_it_within_the_limits(settings, share)
     told = jogged(bench, 2.0, X=share)
     bench.rest()
     assert 'stopped before a contact of' in told and 'clamp' in told
+    left = holder_gap(settings.scene, bench.q[-1]) / MM
+    assert float(told.split(' mm are left')[0].split()[-1]) == pytest.approx(left, rel=6e-3)
     gaps = [holder_gap(settings.scene, q) for q in bench.q[::10]]
     assert min(gaps) > 1e-4
     speed = share * MACHINE.max_velocity[0]
@@ -145,6 +147,19 @@ def test_jogging_into_a_clamp_stops_before_it_within_the_limits(settings, share)
     jogged(bench, 0.5, X=-share)
     bench.rest()
     assert bench.q[-1, 0] < still[0] - MM, 'away from it is free'
+
+
+def test_bodies_that_are_too_near_may_be_moved_apart_and_not_nearer(settings):
+    """Axes that stand inside a clamp, as after a change of the scene, can leave it."""
+    stands = start_of(settings) + np.array([46, 0, -15, 0, 0]) * MM  # the holder in the clamp
+    assert holder_gap(settings.scene, stands) == 0.0
+    bench = bench_with(settings, stands)
+    assert 'clamp' in jogged(bench, 0.5, X=0.1)
+    assert bench.q.shape[0] == 0 or np.allclose(bench.q[-1], stands)
+    jogged(bench, 0.5)
+    assert jogged(bench, 3.0, Z=0.2) == ''
+    bench.rest()
+    assert holder_gap(settings.scene, bench.q[-1]) > 1e-4
 
 
 def test_a_move_through_a_clamp_ends_before_it(settings):

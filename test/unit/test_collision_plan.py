@@ -10,13 +10,14 @@ import pytest
 from collision_cases import distance
 
 from cnc_interp.batch.task import Jobs
+from cnc_interp.collision.drawing import drawn_bodies, rim_points
 from cnc_interp.collision.mesh_file import triangles_of
 from cnc_interp.collision.scene import Placed
 from cnc_interp.collision.scene_file import read_scene, scenes_directory
 from cnc_interp.commands.cli import main
 from cnc_interp.machine_model.machine import Machine, machines_directory
 from cnc_interp.proof.plan_files import read_plan
-from cnc_interp.report.clearances import clearance_section, distances, rim_points
+from cnc_interp.report.clearances import clearance_section, distances
 from cnc_interp.report.series import series_of
 from cnc_interp.settings.options import Settings
 
@@ -60,10 +61,31 @@ CLEAR = 'bodies:\n' + box('wall', [50, -20, -20], [70, 20, 15]) + TOOL
 HIT = 'bodies:\n' + box('wall', [50, -20, -20], [70, 20, 35]) + TOOL
 
 
+def least_apart(folder):
+    """The least distance of tool and wall over all setpoints, by another program."""
+    bodies = read_scene(folder / 'scene.yaml').bodies
+    machine, made = Machine.load('xyzac'), read_plan(folder / 'plan').in_memory()
+    return min(
+        distance(machine, (one, other), (body.link, bodies[0].link), q)
+        for q in made.position[::5]
+        for body in bodies[1:]
+        for one in body.pieces
+        for other in bodies[0].pieces
+    )
+
+
 def test_a_clear_program_is_planned_and_proven(folder, capsys):
     scene(folder, CLEAR)
     assert plan(folder) == 0
-    assert '4 bodies, 3 pairs keep their clearances' in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert '4 bodies, 3 pairs keep their clearances' in told
+    # The cutter, 3 mm in radius, comes to X 40, and the wall begins at X 50.
+    summary = json.loads((folder / 'plan' / 'summary.json').read_text())['collision']
+    assert f'nearest {summary["nearest"]["distance"] * 1e3:.3g} mm, ' in told
+    assert summary['nearest']['distance'] == pytest.approx(least_apart(folder), abs=5e-5)
+    assert summary['nearest']['distance'] == pytest.approx(7e-3, abs=5e-5)
+    assert set(summary['nearest']['bodies']) == {'cutter', 'wall'}
+    assert summary['nearest']['line'] in (5, 6), 'the corner of both lines'
     assert main(['check', str(folder / 'plan')]) == 0
     assert 'scene' in capsys.readouterr().out
 
@@ -285,6 +307,29 @@ def test_the_report_shows_the_smallest_distances_and_every_hit(folder, capsys):
     points = rim_points(cutter.discs, cutter.along, cutter.round)
     assert np.hypot(points[:, 0], points[:, 1]).max() == pytest.approx(3e-3)
     assert points[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+
+
+def test_bodies_are_drawn_as_closed_surfaces_as_large_as_they_are(folder):
+    mesh = '  - {name: block, link: workpiece, mesh: mesh.stl}\n'
+    ball = '  - {name: ball, link: workpiece, sphere_mm: {radius: 10}, at_mm: [90, 0, 0]}\n'
+    scene(folder, CLEAR.replace(TOOL, mesh + ball + TOOL))
+    stl(folder, mesh_box([100, -20, -20], [120, 20, 15]))
+    drawn = {
+        b.name: b for b in drawn_bodies(read_scene(folder / 'scene.yaml'), Machine.load('xyzac'))
+    }
+    volume = {
+        name: np.einsum('ij,ij->', t[:, 0], np.cross(t[:, 1], t[:, 2])) / 6e-9
+        for name, t in ((name, body.triangles) for name, body in drawn.items())
+    }
+    assert [volume['wall'], volume['block']] == pytest.approx([20 * 40 * 35] * 2)
+    # The holder: a cone of 5 to 15 mm in radius, 20 mm high; the rims are polygons.
+    cone = np.pi * 20 / 3 * (25 + 75 + 225)
+    assert 0.97 * cone < volume['holder'] < cone
+    assert 0.9 * 4188 < volume['ball'] < 4189
+    assert drawn['holder'].link == 'tool_tip' and drawn['holder'].tool == 1
+    (folder / 'wall.stl').write_bytes(drawn['wall'].stl())
+    again = triangles_of(folder / 'wall.stl', 1.0, 1e-5)
+    np.testing.assert_allclose(again, drawn['wall'].triangles, atol=1e-8)
 
 
 def test_a_changed_scene_or_mesh_is_another_task_of_a_batch(folder):

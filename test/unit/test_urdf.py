@@ -6,8 +6,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+import trimesh
 import yourdfpy
 
+from cnc_interp.collision.drawing import drawn_bodies
+from cnc_interp.collision.scene_file import read_scene
+from cnc_interp.commands.cli import main
 from cnc_interp.description.urdf import describe_machine, urdf_of
 from cnc_interp.machine_model.links import TOOL_TIP, WORKPIECE
 from cnc_interp.machine_model.machine import Machine, machines_directory
@@ -74,6 +78,24 @@ def test_joints_have_names_and_limits_of_the_machine_file(machine):
             assert (limit.lower, limit.upper) == pytest.approx(tuple(travel), rel=1e-12)
         else:
             assert joints[name].type == ('prismatic' if name in 'XYZ' else 'continuous')
+
+
+def test_the_bodies_of_a_scene_are_drawn_where_they_are(tmp_path):
+    file = tmp_path / 'machine.urdf'
+    words = ['urdf', 'xyzac', '--scene', 'xyzac', '--out', str(file)]
+    assert main(words) == 0
+    machine = Machine.load('xyzac')
+    robot = yourdfpy.URDF.load(str(file))
+    drawn = {link: robot.link_map[link].visuals for link in robot.link_map}
+    for body in drawn_bodies(read_scene('xyzac'), machine):
+        found = next(v for v in drawn[body.link] if v.name == body.name)
+        mesh = trimesh.load(found.geometry.mesh.filename.removeprefix('file://'))
+        assert np.allclose(mesh.bounds[0], body.triangles.min(axis=(0, 1)), atol=1e-6)
+        assert np.allclose(mesh.bounds[1], body.triangles.max(axis=(0, 1)), atol=1e-6)
+    assert not drawn['x_slide'], 'nothing but what is checked'
+    assert main(words[:4]) == 2, 'the meshes need a place'
+    main(['urdf', 'xyzac', '--frames', '--out', str(file)])
+    assert '<visual' not in file.read_text()
 
 
 @pytest.mark.parametrize('name', BUNDLED)

@@ -52,7 +52,7 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
     }
     if name == 'machine_node':
         values['drives'] = ParameterValue(LaunchConfiguration('drives'), value_type=str)
-    if name in ('machine_node', 'feedrate_node', 'markers_node'):
+    if name != 'lookahead_node':
         values['scene'] = ParameterValue(LaunchConfiguration('scene'), value_type=str)
     if name == 'program_node':
         folders = ["['", LaunchConfiguration('program_folder'), "']"]

@@ -62,7 +62,7 @@ def run_panel(options: Namespace) -> None:
         from cnc_interp.collision.scene_file import find_scene_file
 
         scene = f"'{find_scene_file(options.scene).resolve()}'"
-        for name in ('feedrate_node', 'machine_node'):
+        for name in ('program_node', 'feedrate_node', 'machine_node'):
             parameters[name]['scene'] = scene
     if options.setup is not None:
         parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"

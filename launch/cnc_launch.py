@@ -53,10 +53,10 @@ def node(name: str, condition: IfCondition | None = None) -> Node:
     if name == 'machine_node':
         values['drives'] = ParameterValue(LaunchConfiguration('drives'), value_type=str)
     if name != 'lookahead_node':
-        values['scene'] = ParameterValue(LaunchConfiguration('scene'), value_type=str)
+        for given in ('scene', 'setup'):
+            values[given] = ParameterValue(LaunchConfiguration(given), value_type=str)
     if name == 'program_node':
         folders = ["['", LaunchConfiguration('program_folder'), "']"]
-        values['setup'] = ParameterValue(LaunchConfiguration('setup'), value_type=str)
         values['program_folders'] = ParameterValue(folders, value_type=list[str])
     return Node(
         package='cnc_interp',

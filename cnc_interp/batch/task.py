@@ -199,7 +199,9 @@ def _scene_hash(settings: Settings) -> str:
         return ''
     from cnc_interp.collision.scene_file import read_scene
 
-    return hashlib.sha256(b'\0'.join(read_scene(settings.scene).content())).hexdigest()
+    return hashlib.sha256(
+        b'\0'.join(read_scene(settings.scene, settings.setup).content())
+    ).hexdigest()
 
 
 def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:

@@ -125,7 +125,7 @@ class OperatorClient(ServedNode):
         self._overrides = {topic: SharedValue(1.0, ECHO) for topic in OVERRIDES}
         #: Names of two bodies that hit each other or would, and the sentence; by who tells it.
         self.hits: dict[str, tuple[tuple[str, ...], str]] = {}
-        self.machine = self.scene = ''
+        self.machine = self.scene = self.setup_file = ''
         self._on_state = on_state
         watch_machine(node, self._see_state)
         for kind, topic, name in (
@@ -147,7 +147,7 @@ class OperatorClient(ServedNode):
             owner: node.create_client(GetParameters, f'{owner}/get_parameters')
             for owner in (MACHINE, *OFFERED_BY.values())
         }
-        self._simulated = self._knock(MACHINE, 'machine', 'scene')
+        self._simulated = self._knock(MACHINE, 'machine', 'scene', 'setup')
         self._pending.append(self._knows_machine)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -208,7 +208,7 @@ class OperatorClient(ServedNode):
     def _knows_machine(self) -> bool:
         answer = self._simulated.answer()
         if answer is not None and answer.values:
-            self.scene = answer.values[1].string_value
+            self.scene, self.setup_file = (value.string_value for value in answer.values[1:])
             self.machine = answer.values[0].string_value
         return answer is not None
 

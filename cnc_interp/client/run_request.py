@@ -65,10 +65,14 @@ class RunRequest:
         given |= self.drives
         named = [*self.programs, *([self.settings.setup] if self.settings.setup else [])]
         given['program_folders'] = json.dumps([str(path.resolve()) for path in named])
-        return {
+        found = {
             node: {p.name: given[p.name] for p in declared if p.name in given}
             for node, declared in NODES.items()
         }
+        if self.settings.scene and self.settings.setup:  # its tools have bodies
+            for node in ('feedrate_node', 'machine_node'):
+                found[node]['setup'] = f"'{self.settings.setup.resolve()}'"
+        return found
 
 
 @dataclass(frozen=True)

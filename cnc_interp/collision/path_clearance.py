@@ -95,7 +95,8 @@ class PathClearance:
         for line, tool in zip(functions.line_number[calls], self._tools[1], strict=True):
             if tool and tool not in self.scene.tools:
                 text = f'tool {tool} has no body in the scene; add it to tools of '
-                raise CollisionError(f'{text}{self.scene.source}', int(line))
+                text += f'{self.scene.source}, or its length and radius to the tool table'
+                raise CollisionError(text, int(line))
 
     def push(
         self, path: AxisPath, rapid: BoolArray, line_of: Callable[[int], int]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,8 @@ class Scene:
     ignored: frozenset[frozenset[str]]  #: Pairs of names that may touch.
     tools: tuple[int, ...]  #: Numbers of the tools that have a body.
     first_tool: int  #: Tool in the spindle before the program calls one; 0: not known.
+    #: Holders by name, rows [height, radius] from the lower end of the spindle up [mm].
+    holders: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()  #: Meshes that belong to it, and the scene that it includes.
 
     def content(self) -> list[bytes]:

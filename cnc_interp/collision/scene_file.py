@@ -18,6 +18,7 @@ from cnc_interp.collision.shapes import Piece
 from cnc_interp.core import MM, FloatArray
 from cnc_interp.core.small_files import UnreadableError, config_directory, read_yaml
 from cnc_interp.machine_model.links import TOOL_TIP
+from cnc_interp.program.job import JobSetup, Tool
 
 UNITS = {'mm': MM, 'm': 1.0, 'inch': 25.4 * MM}
 #: Largest and smallest extent of a body that is taken for a right unit [m].
@@ -29,7 +30,7 @@ PLACE = ('link', 'at_mm', 'turn_deg', 'along')
 MESH = ('unit', 'chord_mm')
 BODY = ('name', *SHAPES, *PLACE, *MESH)
 TOOL = ('diameter_mm', 'corner_mm', 'flute_mm', 'shank_mm', 'holder_mm', 'length_mm')
-WHOLE = ('include', 'clearance_mm', 'bodies', 'tools', 'tool', 'stock', 'ignore')
+WHOLE = ('include', 'clearance_mm', 'bodies', 'tools', 'tool', 'holders', 'stock', 'ignore')
 AXES = {'X': (1.0, 0.0, 0.0), 'Y': (0.0, 1.0, 0.0), 'Z': (0.0, 0.0, 1.0)}
 CHORD = 0.01 * MM
 
@@ -45,10 +46,15 @@ def find_scene_file(path_or_name: str | Path) -> Path:
     return bundled if not path.is_file() and bundled.is_file() else path
 
 
-def read_scene(path: Path) -> Scene:
-    """Read a scene; SceneError names the file, the entry and what to do, in one line."""
+def read_scene(path: Path, setup: Path | None = None) -> Scene:
+    """Read a scene; SceneError names the file, the entry and what to do, in one line.
+
+    ``setup``: the file with the tool table. Its tools get bodies unless the scene has them, and
+    its tool in the spindle is the first one.
+    """
     path = find_scene_file(path)
-    scene = _Reading(path).scene(_content(path))
+    table = JobSetup.load(setup) if setup is not None and setup.is_file() else JobSetup()
+    scene = _Reading(path, table).scene(_content(path))
     if not scene.bodies:
         raise SceneError(f'{path}: bodies: the scene has no body; add one')
     return scene
@@ -63,11 +69,13 @@ def _content(path: Path) -> Any:
 
 
 NO_BODIES = Scene(Path(), (), {'default': DEFAULT_CLEARANCE}, frozenset(), (), 0)
+NO_TABLE = JobSetup()
+HOLDER = 'default'  #: Holder of a tool that names none.
 
 
 class _Reading:
-    def __init__(self, path: Path):
-        self._path = path
+    def __init__(self, path: Path, setup: JobSetup = NO_TABLE):
+        self._path, self._setup = path, setup
         self._meshes: list[Path] = []
 
     def _included(self, value: Any) -> Scene:
@@ -115,6 +123,12 @@ class _Reading:
         first = whole.get('tool', numbers[0] if len(numbers) == 1 else 0)
         if first and first not in numbers:
             raise self.fault('tool', f'tool {first} has no entry under tools')
+        holders = {**before.holders, **self._mapping_of_any(whole, 'holders')}
+        for number, tool in sorted(self._setup.tools.items()):
+            if number not in numbers and (given := self._of_table(number, tool.worn, holders)):
+                bodies += self._tool(number, given)
+                numbers += (number,)
+        first = self._setup.tool if self._setup.tool in numbers else first
         names += ['cutter', 'shank', 'holder']
         ignored = []
         for k, pair in enumerate(self._list(whole, 'ignore')):
@@ -131,8 +145,35 @@ class _Reading:
             before.ignored | frozenset(ignored),
             numbers,
             first,
+            holders,
             (*before.files, before.source, *self._meshes),
         )
+
+    def _of_table(self, number: int, tool: Tool, holders: dict[str, Any]) -> dict[str, Any]:
+        """Return what ``tools`` would hold for a tool of the tool table; nothing without sizes.
+
+        All of it below its holder counts as the part that cuts.
+        """
+        if tool.holder and tool.holder not in holders:
+            text = f'tool {number} of the tool table has the holder {tool.holder!r}'
+            raise self.fault('holders', f'{text}; describe it here')
+        if min(tool.radius, tool.length) <= 0.0:
+            return {}
+        where = f'holders.{tool.holder or HOLDER}'
+        rows = holders.get(tool.holder or HOLDER)
+        radius, length, corner = tool.radius, tool.length, tool.corner_radius or 0.0
+        given = {'diameter_mm': 2.0 * radius / MM, 'corner_mm': corner / MM}
+        given |= {'flute_mm': length / MM, 'length_mm': length / MM}
+        if rows:
+            shifted = self._rows(rows, 2, where) / MM + [length / MM, 0.0]
+            given |= {'flute_mm': float(shifted[0, 0]), 'holder_mm': shifted.tolist()}
+        return given
+
+    def _mapping_of_any(self, whole: dict[str, Any], key: str) -> dict[str, Any]:
+        found = whole.get(key) or {}
+        if not isinstance(found, dict):
+            raise self.fault(key, 'must hold rows [height, radius] by the names of the holders')
+        return found
 
     def _mapping(self, content: Any, where: str, known: tuple[str, ...]) -> dict[str, Any]:
         if not isinstance(content, dict):

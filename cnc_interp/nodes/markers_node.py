@@ -80,8 +80,8 @@ class MarkerLine:
 class BodyMarkers:
     """The bodies of a scene in the frames of their links; two that hit each other are red."""
 
-    def __init__(self, scene: Path, machine: Machine):
-        read = read_scene(scene)
+    def __init__(self, scene: Path, setup: Path | None, machine: Machine):
+        read = read_scene(scene, setup)
         self._bodies = tuple(drawn_bodies(read, machine))
         self._first_tool = read.first_tool
         self._tool, self._hits = 0, dict[str, tuple[str, ...]]()
@@ -129,8 +129,10 @@ class MarkersNode(Node):
         values = parameters.declare(self, parameters.MARKERS)
         machine = Machine.load(values['machine'])
         self._transform = Transform.of(machine)
-        self._bodies = BodyMarkers(Path(values['scene']), machine) if values['scene'] else None
-        if self._bodies is not None:
+        found = parameters.settings_of(values)
+        self._bodies: BodyMarkers | None = None
+        if found.scene is not None:
+            self._bodies = BodyMarkers(found.scene, found.setup, machine)
             see = partial(self._bodies.see_hits, self.get_namespace())
             self.create_subscription(DiagnosticArray, '/diagnostics', see, DIAGNOSTICS)
             see_tool = self._bodies.see_tool

@@ -38,7 +38,8 @@ RESEND = Declared('resend_after', 0.25, 'Send again what was not acknowledged [s
 PEER_TIMEOUT = Declared(
     'peer_timeout', 3.0, 'Silence after which another node counts as lost [s]', 0.5, 60.0
 )
-SCENE = tuple(each for each in of_settings(Stage.PLANNING) if each.name == 'scene')
+#: The scene, and the tool table that completes its tools.
+SCENE = tuple(each for each in of_settings(*Stage) if each.name in ('scene', 'setup'))
 
 LOOKAHEAD = (
     MACHINE,
@@ -51,6 +52,7 @@ FEEDRATE = (
     MACHINE,
     AUTOSTART,
     *of_settings(Stage.MOTION, Stage.PLANNING, Stage.APPROACH),
+    *(each for each in SCENE if each.name == 'setup'),
     Declared('segment_window', 256, 'Segments taken ahead of the planner', 4, DEPTH - 1),
     Declared('plan_ahead', 10.0, 'Motion planned beyond what the machine holds [s]', 0.1, 600.0),
     Declared('chunk_time', 0.005, 'Motion in a message, at least a setpoint [s]', 0.0, 0.1),

@@ -65,7 +65,8 @@ def run_panel(options: Namespace) -> None:
         for name in ('program_node', 'feedrate_node', 'machine_node'):
             parameters[name]['scene'] = scene
     if options.setup is not None:
-        parameters['program_node']['setup'] = f"'{options.setup.resolve()}'"
+        for name in ('program_node', 'feedrate_node', 'machine_node'):
+            parameters[name]['setup'] = f"'{options.setup.resolve()}'"
     with Children(options.namespace, domain, parameters, session.nodes_file()) as children:
         print(f'ROS domain     {domain}: cnc-interp mdi --domain {domain}, and others', flush=True)
         until_asked(served, options.namespace, domain, children.revive)

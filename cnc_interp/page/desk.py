@@ -179,7 +179,8 @@ class Desk:
                 from cnc_interp.collision.drawing import drawn_bodies
                 from cnc_interp.collision.scene_file import read_scene
 
-                scene = read_scene(Path(self.nodes.scene))
+                setup = Path(self.nodes.setup_file) if self.nodes.setup_file else None
+                scene = read_scene(Path(self.nodes.scene), setup)
                 self.bodies = tuple(drawn_bodies(scene, machine))
                 self._first_tool = scene.first_tool
             self.machine = machine

@@ -27,7 +27,7 @@ Position = Mapping[str, float]
 LONGEST_REMARK, MOST_TOOL = 80, 99_999
 #: What a setup file keeps of a tool: sizes [mm], the pocket, and a text.
 TOOL_SIZES = ('length', 'radius', 'corner_radius', 'length_wear', 'radius_wear')
-_TOOL_KEYS = {*TOOL_SIZES, 'pocket', 'remark'}
+_TOOL_KEYS = {*TOOL_SIZES, 'pocket', 'remark', 'holder'}
 _DIGITS = 9  #: Digits after the point in setup files [mm, deg].
 
 
@@ -42,6 +42,7 @@ class Tool:
     length_wear: float = 0.0
     radius_wear: float = 0.0
     pocket: int = 0  #: Its place in the tool changer; 0: none.
+    holder: str = ''  #: Its holder among those of a scene; empty: the usual one.
 
     @property
     def worn(self) -> Tool:
@@ -51,7 +52,8 @@ class Tool:
         radius, corner = self.radius + self.radius_wear, self.corner_radius
         if corner is not None:
             corner = radius if corner == self.radius else min(corner, radius)
-        return Tool(self.length + self.length_wear, radius, self.remark, corner)
+        length = self.length + self.length_wear
+        return Tool(length, radius, self.remark, corner, holder=self.holder)
 
     @property
     def fault(self) -> str:
@@ -195,7 +197,7 @@ def _tool_shown(tool: Tool) -> dict[str, Any]:
         'radius_wear': tool.radius_wear or None,
     }
     shown = {name: _shown(size, MM) for name, size in sizes.items() if size is not None}
-    others = {'pocket': tool.pocket, 'remark': tool.remark}
+    others = {'pocket': tool.pocket, 'remark': tool.remark, 'holder': tool.holder}
     return shown | {name: value for name, value in others.items() if value}
 
 
@@ -267,16 +269,19 @@ class _Reading:
             raise self.fault(
                 f'tools.{key}: must have a length, perhaps a radius, a corner_radius and a '
                 'remark, as {length: 75.0, radius: 5.0, remark: ball}, and may have length_wear, '
-                'radius_wear and pocket'
+                'radius_wear, pocket and holder'
             )
         remark = words.pop('remark', '')
         if not isinstance(remark, str):
             raise self.fault(f'tools.{key}.remark: must be a text')
+        holder = words.pop('holder', '')
+        if not isinstance(holder, str):
+            raise self.fault(f'tools.{key}.holder: must be the name of a holder')
         pocket = words.pop('pocket', 0)
         if not isinstance(pocket, int) or isinstance(pocket, bool):
             raise self.fault(f'tools.{key}.pocket: must be a whole number')
         found = {name: self._number(words[name], f'tools.{key}.{name}') * MM for name in words}
-        tool = Tool(remark=remark, pocket=pocket, **found)
+        tool = Tool(remark=remark, pocket=pocket, holder=holder, **found)
         if tool.fault:
             raise self.fault(f'tools.{key}: {tool.fault}')
         return tool

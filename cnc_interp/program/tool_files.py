@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import LONGEST_YAML, UnreadableError, small_text
@@ -67,7 +68,9 @@ def tools_of_file(path: Path, unit: float) -> dict[int, Tool]:
 
 
 def _tool(words: Mapping[str, str], unit: float) -> tuple[int, Tool]:
-    sizes = {name: float(words[name]) * unit for name in TOOL_SIZES if words.get(name)}
+    sizes: dict[str, Any] = {
+        name: float(words[name]) * unit for name in TOOL_SIZES if words.get(name)
+    }
     if 'diameter' in words:
         sizes['radius'] = 0.5 * float(words['diameter'] or 0.0) * unit
     number, pocket = (int(words.get(name) or 0) for name in ('number', 'pocket'))

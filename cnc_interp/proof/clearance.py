@@ -93,7 +93,9 @@ def prove_clearance(ledger: Ledger, machine: Machine) -> None:
     if not found:
         ledger.fail(f'collision.npz is missing, but the plan names the scene {file}; plan again')
         return
-    placed = Placed.of(read_scene(Path(str(file))), machine)
+    setup = plan.settings.get('setup')
+    scene = read_scene(Path(str(file)), Path(str(setup)) if setup else None)
+    placed = Placed.of(scene, machine)
     path = plan.path
     cells = Cells(*(np.asarray(path[name]) for name in ('s', 'cell_left', 'cell_right')))
     motion = Motion(ledger, placed, cells, links_of(machine))

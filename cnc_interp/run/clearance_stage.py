@@ -31,7 +31,9 @@ def clearance_of(machine: Machine, settings: Settings, most_hits: int = 0) -> Pa
     from cnc_interp.collision.path_clearance import MOST_HITS, PathClearance
     from cnc_interp.collision.scene_file import read_scene
 
-    return PathClearance(machine, read_scene(settings.scene), most_hits or MOST_HITS)
+    return PathClearance(
+        machine, read_scene(settings.scene, settings.setup), most_hits or MOST_HITS
+    )
 
 
 class ContactError(StreamError):
@@ -60,8 +62,14 @@ def contact_by_hand(machine: Machine, settings: Settings, outputs: FloatArray) -
     names = [signal.name for signal in machine.signals.outputs]
     place = names.index(TOOL_OUTPUT) if TOOL_OUTPUT in names else -1
 
+    known = 0  # the tool for which the tool table was read
+
     def contact(positions: FloatArray) -> Callable[[FloatArray], ContactError] | None:
+        nonlocal clearance, known
         tool = int(outputs[place]) if place >= 0 else 0
+        if tool != known and settings.setup is not None:
+            known, clearance = tool, clearance_of(machine, settings, 1)
+        assert clearance is not None
         hit = clearance.contact(positions, tool)
         return None if hit is None else partial(_left, clearance, hit, tool)
 

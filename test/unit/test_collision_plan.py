@@ -180,6 +180,54 @@ def test_tools_are_those_that_the_program_calls(folder, capsys):
     assert 'tool 7 has no body in the scene' in capsys.readouterr().err
 
 
+TABLE = """
+tools:
+  1: {length: 40.0, radius: 3.0}
+  2: {length: 40.0, radius: 3.0, corner_radius: 3.0, holder: slim}
+  3: {length: 90.0, radius: 3.0, length_wear: -1.0}
+"""
+HOLDERS = 'holders: {default: [[0, 15], [30, 15]], slim: [[0, 5], [30, 5]]}\n'
+
+
+def test_tools_of_the_tool_table_get_bodies(folder, capsys):
+    """Their tips lie so far below the tip of the machine file as G43 counts."""
+    file = scene(folder, 'bodies:\n' + box('wall', [50, -20, -60], [70, 20, 35]) + HOLDERS)
+    (folder / 'setup.yaml').write_text(TABLE)
+    read = read_scene(file, folder / 'setup.yaml')
+    assert read.tools == (1, 2, 3)
+    low = {
+        (b.tool, b.name): b.triangles[..., 2].min() * 1e3
+        for b in drawn_bodies(read, Machine.load('vmc'))
+        if b.tool
+    }
+    assert low == {
+        (1, 'cutter'): pytest.approx(-40),
+        (1, 'holder'): pytest.approx(0),
+        (2, 'cutter'): pytest.approx(-40),
+        (2, 'holder'): pytest.approx(0),
+        (3, 'cutter'): pytest.approx(-89),
+        (3, 'holder'): pytest.approx(0),
+    }
+    # The tip comes to X 40 Z 0: the usual holder, 15 mm in radius, reaches 5 mm into the wall.
+    program = PROGRAM.replace(' A0 C0', '').replace(' A10', '')
+    more = '--machine', 'vmc', '--setup', str(folder / 'setup.yaml')
+    for tool, tip, code in ((1, -5, 2), (2, -5, 0), (3, -5, 0)):
+        text = program.replace('G21', f'G21 T{tool} M6 G43 H{tool}').replace('Z0', f'Z{tip}')
+        (folder / 'part.ngc').write_text(text)
+        assert plan(folder, *more) == code, tool
+        told = capsys.readouterr()
+        if code:
+            assert 'line 5, holder and wall' in told.err
+        else:
+            assert main(['check', str(folder / 'plan')]) == 0
+    (folder / 'setup.yaml').write_text(TABLE.replace('slim', 'fat'))
+    assert plan(folder, *more) == 2
+    assert (
+        "tool 2 of the tool table has the holder 'fat'; describe it here"
+        in capsys.readouterr().err
+    )
+
+
 def stl(folder, triangles, name='mesh.stl'):
     rows = [struct.pack('<12fH', *np.zeros(3), *np.ravel(t), 0) for t in triangles]
     content = b'\0' * 80 + struct.pack('<I', len(rows)) + b''.join(rows)

@@ -14,6 +14,9 @@ from cnc_interp.settings.command_line import settings_from
 from cnc_interp.settings.option_kinds import Stage, choices
 from cnc_interp.settings.options import DEFAULT_MACHINE, Settings
 
+#: Of the tip over the part on a simulated machine that must not start inside of a body [m].
+START_HEIGHT = 0.1
+
 
 @dataclass(frozen=True)
 class RunRequest:
@@ -62,6 +65,8 @@ class RunRequest:
         for choice in choices(self.settings, Stage.MOTION, Stage.PLANNING, Stage.APPROACH):
             value = choice.plain(getattr(self.settings, choice.name))
             given[choice.name] = f"'{value}'" if isinstance(value, str) else value
+        if self.settings.scene is not None and not self.drives:
+            given['start_height'] = START_HEIGHT  # not inside of what carries the part
         given |= self.drives
         named = [*self.programs, *([self.settings.setup] if self.settings.setup else [])]
         given['program_folders'] = json.dumps([str(path.resolve()) for path in named])

@@ -305,5 +305,5 @@ def touching_text(scene: Scene, hit: Hit) -> str:
     one, other = hit.bodies
     return (
         f'{scene.source}: {one} and {other} are too near before anything moves '
-        f'({hit.short / MM:.3g} mm short); move one, or add [{one}, {other}] to ignore'
+        f'({hit.short / MM:.3g} mm short); move one or the axes, or add [{one}, {other}] to ignore'
     )

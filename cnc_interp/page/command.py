@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cnc_interp.client import session
-from cnc_interp.client.run_request import RunResult
+from cnc_interp.client.run_request import START_HEIGHT, RunResult
 from cnc_interp.core import InterpError
 from cnc_interp.core.small_files import UnreadableError, small_text
 from cnc_interp.machine_model.machine import Machine
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 #: Shortest token of a file: nobody guesses it, however often, so nobody needs to be locked out.
 SHORTEST_TOKEN = 16
 LONGEST_TOKEN = 1000  #: Longest one [bytes].
-START_HEIGHT = 0.1  #: Of the tip over the part on a simulated machine at the start [m].
 LAST_WAIT = 5.0  #: How long the page may take to end [s].
 
 

@@ -1,0 +1,89 @@
+"""The operator page with a scene: its bodies, and a program that would hit one of them."""
+
+import pytest
+
+pytest.importorskip('rclpy', reason='needs ROS 2; run the tests with ./cnc test')
+
+from cnc_interp_msgs.msg import MachineState
+from page_under_test import PanelUnderTest
+
+pytestmark = pytest.mark.thorough
+
+SCENE = """
+include: xyzac
+bodies:
+  - {name: clamp, link: workpiece, box_mm: {low: [50, -20, -20], high: [70, 20, 30]}}
+"""
+PROGRAM = 'G21 G90 G94\nG0 X0 Y0 Z60 A0 C0\nG1 X{} F3000\nZ10\nX{} Y30\nM30\n'
+#: Colours and places of what is drawn of STL files, by colour: red ones hit each other.
+DRAWN = """(() => {
+  const view = Object.keys(mounted_app.elements).map(id => getElement(id)).find(e => e?.objects);
+  const found = [];
+  view.objects.forEach(object => {
+    const mesh = object.mesh?.children?.[0];
+    if (!mesh?.geometry?.attributes?.normal || !mesh.material?.color) return;
+    mesh.geometry.computeBoundingBox();
+    const { min, max } = mesh.geometry.boundingBox;
+    const place = mesh.getWorldPosition(mesh.position.clone());
+    const span = [max.x - min.x, max.y - min.y, max.z - min.z];
+    const colour = mesh.material.color.getHexString();
+    found.push([colour, object.mesh.visible, span, [place.x, place.y, place.z]]);
+  });
+  return found;
+})()"""
+RED = 'eb2e33'
+CLAMP, CUTTER = (0.02, 0.04, 0.05), (0.006, 0.006, 0.014)
+
+
+def drawn(tab, size):
+    """Colour, visibility and place of the drawn body of a size [m]."""
+    for colour, visible, span, place in tab.run(DRAWN):
+        if max(abs(a - b) for a, b in zip(span, size)) < 5e-5:
+            return colour, visible, place
+    return None
+
+
+@pytest.fixture(scope='module')
+def panel(tmp_path_factory):
+    file = tmp_path_factory.mktemp('scene') / 'scene.yaml'
+    file.write_text(SCENE)
+    scene = {'scene': f"'{file}'"}
+    names = 'program_node', 'feedrate_node', 'machine_node'
+    parameters = {name: dict(scene) for name in names}
+    parameters['machine_node']['start_height'] = 0.1
+    running = PanelUnderTest(parameters)
+    yield running
+    running.page.close()
+    running.close()
+
+
+def test_a_program_that_would_hit_is_refused_and_both_bodies_are_red(panel, tmp_path):
+    tab = panel.open_in_charge()
+    panel.until(MachineState.IDLE)
+    tab.wait(lambda: drawn(tab, CLAMP))
+    assert drawn(tab, CLAMP)[:2] != (RED, True)
+    bad, good = tmp_path / 'bad.ngc', tmp_path / 'good.ngc'
+    bad.write_text(PROGRAM.format(60, 40))
+    good.write_text(PROGRAM.format(20, 10))
+    tab.choose_file('input[type=file]', bad)
+    tab.wait(lambda: 'hit: line 4, cutter and clamp' in tab.text('hit'))
+    assert 'bad.ngc:4: hit: line 4' in tab.text('status')
+    tab.wait(lambda: drawn(tab, CLAMP)[:2] == (RED, True))
+    tab.wait(lambda: drawn(tab, CUTTER)[:2] == (RED, True))
+    before = drawn(tab, CUTTER)[2]
+    tab.click('show hit')
+    tab.wait(lambda: drawn(tab, CUTTER)[2] != before)
+    _, _, (x, _, z) = drawn(tab, CUTTER)
+    # In the view of the part, its place is that in the program: over the clamp, at line 4.
+    assert x == pytest.approx(0.060, abs=1e-4) and 0.029 < z < 0.0305
+    assert 'not where the machine is' in tab.text('hit')
+    count = len(panel.loaded)
+    tab.click('cycle start')
+    panel.spin_for(1.0)
+    assert len(panel.loaded) == count, 'a refused program does not start'
+    panel.load(tab, good)
+    tab.wait(lambda: drawn(tab, CLAMP)[0] != RED)
+    assert tab.text('hit') == ''
+    assert drawn(tab, CUTTER)[2] == pytest.approx(before, abs=1e-6), 'where the machine is'
+    panel.begin(tab)
+    panel.until(MachineState.IDLE)

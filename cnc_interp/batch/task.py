@@ -199,9 +199,7 @@ def _scene_hash(settings: Settings) -> str:
         return ''
     from cnc_interp.collision.scene_file import read_scene
 
-    return hashlib.sha256(
-        b'\0'.join(read_scene(settings.scene, settings.setup).content())
-    ).hexdigest()
+    return hashlib.sha256(b'\0'.join(read_scene(settings.scene).content())).hexdigest()
 
 
 def programs_of(paths: Sequence[Path]) -> list[tuple[Path, str]]:

@@ -88,6 +88,7 @@ class RunResult:
     program: str
     machine: str
     program_id: str = ''
+    clearance: str = ''  #: What the check of clearances found, of a run with a scene.
     #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
@@ -147,6 +148,8 @@ class RunResult:
             from cnc_interp.run.plan_figures import tool_error_text
 
             lines.append(tool_error_text(self.tool_error, self.flank_height))
+        if self.clearance:
+            lines.append(f'collision      {self.clearance}')
         lines += [
             f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
             for fault in self.faults

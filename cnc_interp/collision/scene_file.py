@@ -46,15 +46,14 @@ def find_scene_file(path_or_name: str | Path) -> Path:
     return bundled if not path.is_file() and bundled.is_file() else path
 
 
-def read_scene(path: Path, setup: Path | None = None) -> Scene:
+def read_scene(path: Path, setup: str = '') -> Scene:
     """Read a scene; SceneError names the file, the entry and what to do, in one line.
 
-    ``setup``: the file with the tool table. Its tools get bodies unless the scene has them, and
+    ``setup``: text of a setup. The tools of its table get bodies unless the scene has them, and
     its tool in the spindle is the first one.
     """
     path = find_scene_file(path)
-    table = JobSetup.load(setup) if setup is not None and setup.is_file() else JobSetup()
-    scene = _Reading(path, table).scene(_content(path))
+    scene = _Reading(path, JobSetup.of_text(setup)).scene(_content(path))
     if not scene.bodies:
         raise SceneError(f'{path}: bodies: the scene has no body; add one')
     return scene

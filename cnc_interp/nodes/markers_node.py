@@ -24,6 +24,7 @@ from cnc_interp.machine_model.transform_port import Transform
 from cnc_interp.nodes import parameters
 from cnc_interp.nodes.node_main import AND, BODIES, every, run_node
 from cnc_interp.nodes.qos import DIAGNOSTICS, LISTENING, LOADED, MARKERS
+from cnc_interp.run.clearance_stage import setup_text
 from cnc_interp.wire.path_messages import blocks_from, blocks_of
 
 FRAME = 'workpiece'  #: The frame of programs, see the machines' URDF.
@@ -81,7 +82,7 @@ class BodyMarkers:
     """The bodies of a scene in the frames of their links; two that hit each other are red."""
 
     def __init__(self, scene: Path, setup: Path | None, machine: Machine):
-        read = read_scene(scene, setup)
+        read = read_scene(scene, setup_text(setup))
         self._bodies = tuple(drawn_bodies(read, machine))
         self._first_tool = read.first_tool
         self._tool, self._hits = 0, dict[str, tuple[str, ...]]()

@@ -32,7 +32,7 @@ from cnc_interp.page.scene import tube
 from cnc_interp.page.start_choice import StartChoice, WayAhead, WayThere
 from cnc_interp.program.job import WORK_OFFSETS
 from cnc_interp.program.notices import warnings_of
-from cnc_interp.run.clearance_stage import REFUSE
+from cnc_interp.run.clearance_stage import REFUSE, setup_text
 from cnc_interp.settings.options import Settings, changed, texts_of
 from cnc_interp.wire.run_messages import goal_of, in_program, settings_from
 
@@ -179,8 +179,8 @@ class Desk:
                 from cnc_interp.collision.drawing import drawn_bodies
                 from cnc_interp.collision.scene_file import read_scene
 
-                setup = Path(self.nodes.setup_file) if self.nodes.setup_file else None
-                scene = read_scene(Path(self.nodes.scene), setup)
+                file = Path(self.nodes.setup_file) if self.nodes.setup_file else None
+                scene = read_scene(Path(self.nodes.scene), setup_text(file))
                 self.bodies = tuple(drawn_bodies(scene, machine))
                 self._first_tool = scene.first_tool
             self.machine = machine

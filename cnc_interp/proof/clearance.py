@@ -93,8 +93,7 @@ def prove_clearance(ledger: Ledger, machine: Machine) -> None:
     if not found:
         ledger.fail(f'collision.npz is missing, but the plan names the scene {file}; plan again')
         return
-    setup = plan.settings.get('setup')
-    scene = read_scene(Path(str(file)), Path(str(setup)) if setup else None)
+    scene = read_scene(Path(str(file)), str(plan.summary.get('setup') or ''))
     placed = Placed.of(scene, machine)
     path = plan.path
     cells = Cells(*(np.asarray(path[name]) for name in ('s', 'cell_left', 'cell_right')))

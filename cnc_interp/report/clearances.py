@@ -30,8 +30,7 @@ def clearance_section(plan: PlanFiles, machine: Machine, series: Series) -> str:
     file = Path(str(plan.settings.get('scene') or ''))
     if not plan.collision or not file.name:
         return ''
-    setup = plan.settings.get('setup')
-    placed = Placed.of(read_scene(file, Path(str(setup)) if setup else None), machine)
+    placed = Placed.of(read_scene(file, str(plan.summary.get('setup') or '')), machine)
     rows = np.unique(np.linspace(0, len(plan.position) - 1, PLACES).astype(int))
     pairs = [pair for pair in placed.pairs if placed.scene.in_feed(*pair)]
     if not pairs:

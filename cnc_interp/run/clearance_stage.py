@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from cnc_interp.kinematics.axis_path import AxisPath
 from cnc_interp.machine_model.machine import Machine
 from cnc_interp.program.blocks import Blocks
 from cnc_interp.program.blocks.functions import Functions
+from cnc_interp.program.job import JobSetup
 from cnc_interp.settings.options import Settings
 
 if TYPE_CHECKING:
@@ -24,16 +26,25 @@ REFUSE = 'refuse'
 TIP_MOVES = 1e-9  #: In a cell with less the tip rests [m].
 
 
-def clearance_of(machine: Machine, settings: Settings, most_hits: int = 0) -> PathClearance | None:
-    """Return the check of a machine with the scene of the settings; None without one."""
+def clearance_of(
+    machine: Machine, settings: Settings, most_hits: int = 0, setup: str | None = None
+) -> PathClearance | None:
+    """Return the check of a machine with the scene of the settings; None without one.
+
+    ``setup``: text of the setup with the tool table; without it, that of the file of the settings.
+    """
     if settings.scene is None:
         return None
     from cnc_interp.collision.path_clearance import MOST_HITS, PathClearance
     from cnc_interp.collision.scene_file import read_scene
 
-    return PathClearance(
-        machine, read_scene(settings.scene, settings.setup), most_hits or MOST_HITS
-    )
+    setup = setup_text(settings.setup) if setup is None else setup
+    return PathClearance(machine, read_scene(settings.scene, setup), most_hits or MOST_HITS)
+
+
+def setup_text(file: Path | None) -> str:
+    """Return the text of a setup file, which need not be there yet."""
+    return '' if file is None or not file.is_file() else JobSetup.load(file).text()
 
 
 class ContactError(StreamError):
@@ -129,8 +140,8 @@ class ClearanceStage:
         self._line: IntArray = np.zeros(0, dtype=np.int64)
 
     @staticmethod
-    def of(machine: Machine, settings: Settings) -> ClearanceStage | None:
-        clearance = clearance_of(machine, settings)
+    def of(machine: Machine, settings: Settings, setup: str) -> ClearanceStage | None:
+        clearance = clearance_of(machine, settings, setup=setup)
         return None if clearance is None else ClearanceStage(clearance, settings.collision)
 
     @property

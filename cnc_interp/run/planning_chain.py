@@ -45,6 +45,7 @@ class Chain:
         clock: Callable[[], float] = working_time,
         start: StartFinder | None = None,
         processes: int = 1,
+        setup: str = '',
     ):
         self._sink, self._watch, self._start = sink, Stopwatch(clock), start
         self.path = PathChain(Transform.of(machine), settings, self._watch)
@@ -55,7 +56,7 @@ class Chain:
         self._parallel = ParallelPlanner(planning, processes) if processes > 1 else None
         self._planner: ParallelPlanner | FeedPlanner = self._parallel or planning.planner()
         self._interpolator = Interpolator(period)
-        self.clearance = ClearanceStage.of(machine, settings)
+        self.clearance = ClearanceStage.of(machine, settings, setup)
         self.moved = False
         self.row_planned = 0  # last row of the program that has been planned
 
@@ -130,7 +131,8 @@ def plan_to_files(
         start = StartFinder(Transform.of(machine), settings.flank_height, stream.start)
     with ExitStack() as stack:
         writer = stack.enter_context(PlanWriter(directory, machine, settings))
-        chain = Chain(machine, settings, writer, start=start, processes=processes)
+        more: dict[str, Any] = {'start': start, 'processes': processes, 'setup': stream.setup}
+        chain = Chain(machine, settings, writer, **more)
         stack.callback(chain.close)
         with at_fault(stream.source), chain.refusals_in_order():
             rows_read, told = 0, 0.0

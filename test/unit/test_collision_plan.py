@@ -193,7 +193,7 @@ def test_tools_of_the_tool_table_get_bodies(folder, capsys):
     """Their tips lie so far below the tip of the machine file as G43 counts."""
     file = scene(folder, 'bodies:\n' + box('wall', [50, -20, -60], [70, 20, 35]) + HOLDERS)
     (folder / 'setup.yaml').write_text(TABLE)
-    read = read_scene(file, folder / 'setup.yaml')
+    read = read_scene(file, TABLE)
     assert read.tools == (1, 2, 3)
     low = {
         (b.tool, b.name): b.triangles[..., 2].min() * 1e3

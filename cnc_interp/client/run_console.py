@@ -152,15 +152,9 @@ class RunConsole:
             position=by_axis(state.positions if state is not None else ()),
             notices=tuple(outcome.notices),
             faults=tuple(self._children.faults.values()),
-            clearance=self._clearance_text(),
+            scene=str(self._request.settings.scene or ''),
+            hits=tuple(text for _, text in self._client.hits.values()),
         )
-
-    def _clearance_text(self) -> str:
-        if self._request.settings.scene is None:
-            return ''
-        hits = [text for _, text in self._client.hits.values()]
-        told = 'each piece of the path kept its clearances before it was executed, against '
-        return f'NOT clear: {hits[0]}' if hits else f'{told}{self._request.settings.scene}'
 
     def _wait_for_nodes(self) -> None:
         """Wait until program_node takes programs and a recorder hears all nodes."""

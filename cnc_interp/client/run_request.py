@@ -88,7 +88,8 @@ class RunResult:
     program: str
     machine: str
     program_id: str = ''
-    clearance: str = ''  #: What the check of clearances found, of a run with a scene.
+    scene: str = ''  #: The scene against which each piece of the path was checked.
+    hits: tuple[str, ...] = ()  #: What the path hits, of a run that is only warned.
     #: Motion time of the program, and of the move to its start pose [s].
     cycle_time: float = 0.0
     approach_time: float = 0.0
@@ -148,8 +149,9 @@ class RunResult:
             from cnc_interp.run.plan_figures import tool_error_text
 
             lines.append(tool_error_text(self.tool_error, self.flank_height))
-        if self.clearance:
-            lines.append(f'collision      {self.clearance}')
+        if self.scene:
+            clear = f'each piece of the path kept the clearances of {self.scene}'
+            lines.append(f'collision      {"NOT clear" if self.hits else clear}')
         lines += [
             f'fault          {fault.splitlines()[-1]}: please report it; --json has the traceback'
             for fault in self.faults
@@ -165,11 +167,11 @@ class RunResult:
 
     @property
     def excesses(self) -> list[str]:
-        """Limits that executed setpoints exceeded. Tolerances were checked before the motion."""
+        """Limits that executed setpoints exceeded, and hits. Tolerances were checked before."""
         from cnc_interp.run.plan_figures import excesses
 
         uses = {k: getattr(self, f'{k}_use') for k in ('velocity', 'acceleration', 'jerk')}
-        return excesses(uses, {}, self.tool_error)
+        return [*excesses(uses, {}, self.tool_error), *self.hits]
 
 
 def underruns(count: int) -> str:

@@ -62,6 +62,10 @@ def read_scene(path: Path, setup: str = '') -> Scene:
 def _content(path: Path) -> Any:
     try:
         return read_yaml(path)
+    except FileNotFoundError:
+        known = ', '.join(sorted(file.stem for file in scenes_directory().glob('*.yaml')))
+        text = f'no such file, and no bundled scene of that name; bundled: {known}'
+        raise SceneError(f'{path}: {text}') from None
     except (OSError, UnreadableError) as problem:
         text = ' '.join(str(problem).split())
         raise SceneError(f'{path}: cannot be read as YAML: {text}') from None
@@ -292,8 +296,10 @@ class _Reading:
 
     def _mesh(self, given: dict[str, Any], name: str) -> tuple[FloatArray, float]:
         unit, value = given.get('unit', 'mm'), given['mesh']
-        if unit not in UNITS or not isinstance(value, str):
-            raise self.fault(name, f'needs a file, and a unit of: {", ".join(UNITS)}')
+        if unit not in UNITS:
+            raise self.fault(name, f'unknown unit {unit!r}; known: {", ".join(UNITS)}')
+        if not isinstance(value, str):
+            raise self.fault(name, 'mesh must name an STL or STEP file')
         file = self._path.parent / value
         step = file.suffix.lower() in ('.stp', '.step')
         chord = self._length(given.get('chord_mm', CHORD / MM), f'{name}.chord_mm', 1e-2, 1e-7)

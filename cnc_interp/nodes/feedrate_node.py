@@ -182,6 +182,7 @@ class FeedrateNode(LifecycleNode):
         outlet.pump()
         if (done := self._thread.done()) is not None:
             session.finish(*done, time.monotonic())
+            self._tell_hits()
             outlet.pump()
         if outlet.refused:
             session.give_up(outlet.refused, outlet.refusal_text)
@@ -229,9 +230,10 @@ class FeedrateNode(LifecycleNode):
             if self._values['scene']:
                 self._diagnostics.say('collision', node_main.OK, 'no hit')
             return
-        bodies = node_main.AND.join(found.hits[-1].bodies)
-        values = {node_main.BODIES: bodies}
-        self._diagnostics.say('collision', node_main.WARN, found.texts()[-1], **values)
+        first, more = found.hits[0], len(found.hits) - 1
+        text = first.text(self._transform.machine) + f' (and {more} more)' * bool(more)
+        values = {node_main.BODIES: node_main.AND.join(first.bodies)}
+        self._diagnostics.say('collision', node_main.WARN, text, **values)
 
     def make_planner(
         self, first: PathSegment, stands: FloatArray, place: float, settings: OperatorSettings

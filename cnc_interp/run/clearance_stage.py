@@ -126,9 +126,6 @@ class LiveClearance:
         if hits and self._mode == REFUSE:
             raise CollisionError(hits[0].text(self._clearance.machine), hits[0].line)
 
-    def texts(self) -> list[str]:
-        return [hit.text(self._clearance.machine) for hit in self.hits]
-
 
 class ClearanceStage:
     """Checks a program while it is planned: ``hits`` so far, and certificates by ``check``."""

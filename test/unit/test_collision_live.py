@@ -90,7 +90,7 @@ def test_a_warned_run_goes_on_and_lists_the_hit(settings):
     for part in segments_of_program(settings):
         planner.push(part, {})
     assert [hit.line for hit in planner.clearance.hits] == [6, 7]  # line 7 leads away from it
-    assert 'line 6' in planner.clearance.texts()[0]
+    assert 'line 6' in planner.clearance.hits[0].text(MACHINE)
 
 
 def test_the_way_to_the_start_is_checked(settings):

@@ -126,6 +126,30 @@ def test_the_cutter_may_touch_the_stock_in_feeds_and_not_in_rapids(folder, capsy
     assert 'line 5,' not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ('move', 'is_rapid'),
+    [
+        ('G0 X90', True),
+        ('G53 G0 X490', True),  # the workpiece zero is at X 400
+        ('G28 X90', True),  # by X 90 to the reference point
+        ('G2 X90 Y0 I45 J0', False),
+        ('G38.2 X90 F600', False),
+        ('G91 G0 X90', True),
+    ],
+)
+def test_every_kind_of_motion_is_checked(folder, capsys, move, is_rapid):
+    place = '{link: workpiece, box_mm: {low: [50, -60, -20], high: [70, 60, 15]}}\n'
+    scene(folder, 'bodies:\n  - ' + place.replace('{link', '{name: wall, link') + TOOL)
+    start = 'G21 G90\nG0 X0 Y0 Z5\nG1 F3000 Y1\nY0\n'
+    (folder / 'part.ngc').write_text(f'{start}{move}\nM30\n')
+    assert plan(folder, '--machine', 'vmc') == 2
+    assert 'part.ngc:5: hit: line 5, cutter and wall' in capsys.readouterr().err
+    # A probe may touch the stock, as a mill may in feeds.
+    scene(folder, TOOL + 'stock: ' + place)
+    assert plan(folder, '--machine', 'vmc') == (2 if is_rapid else 0)
+    assert ('cutter and stock' in capsys.readouterr().err) is is_rapid
+
+
 def test_rows_of_collision_npz_are_proven_one_by_one(folder, capsys):
     scene(folder, CLEAR)
     assert plan(folder) == 0
@@ -266,12 +290,15 @@ def test_a_mesh_of_a_file_is_hit_where_the_box_is(folder, capsys):
             'not watertight (3 open edges',
         ),
         ('bodies:\n  - {name: w, link: workpiece, mesh: far.stl, unit: m}', 'is the unit right'),
+        ('bodies:\n  - {name: w, link: workpiece, mesh: far.stl, unit: feet}', "unit 'feet'"),
+        ('bodies:\n  - {name: w, link: workpiece, mesh: 3}', 'must name an STL or STEP file'),
+        ('holders: 3', 'by the names of the holders'),
         ('bodies: []', 'the scene has no body'),
         ('bodys: []', "unknown key 'bodys'"),
         ('clearance_mm: {default: -1}', 'is not between'),
         ('tools:\n  1: {diameter_mm: 6}', 'has no flute_mm'),
         (CLEAR + 'ignore: [[wall, nobody]]', "no body has the name 'nobody'"),
-        (CLEAR + 'include: nothing', 'cannot be read'),
+        (CLEAR + 'include: nothing', 'no bundled scene of that name; bundled: bc_trunnion, '),
         ('bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 9]) * 2, 'is used twice'),
         (
             'bodies:\n' + box('wall', [-9, -9, 0], [9, 9, 40]) + TOOL,

@@ -184,3 +184,27 @@ def test_the_users_folder_wins(monkeypatch):
     monkeypatch.setenv(kernel_cache.FOLDER, 'mine')
     locator = kernel_cache.KernelLocator(kernel_cache.PACKAGE / 'core' / 'jet.py')
     assert Path(locator.get_cache_path()) == Path('mine/core')
+
+
+def test_a_kernel_outlives_the_module_of_a_type_that_it_took(package):
+    """After an update, files kept before name modules that are not there any more."""
+    (package / 'size.py').write_text(IMPORT + '@njit(cache=True)\ndef size(p):\n    return p.x\n')
+
+    def ask(module):
+        point = 'from typing import NamedTuple\nclass Point(NamedTuple):\n    x: int\n'
+        (package / f'{module}.py').write_text(point)
+        words = (
+            f'from pack.size import size; from pack.{module} import Point; print(size(Point(3)))'
+        )
+        return subprocess.run(
+            [sys.executable, '-c', words],
+            env=environment(package),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert ask('shape').stdout == '3\n'
+    (package / 'shape.py').unlink()
+    found = ask('form')
+    assert found.stdout == '3\n', found.stderr

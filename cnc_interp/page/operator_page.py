@@ -208,7 +208,8 @@ class Page:
         with ui.element('div').classes('told hit') as self._hit:
             self._label('hit', 'grow')
             self._looks = key('show where', 'show hit', self._toggle_hit, 'red-10')
-        self._hit.set_visibility(False)
+        for hidden in (self._hit, self._looks):
+            hidden.set_visibility(False)
 
     def _build_hand_motion(self) -> None:
         nodes, setup, command = self._desk.nodes, self._desk.setup, self._command_in_sight

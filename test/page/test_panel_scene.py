@@ -62,6 +62,8 @@ def test_a_program_that_would_hit_is_refused_and_both_bodies_are_red(panel, tmp_
     panel.until(MachineState.IDLE)
     tab.wait(lambda: drawn(tab, CLAMP))
     assert drawn(tab, CLAMP)[:2] != (RED, True)
+    key = 'document.querySelector(`[data-mark="show hit"]`)'
+    assert tab.run(f'getComputedStyle({key}).display') == 'none'
     bad, good = tmp_path / 'bad.ngc', tmp_path / 'good.ngc'
     bad.write_text(PROGRAM.format(60, 40))
     good.write_text(PROGRAM.format(20, 10))

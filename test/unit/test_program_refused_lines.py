@@ -65,6 +65,13 @@ def test_what_depends_on_a_refused_line_is_not_judged():
     assert len(refused('G0 X0\nFOO\nBAR\n').errors) == 2
 
 
+def test_a_spline_is_read_on_after_a_refused_control_point():
+    start = 'TRAORI\nG1 F1000 X0 Y0 Z0\nBSPLINE SD=3\n'
+    error = refused(f'{start}X5 XH=5 PL=0\nX20 Y20\nX40\n')
+    assert [one.line_number for one in error.errors] == [4]
+    assert 'give XH YH ZH, all three at first' in str(error)
+
+
 def test_a_wrong_jump_ends_the_reading():
     error = refused('G1 X1 F100\nFOO\nGOTO 77\nBAR\n')
     assert [one.line_number for one in error.errors] == [2, 3]

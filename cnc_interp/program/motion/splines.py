@@ -5,7 +5,7 @@ position of the tool [B2013, section 4.1] (``docs/how_it_works/native_splines.md
 """
 
 from dataclasses import replace
-from math import isfinite, nan, sqrt
+from math import inf, nan, sqrt
 
 import numpy as np
 
@@ -61,9 +61,7 @@ class ProgrammedCurve:
         if not self._named:
             second = tip + self._height * self._axis
         second = self._second if second is None else second
-        assert second is not None
-        length = _length(second - tip)
-        if not (isfinite(length) and length > _SHORTEST_TOOL):
+        if second is None or not _SHORTEST_TOOL < (length := _length(second - tip)) < inf:
             raise self._fault(line, NO_SECOND)
         self._second = second
         if not self._rows and _length(tip - self._tip) <= _SAME:
@@ -137,10 +135,16 @@ class Splines:
         if self._curve is not None:
             return
         mover.end_corner()
-        if mover.targets.empty:
-            raise mover.fault('a spline begins where the tool is; move there first', 'BSPLINE')
-        if mover.feed_mode == 'G93':
-            raise mover.fault('inverse-time feed (G93) in a spline is not supported', 'BSPLINE')
+        mover.demand(
+            not mover.targets.empty,
+            'a spline begins where the tool is; move there first',
+            'BSPLINE',
+        )
+        mover.demand(
+            mover.feed_mode != 'G93',
+            'inverse-time feed (G93) in a spline is not supported',
+            'BSPLINE',
+        )
         if mover.by_axes:
             how = f'switch it on with {codes.TCP_ON_WORDS}'
             raise mover.fault(f'a spline needs tool-tip programming; {how}', 'BSPLINE')
@@ -157,8 +161,10 @@ class Splines:
         mover = self._mover
         named = [(str(name), value) for name, value in words.sets if name in CURVE_WORDS]
         given = dict(named)
-        if len(given) < len(named):
-            raise mover.fault('a spline word is written twice in one block; keep one of them')
+        mover.demand(
+            len(given) >= len(named),
+            'a spline word is written twice in one block; keep one of them',
+        )
         self._check(given)
         if self._curve is None:
             self._linear(words, given)
@@ -240,8 +246,7 @@ class Splines:
         if not given.keys() & set(_SECOND):
             return None
         mover = self._mover
-        if mover.incremental:
-            raise mover.fault('XH YH ZH are absolute; write G90')
+        mover.demand(not mover.incremental, 'XH YH ZH are absolute; write G90')
         second = np.full(3, nan) if self._second is None else self._second.copy()
         for i, name in enumerate(_SECOND):
             if name in given:
@@ -259,6 +264,5 @@ class Splines:
                 self._second = None
             return
         tip = mover.target(replace(words, values=dict(words.values)))[:3]
-        if not np.isfinite(second).all():
-            raise mover.fault(NO_SECOND)
+        mover.demand(np.isfinite(second).all(), NO_SECOND)
         words.sets += zip(('A3', 'B3', 'C3'), (second - tip).tolist(), strict=True)

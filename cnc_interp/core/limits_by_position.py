@@ -30,23 +30,6 @@ def has_loads(table: FloatArray) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model='numpy')
-def load_use(table: FloatArray, axis: int, velocity: float, acceleration: float) -> float:
-    """Return the use of the torque that friction leaves to an axis; negative against the motion.
-
-    With sigma = sign(q_dot), -(T + C)/J <= sigma q_ddot + B/J |q_dot| <= (T - C)/J. At rest both
-    directions count as accelerating.
-    """
-    drive, friction = table[DRIVE, axis, 0], table[COULOMB, axis, 0]
-    if drive == np.inf:
-        return 0.0
-    if velocity == 0.0:
-        return float(abs(acceleration) / (drive - friction))
-    along = acceleration if velocity > 0.0 else -acceleration
-    along += table[VISCOUS, axis, 0] * abs(velocity)
-    return float(along / (drive - friction) if along > 0.0 else along / (drive + friction))
-
-
-@njit(cache=True, nogil=True, error_model='numpy')
 def acceleration_room(
     table: FloatArray, axis: int, q: float, velocity: float
 ) -> tuple[float, float]:

@@ -6,58 +6,67 @@ What is not understood cannot be compared, so it is refused.
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from cnc_interp.core import DEG, MM, FloatArray, ProgramError
 
-# G codes that move nothing: plane and units are handled apart.
+#: G codes that move nothing and set nothing here.
 IDLE_G = frozenset(
     (
         '4',
         '5',
         '5.1',
         '8',
-        '9',
-        '40',
         '41.2',
         '42.2',
         '43',
         '43.4',
         '49',
         '54',
-        '60',
-        '61',
-        '61.1',
-        '64',
         '80',
-        '90',
-        '91',
         '91.1',
-        '93',
-        '94',
-        '95',
         '97',
         '98',
         '99',
         '500',
-        '641',
-        '642',
-        '643',
-        '644',
     )
 )
 TCP_ON, TCP_OFF = ('M428', 'M128', 'G43.4', 'TRAORI'), ('M429', 'M129', 'G49', 'TRAFOOF')
-# Exact stops and their end; what rests at the end of the motion before; codes with their own P.
-EXACT, CONTINUOUS = ('G60', 'G61', 'G61.1'), ('G64', 'G641', 'G642', 'G643', 'G644')
 REFUSED_M = ('M17', 'M61', 'M70', 'M71', 'M72', 'M73', 'M98', 'M99', 'M198')
 #: Words that wait for the operator, and M codes that act before the others of their block.
 STOPS, FIRST = ('M1', 'M0', 'M60'), {'M6': 0, 'M3': 1, 'M4': 1, 'M5': 1}
 DWELL, FIXED = 'dwell', 'fixed'  #: Names of the values of G4 [s], and of M50 and M51.
-TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}
+TAKE_P = {'G5', 'G5.1', 'G8', 'G64', 'G41.2', 'G42.2'}  #: Codes with their own P.
 # Words of G-code after which a number follows and that move nothing.
 IDLE_LETTERS = frozenset('NMSTDHPQLE')
 PLANES = {'17': (0, 1, 2), '18': (2, 0, 1), '19': (1, 2, 0)}
+#: What codes set, by the names of the attributes of ``_State``.
+_SETS: dict[str, dict[str, Any]] = {
+    'G0': {'motion': '0'},
+    'G1': {'motion': '1'},
+    'G2': {'motion': '2'},
+    'G3': {'motion': '3'},
+    'G17': {'plane': PLANES['17']},
+    'G18': {'plane': PLANES['18']},
+    'G19': {'plane': PLANES['19']},
+    'G20 G70': {'unit': 25.4 * MM},
+    'G21 G71': {'unit': MM},
+    'G60 G61 G61.1': {'rests': True},
+    'G64 G641 G642 G643 G644': {'rests': False},
+    'G9': {'rests_once': True},
+    'G40': {'by_normals': False},
+    'G90': {'absolute': True},
+    'G91': {'absolute': False},
+    'G93': {'inverse': True, 'per_turn': False},
+    'G94': {'inverse': False, 'per_turn': False},
+    'G95': {'inverse': False, 'per_turn': True},
+    'ORIVECT ORICURVE': {'on_circle': True},
+    'ORIAXES': {'on_circle': False},
+    'M2 M30': {'ended': True},
+}
+SETS = {code: sets for codes, sets in _SETS.items() for code in codes.split()}
 IDLE_CL = frozenset(
     (
         'PARTNO',
@@ -272,8 +281,6 @@ class _State:
             found = re.search(r'P\s*(\d*\.?\d*)', line)
             self.tolerance = float(found[1]) * self.unit if found else 0.0
             self.tolerance = self.orientation = self.tolerance or float('nan')
-        if 'G40' in codes:
-            self.by_normals = False
         if {'G41.2', 'G42.2'} & set(codes):
             self.take_cutter(line, words)
         if self.by_normals and {'I', 'J', 'K'} & set(words):
@@ -286,8 +293,6 @@ class _State:
         if not TAKE_P & set(codes):
             self.turns = int(idle.get('P', 1.0))
         self.worded = self.worded or not {'A', 'B', 'C'}.isdisjoint(words)
-        if turns := {'ORIVECT', 'ORICURVE', 'ORIAXES'} & set(codes):
-            self.on_circle = 'ORIAXES' not in turns
         if words:
             self.move(words)
         self.rests_once = False
@@ -327,28 +332,15 @@ class _State:
 
     def codes(self, codes: list[str]) -> None:
         for code in codes:
-            digits = code[1:]
-            if code in ('G0', 'G1', 'G2', 'G3'):
-                self.motion = digits
-            elif code[0] == 'G' and digits in PLANES:
-                self.plane = PLANES[digits]
-            elif code in ('G20', 'G21', 'G70', 'G71'):
-                self.unit = 25.4 * MM if code in ('G20', 'G70') else MM
-            elif code in REFUSED_M or (code[0] == 'G' and digits not in IDLE_G):
+            known = code[0] != 'G' or code in SETS or code[1:] in IDLE_G
+            if code in REFUSED_M or not known:
                 raise self.refuse(code)
-            if code in EXACT or code in CONTINUOUS:
-                self.rests = code in EXACT
-            self.rests_once = self.rests_once or code == 'G9'
-            if code in ('G90', 'G91'):
-                self.absolute = code == 'G90'
-            if code in ('G93', 'G94', 'G95'):
-                self.inverse, self.per_turn = code == 'G93', code == 'G95'
+            vars(self).update(SETS.get(code, {}))
             if code in (*TCP_ON, *TCP_OFF):
                 changes = self.last >= 0 and self.tcp is not (code in TCP_ON)
                 if changes and self.here[3:].any():
                     self.unknown = set('XYZ')
                 self.tcp = code in TCP_ON
-            self.ended = self.ended or code in ('M2', 'M30')
 
     def move(self, words: dict[str, float]) -> None:
         start, end = self.here, self.here.copy()
